@@ -21,7 +21,7 @@ from petmjx.common.text import count_text
 from petmjx.plans.column_names import ColumnMeaning, column_meanings, word_set, words_of
 from petmjx.plans.json_reader import any_integer
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
-from petmjx.plans.raw_tables import MOST_ROWS, RawTable
+from petmjx.plans.raw_tables import MOST_ROWS, RawTable, geometric_names, united
 
 _DEEPEST: Final = 12
 """Largest depth of nesting that is searched."""
@@ -35,10 +35,12 @@ _LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schic
 """Words for lists whose members are parts of one plan."""
 _NAMES: Final = (
     "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
-    "binId",
+    "binId", "load_id", "loadId",
     "id", "ID", "name", "partno", "bin", "pallet", "container", "index", "number", "no",
 )  # fmt: skip
 """Fields that name a plan, most reliable first."""
+_N_OF_PLANS: Final = 12
+"""Number of these fields, from the first, that name a plan wherever they are."""
 _HOLDERS: Final = word_set(
     "container containers bin bins pallet pallets truck trucks carrier carriers vehicle box_size bin_size binsize "
     "containersize palletsize load_carrier"
@@ -169,11 +171,80 @@ def box_lists(value: Any) -> list[BoxList]:
     if isinstance(value, JsonLines):
         lists = [_by_lines(boxes, value.lines) for boxes in lists]
     unplaced = [boxes for boxes in lists if _is_unplaced(boxes.path)]
-    placed = [boxes for boxes in lists if not _is_unplaced(boxes.path)]
+    placed = _side_by_side(_outermost([boxes for boxes in lists if not _is_unplaced(boxes.path)]))
     left = sum(len(boxes.table.rows) for boxes in unplaced)
     lines = (f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()
     ranked = sorted(placed, key=lambda boxes: (boxes.has_places, boxes.has_sizes, len(boxes.table.rows)), reverse=True)
     return [_with_lines(boxes, lines) for boxes in ranked]
+
+
+_BOXES: Final = word_set(
+    "box boxes item items placement placements package packages parcel parcels carton cartons case cases kartons pieces"
+)
+"""Words in names of lists whose members are boxes even if they are inside other boxes."""
+
+
+def _outermost(lists: Sequence[BoxList]) -> list[BoxList]:
+    """Lists of boxes without those that describe parts of a box, such as its corners or its pose. A list inside another
+    list with sizes and places describes boxes only if it has weights, if the outer list is one of containers or layers,
+    or if its own name means boxes."""
+    boxes_with_both = [boxes for boxes in lists if boxes.has_places and boxes.has_sizes]
+
+    def is_part(boxes: BoxList) -> bool:
+        return any(
+            boxes.path.startswith(outer.path)
+            and boxes.path != outer.path
+            and "weight" not in boxes.kinds
+            and not _words_of_last(boxes) & _BOXES
+            and not _words_of_last(outer) & (_HOLDERS | _LAYERS)
+            for outer in boxes_with_both
+        )
+
+    return [boxes for boxes in lists if not is_part(boxes)]
+
+
+def _words_of_last(boxes: BoxList) -> set[str]:
+    return set(words_of(_last(boxes.path)))
+
+
+def _side_by_side(lists: Sequence[BoxList]) -> list[BoxList]:
+    """Lists of boxes, in which lists beside each other are joined: "A.boxes" and "B.boxes" are two plans of one file,
+    and so are "pallet_1" and "pallet_2". They must have the same sizes and places."""
+    groups: dict[tuple[Any, ...], list[BoxList]] = {}
+    for boxes in lists:
+        *outer, last = boxes.path.split(".")
+        key = (len(outer), re.sub(r"\d+", "", last), *geometric_names(boxes.table.header))
+        groups.setdefault(key, []).append(boxes)
+    joined = []
+    for group in groups.values():
+        steps = [boxes.path.split(".") for boxes in group]
+        levels = [level for level, names in enumerate(zip(*steps, strict=True)) if len(set(names)) > 1]
+        if len(levels) == 1 and group[0].has_places:
+            joined.append(_joined(group, [step[levels[0]].replace("[]", "") for step in steps]))
+        else:
+            joined += group
+    return joined
+
+
+def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
+    """Lists of boxes as one list.
+
+    Args:
+        names: for each list, the step in which its path differs from the others. It names a plan, unless it means a
+            layer.
+    """
+    table = united([boxes.table for boxes in group])
+    parts: list[str] = []
+    containers: dict[str, Mapping[str, float]] = {}
+    for boxes, name in zip(group, names, strict=True):
+        plan = "" if _LAYERS.intersection(words_of(name)) else name
+        own = {
+            part: "/".join(filter(None, (plan, "" if part == plan else part))) for part in dict.fromkeys(boxes.parts)
+        }
+        parts += [own[part] for part in boxes.parts]
+        containers |= {own[part]: sizes for part, sizes in boxes.containers.items()}
+    left_out = tuple(line for boxes in group for line in boxes.left_out)
+    return replace(group[0], table=table, parts=tuple(parts), containers=containers, left_out=left_out)
 
 
 def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
@@ -210,12 +281,12 @@ def _members(
         members = [name for name, inner in value.items() if isinstance(inner, Mapping)]
         alike = len(members) > 1 and len(members) == len(value) and _alike([value[name] for name in members])
         keyed = _is_plan_key(value)
+        around_it = (*around, (_last_step(place), dict[str, Any]()))  # if its fields are boxes, it is no container
         for name, inner in value.items():
             inner_place = f"{place}.{name}" if place else str(name)
             if keyed:
                 yield from _members(inner, f"{path}[]", inner_place, (*step, (str(name), {"id": str(name)})), depth + 1)
             elif alike and isinstance(inner, Mapping):
-                around_it = (*around, (_last_step(place), {}))  # this object's fields are boxes: it is no container
                 yield f"{path}[]", _Member({"id": name, **inner}, inner_place, around_it)
                 yield from _members(inner, f"{path}[]", inner_place, step, depth + 1)
             elif isinstance(inner, Mapping | list | tuple | np.ndarray):
@@ -340,6 +411,9 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
         elif isinstance(inner, list | tuple):
             if _is_matrix(inner):
                 flat[path] = inner
+            elif (ends := _ends_of_vertices(inner)) is not None:
+                for end, point in zip(("min", "max"), ends, strict=True):
+                    flat |= {f"{path}.{end}[{axis}]": value for axis, value in enumerate(point)}
             elif 0 < len(inner) <= _LISTED and not any(isinstance(cell, Mapping | list | tuple) for cell in inner):
                 flat |= {f"{path}[{index}]": cell for index, cell in enumerate(inner)}
         else:
@@ -350,11 +424,29 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
 def _quantity(value: Mapping[str, Any]) -> Any:
     """The text of a number with a unit, from an object such as {"value": "400", "unit": "mm"}; None for other
     objects."""
-    if "value" in value and isinstance(value.get("unit"), str) and len(value) <= 4:
-        return f"{value['value']} {value['unit']}"
+    name = next((name for name in ("value", "amount", "magnitude") if name in value), None)
+    if name is not None and isinstance(value.get("unit"), str) and len(value) <= 4:
+        return f"{value[name]} {value['unit']}"
     if set(value) == {"ticks"}:
         return f"{value['ticks']} ticks"
     return None
+
+
+def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | None:
+    """The smallest and the largest coordinates of the eight corners of a box, [[x, y, z], …]; None for other lists. If
+    the points are not the corners of a level box, one coordinate is replaced by a fault's text."""
+    if len(value) != 8 or not all(isinstance(point, list | tuple) and len(point) == 3 for point in value):
+        return None
+    ends: tuple[list[Any], list[Any]] = ([], [])
+    for column in zip(*value, strict=True):
+        numbers = [number.value for cell in column if (number := cell_number(cell)) is not None]
+        odd = [cell for cell in column if cell_number(cell) is None]
+        halves = len(numbers) == 8 and sorted(numbers)[3] == min(numbers) and sorted(numbers)[4] == max(numbers)
+        if not halves and not odd:
+            odd = [f"{column[0]}, …, which are no level box"]
+        ends[0].append(odd[0] if odd else min(numbers))
+        ends[1].append(max(numbers, default=None))
+    return ends
 
 
 def _is_matrix(value: Sequence[Any]) -> bool:
@@ -363,7 +455,7 @@ def _is_matrix(value: Sequence[Any]) -> bool:
 
 def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
     """Turn a list of objects into a table; None if the objects are not boxes."""
-    flat = [flattened(member.value) for member in members]
+    flat = [{**flattened(member.value), **_of_layer(member)} for member in members]
     counts: dict[str, int] = {}
     for row in flat:
         for name in row:
@@ -379,7 +471,7 @@ def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
         return None
     box_members, left = [], 0
     for number, row in enumerate(flat):
-        flags = [value for name, value in row.items() if name.lower() in _PLACED_FLAGS and isinstance(value, bool)]
+        flags = [value for name, value in row.items() if name.lower() in _PLACED_FLAGS and value in (True, False)]
         if flags and not all(flags):
             left += 1
         else:
@@ -399,6 +491,24 @@ def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
     return BoxList(
         table, path, tuple(parts), {part: sizes for part, sizes in containers.items() if sizes}, lines, around
     )
+
+
+def _of_layer(member: _Member) -> dict[str, Any]:
+    """The height of a box, and its place along the vertical, from the layer that contains it, if the box lacks them."""
+    step, layer = member.around[-1] if member.around else ("", {})
+    if not _LAYERS.intersection(words_of(step)):
+        return {}
+    fields = {name: value for name, value in layer.items() if cell_number(value) is not None}
+    axes = {(meaning.kind, meaning.axis) for meaning in column_meanings(list(flattened(member.value))) if meaning}
+    if ("positions", "") in axes or ("sizes", "") in axes or not {("position", "x"), ("position", "y")} <= axes:
+        return {}
+    return {
+        name: fields[name]
+        for name, meaning in zip(fields, column_meanings(list(fields)), strict=True)
+        if meaning is not None
+        and (meaning.kind, meaning.axis) in (("position", "z"), ("size", "height"))
+        and (meaning.kind, meaning.axis) not in axes
+    }
 
 
 def _cell(value: Any) -> Any:
@@ -432,7 +542,7 @@ def _parts(members: Sequence[_Member]) -> list[str]:
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
     """The name of a file's only plan; "" if no field gives a name."""
     for _, holder in reversed(around):
-        for name in _NAMES[:10]:
+        for name in _NAMES[:_N_OF_PLANS]:
             if (text := _name_text(holder.get(name))) != "":
                 return text
     for step, holder in reversed(around):
