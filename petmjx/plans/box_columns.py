@@ -7,6 +7,7 @@ numbers (units, axes, anchors) is decided later (``petmjx.plans.readings``).
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,6 +26,8 @@ from petmjx.plans.column_names import (
     ColumnMeaning,
     column_meanings,
     may_count,
+    plain_text,
+    word_set,
     words_of,
 )
 from petmjx.plans.foreign_formats import BED_BPP, BoxSource
@@ -47,6 +50,22 @@ _SIZE_SETS: Final = (
     ("length", "width", "height"), ("width", "height", "depth"), ("length", "width", "depth"),
     ("length", "height", "depth"), _XYZ, ("0", "1", "2"),
 )  # fmt: skip
+
+
+_READ_CELLS: Final = 200
+"""Number of cells of a column that are read to find its meaning."""
+_NO_WEIGHT: Final = word_set(
+    "max maximum limit capacity total load bears bearing strength allowed pallet palette container tare tara"
+)
+"""Words in names of columns whose masses are not the weights of boxes."""
+GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
+"""Words for gross weights, which are preferred to net weights."""
+_UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites unidad unidades unita jednostka")
+_SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
+"""Units that a column may have under any name. Others, such as "m" or "in", also have other meanings."""
+_PICKED: Final = word_set("pick picked grasp source from")
+"""Words in names of the places from which a robot takes boxes."""
+_ORDER_WORDS: Final = frozenset(("order", "ordre", "orden", "ordine"))
 
 
 def role_of(axis: str) -> str:
@@ -121,6 +140,7 @@ class BoxColumns:
         columns: role → name of its column, for all roles except sizes and places.
         faults: row → (column, error text) of the first bad cell in the row.
         unread: names of columns that are not used.
+        unit_columns: names of columns whose cells are units of the numbers in other columns.
     """
 
     source: BoxSource
@@ -138,6 +158,7 @@ class BoxColumns:
     columns: Mapping[str, str]
     faults: Mapping[int, tuple[str, str]]
     unread: tuple[str, ...]
+    unit_columns: tuple[str, ...]
 
     @property
     def n_boxes(self) -> int:
@@ -162,6 +183,7 @@ class Extraction:
             self.meanings = [
                 None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
             ]
+        self._mean_by_cells()
         self.fixed: dict[str, int] = {}
         for role, name in chosen.items():
             if role not in ROLES:
@@ -175,6 +197,57 @@ class Extraction:
                 names = ", ".join(map(printable_name, self.table.header[:20]))
                 raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
             self.fixed[role] = self.table.header.index(name)
+
+    def _mean_by_cells(self) -> None:
+        """Meanings that cells show. An order without a number is the customer's order. Cells with a unit of mass are
+        weights, and cells that name the sizes along the axes are rotations, whatever the name of their column."""
+        self.row_units: dict[bool, list[str]] = {}
+        self.unit_columns: list[str] = []
+        if not self.table.has_header:
+            return
+        kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
+        for index, meaning in enumerate(self.meanings):
+            cells = [row[index] for row in self.table.rows[:_READ_CELLS] if row[index] not in (None, "")]
+            if not cells:
+                continue
+            if self._has_units(index, cells):
+                self.meanings[index] = None
+                self.unit_columns.append(self.table.header[index])
+            elif meaning is not None:
+                of_order = meaning.kind == "sequence" and _ORDER_WORDS.intersection(words_of(self.table.header[index]))
+                numbers = [number.value for cell in cells if (number := cell_number(cell, self.table.decimal))]
+                if of_order and "plan" not in kinds and len(set(numbers)) * 2 <= len(cells):
+                    self.meanings[index] = ColumnMeaning("plan")
+            elif (
+                "weight" not in kinds
+                and all(map(self._is_mass, cells))
+                and not _NO_WEIGHT.intersection(words_of(self.table.header[index]))
+            ):
+                self.meanings[index] = ColumnMeaning("weight")
+            elif "rotation" not in kinds and len({*map(cell_text, cells)}) > 1 and all(map(_letters_of, cells)):
+                self.meanings[index] = ColumnMeaning("rotation")
+
+    def _has_units(self, index: int, cells: Sequence[Any]) -> bool:
+        """Whether a column, whose first cells are given, has units. If so, they become the units of the rows, or, if
+        all are the same, the units of the form."""
+        for units in (LENGTH_UNITS, MASS_UNITS):
+            sure = units.keys() if _UNIT_WORDS.intersection(words_of(self.table.header[index])) else _SURE_UNITS
+            if not all(isinstance(cell, str) and _as_unit(cell) in units.keys() & sure for cell in cells):
+                continue
+            texts = [_as_unit(cell_text(cell)) for cell in self.cells(index)]
+            form, is_mass = self.source.form, units is MASS_UNITS
+            if len(set(texts)) > 1:
+                self.row_units.setdefault(is_mass, texts)
+            elif is_mass:
+                self.source = replace(self.source, form=replace(form, masses=form.masses or texts[0]))
+            else:
+                self.source = replace(self.source, form=replace(form, units=form.units or texts[0]))
+            return True
+        return False
+
+    def _is_mass(self, cell: Any) -> bool:
+        number = cell_number(cell, self.table.decimal)
+        return number is not None and number.unit in MASS_UNITS
 
     # Cells.
 
@@ -206,11 +279,11 @@ class Extraction:
         rows: list[Sequence[CellNumber]] = []
         for row, cell in enumerate(self.cells(index)):
             triple = cell_triple(cell, self.table.decimal)
-            rows.append(triple or ())
-            if triple is None:
-                shown = (
-                    "is missing" if cell in (None, "") else f'must be three numbers, got "{printable_name(str(cell))}"'
-                )
+            finite = triple is not None and all(np.isfinite(number.value) for number in triple)
+            rows.append(triple if triple is not None and finite else ())
+            if not finite:
+                kind = "three numbers" if triple is None else "three finite numbers"
+                shown = "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(str(cell))}"'
                 self.bad(row, index, shown)
         return self._in_one_unit(index, rows, LENGTH_UNITS, 3)
 
@@ -225,6 +298,11 @@ class Extraction:
         """
         values = np.full((len(rows), width), np.nan)
         is_mass = "kg" in units
+        if is_mass in self.row_units and units in (LENGTH_UNITS, MASS_UNITS):
+            rows = [
+                [number if number.unit else number._replace(unit=unit) for number in numbers]
+                for numbers, unit in zip(rows, self.row_units[is_mass], strict=True)
+            ]
         meaning, form = self.meanings[index], self.source.form
         of_name = meaning.unit if meaning is not None and meaning.unit in units else ""
         wish = self.masses if is_mass else self.units
@@ -338,7 +416,7 @@ class Extraction:
                     by_axis[role] = [self.fixed[role]]
             if not all(axis in by_axis for axis in _XYZ):
                 continue
-            for chosen in _same_prefix(header, [by_axis[axis] for axis in _XYZ]):
+            for chosen in _same_prefix(header, _without_picks(header, [by_axis[axis] for axis in _XYZ])):
                 values, unit = self.joined(chosen)
                 words = {meaning.axis for index in chosen if (meaning := self.meanings[index]) is not None}
                 up = "z" if "height" in words else ""
@@ -349,6 +427,11 @@ class Extraction:
             if meaning is not None and meaning.kind == "positions" and not choices:
                 values, unit = self.triples(index)
                 choices.append((values, unit, meaning.anchor, {"position": header[index]}, ""))
+        if not choices:  # the far corners, and sizes instead of the near ones
+            far = {_ON_AXES.get(axis, axis): columns[0] for axis, columns in self.columns_of("high").items()}
+            if all(axis in far for axis in _XYZ):
+                values, unit = self.joined([far[axis] for axis in _XYZ])
+                choices.append((values, unit, "far-corner", {axis: header[far[axis]] for axis in _XYZ}, ""))
         return choices[:1]
 
     def corner_choices(self) -> list[Geometry]:
@@ -566,6 +649,20 @@ class Extraction:
             None,
         )
 
+    def weights(self) -> int | None:
+        """The column of weights: that of gross weights if there are several."""
+        if "weight" in self.fixed:
+            return self.fixed["weight"]
+        gross = [
+            number
+            for number, meaning in enumerate(self.meanings)
+            if meaning is not None
+            and meaning.kind == "weight"
+            and not meaning.of_container
+            and GROSS.intersection(words_of(self.table.header[number]))
+        ]
+        return gross[0] if gross else self.first("weight")
+
     def counters(self, used: Collection[str]) -> dict[str, FloatArray]:
         """Unused columns of whole numbers whose names could mean a packing order."""
         columns: dict[str, FloatArray] = {}
@@ -597,7 +694,7 @@ class Extraction:
                 else:
                     array[row], codes[row] = turn, 0
             return Turns(name, ("letters",), codes, array)
-        values = [_turn_number(cell, self.table.decimal) for cell in cells]
+        values = _in_degrees([_turn_number(cell, self.table.decimal) for cell in cells])
         used = {value for value in values if value is not None}
         integers = {value for value in used if float(value).is_integer()}
         in_degrees = sum(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
@@ -674,6 +771,16 @@ def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list
     return full_triples[:1] or [tuple(columns[0] for columns in picked)]
 
 
+def _as_unit(text: str) -> str:
+    return plain_text(text).strip(" .").lower()
+
+
+def _without_picks(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[list[int]]:
+    """The columns for each coordinate, without the places from which a robot takes boxes if there are others."""
+    others = [[index for index in columns if not _PICKED.intersection(words_of(header[index]))] for columns in picked]
+    return others if all(others) else [list(columns) for columns in picked]
+
+
 def _is_matrix(cell: Any) -> bool:
     return isinstance(cell, list | tuple) and _matrix_of(cell) is not None
 
@@ -737,6 +844,20 @@ def _turn_number(cell: Any, decimal: str) -> float | None:
     return 1.0 if text in _YES else 0.0 if text in _NO else None
 
 
+def _in_degrees(values: list[float | None]) -> list[float | None]:
+    """Angles in radians as degrees. Other numbers are unchanged: they are radians only if some are not whole, and all
+    are quarter turns."""
+    quarters = [value / (math.pi / 2) for value in values if value is not None]
+    near = all(abs(quarter - round(quarter)) < _NEAR_QUARTER for quarter in quarters)
+    if not near or all(value is None or float(value).is_integer() for value in values):
+        return values
+    return [None if value is None else 90.0 * round(value / (math.pi / 2)) for value in values]
+
+
+_NEAR_QUARTER: Final = 5e-3
+"""Largest deviation of an angle in radians from quarter turns, in quarter turns. 1.57 is written with three digits."""
+
+
 def _shown_turn(cell: Any, kind: str) -> str:
     return "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(cell_text(cell))}"'
 
@@ -770,7 +891,7 @@ def box_columns(
         if not geometries:
             geometries = work.corner_choices()
         turns = work.turns()
-    weight_index = work.first("weight", "weight")
+    weight_index = work.weights()
     density_index = work.first("density") if weight_index is None else None
     if not source.boxes.table.has_header:
         turns, extra, is_density = work.array_extras(geometries)
@@ -820,5 +941,6 @@ def box_columns(
         {} if sequence is not None else work.counters(used),
         {role: name for role, name in named.items() if name},
         work.faults,
-        tuple(name for name in header if name not in known),
+        tuple(name for name in header if name not in known and name not in work.unit_columns),
+        tuple(work.unit_columns),
     )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import IGNORED, ROLES, Extraction
+from petmjx.plans.box_columns import GROSS, IGNORED, ROLES, Extraction
 from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, split_unit, word_set, words_of
 from petmjx.plans.foreign_formats import BoxSource
 from petmjx.plans.nested_json import BoxList
@@ -47,8 +47,6 @@ _UNIT_WEIGHT: Final = word_set(
 _WEIGHT: Final = word_set(
     "weight mass gewicht poids peso waga masa ciezar gesamtgewicht totalgewicht positionsgewicht zeilengewicht"
 )
-_GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
-"""Words for gross weights, which are preferred to net weights."""
 _PIECES: Final = word_set(
     "boxes cartons kartons kartonanzahl cases packages colli packstucke packstuecke stuck stueck cajas bultos colis "
     "scatole kartony kartonow paczki units unit einheiten items cs ctn ctns szt pz pzas st"
@@ -463,7 +461,7 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
     row_index = work.role("total weight", "weight", within=work.totals)
     index = work.fixed.get("weight")
     if index is None and "total weight" not in work.chosen:
-        gross = {number for number, name in enumerate(header) if _GROSS.intersection(words_of(name))} - work.totals
+        gross = {number for number, name in enumerate(header) if GROSS.intersection(words_of(name))} - work.totals
         index = work.role("weight", "weight", within=gross)
         index = work.role("weight", "weight", without=work.totals) if index is None else index
     if index is not None:
