@@ -581,7 +581,7 @@ class Extraction:
                 if values.max() > 0 and turns is None:
                     rules = ("swap", "py3dbp") if values.max() <= 1 else ("py3dbp",)
                     turns = Turns(header[index], rules, values.astype(np.int64))
-            elif values.min() > 0 and weight is None:
+            elif weight is None and _mostly(values > 0):
                 weight, is_density = index, bool(values.max() <= _DENSEST)
         return turns, weight, is_density
 

@@ -368,6 +368,8 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
          "boxes[0] (a): vertices.min[0] must be a number"),
         (printed(boxes_by(plain)).replace("12.0", "nan", 1), "line 1 (a): weight must be finite, got nan"),
         (nested("Pallet", boxes_by(plain)).replace("12.0", "", 1), "Pallet.Box[0] (a): Weight is missing"),
+        ("\n".join(" ".join(map(str, [*box[3:6], *box[:3], (-1) ** (k == 3) * box[6]])) for k, box in enumerate(PILE)),
+         "row 4: column 7 must be > 0, got -12"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
         (json.dumps({"boxes": [{"id": "a", "colour": "red"}] * 3}), "has no list of boxes"),
     ],
