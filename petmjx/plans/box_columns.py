@@ -7,8 +7,6 @@ numbers (units, axes, anchors) is decided later (``petmjx.plans.readings``).
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -33,6 +31,7 @@ from petmjx.plans.column_names import (
 from petmjx.plans.foreign_formats import BED_BPP, BoxSource
 from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.raw_cells import CellNumber, cell_number, cell_text, cell_triple, number_fault_of
+from petmjx.plans.turn_columns import Turns, letters_of, turns_of
 
 ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
@@ -101,24 +100,6 @@ class Geometry:
     prior: float = 0.0
     turn: FloatArray | None = None
     named_up: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Turns:
-    """A column with the rotations of boxes.
-
-    Attributes:
-        column: name of the column.
-        rules: names of the rules that are possible with its values (``readings.ROTATION_RULES``).
-        codes: (n,) number of each rotation: 0 to 5 as in py3dbp, or the number of quarter turns; −1: unknown.
-        letters: (n, 3) the size that lies along each axis, if rotations are written as letters; None: rotations are not
-            written as letters.
-    """
-
-    column: str
-    rules: tuple[str, ...]
-    codes: NDArray[np.int64]
-    letters: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +205,7 @@ class Extraction:
                 and not _NO_WEIGHT.intersection(words_of(self.table.header[index]))
             ):
                 self.meanings[index] = ColumnMeaning("weight")
-            elif "rotation" not in kinds and len({*map(cell_text, cells)}) > 1 and all(map(_letters_of, cells)):
+            elif "rotation" not in kinds and len({*map(cell_text, cells)}) > 1 and all(map(letters_of, cells)):
                 self.meanings[index] = ColumnMeaning("rotation")
 
     def _has_units(self, index: int, cells: Sequence[Any]) -> bool:
@@ -680,54 +661,12 @@ class Extraction:
         index = self.first("rotation", "rotation")
         if index is None:
             return None
-        cells, name = self.cells(index), self.table.header[index]
-        filled_cells = [cell for cell in cells if cell not in (None, "")]
-        if not filled_cells:
-            return None
-        letters = [_letters_of(cell) for cell in cells]
-        codes = np.full(len(cells), -1, np.int64)
-        if sum(turn is not None for turn in letters) * 2 > len(filled_cells):
-            array = np.zeros((len(cells), 3), np.int64)
-            for row, turn in enumerate(letters):
-                if turn is None:
-                    self.bad(row, index, _shown_turn(cells[row], "three letters"))
-                else:
-                    array[row], codes[row] = turn, 0
-            return Turns(name, ("letters",), codes, array)
-        values = _in_degrees([_turn_number(cell, self.table.decimal) for cell in cells])
-        used = {value for value in values if value is not None}
-        integers = {value for value in used if float(value).is_integer()}
-        in_degrees = sum(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
-        if in_degrees or name.lower() in ("yaw", "angle", "winkel"):
-            rules: tuple[str, ...] = ("degrees",)
-            allowed = [value is not None and value % 90 == 0 for value in values]
-            codes = np.array(
-                [
-                    int(value // 90) % 4 if ok and value is not None else -1
-                    for value, ok in zip(values, allowed, strict=True)
-                ]
-            )
-            kind = "a multiple of 90"
-        elif max(integers, default=0) <= 1:
-            rules, kind = ("swap", "py3dbp"), "0 or 1"
-            allowed = [value in (0, 1) for value in values]
-        elif 0 in integers or max(integers) <= 5:
-            rules, kind = ("py3dbp",) if 0 in integers else ("py3dbp", "py3dbp from 1"), "0 to 5"
-            allowed = [value is not None and value in range(6) for value in values]
-        else:
-            rules, kind = ("py3dbp from 1",), "1 to 6"
-            allowed = [value is not None and value in range(1, 7) for value in values]
-        if rules != ("degrees",):
-            codes = np.array(
-                [int(value) if ok and value is not None else -1 for value, ok in zip(values, allowed, strict=True)],
-                np.int64,
-            )
-        if sum(allowed) * 2 <= len(filled_cells):
-            return None  # no rule knows the words in the cells, so sizes are assumed to be as placed
-        for row, ok in enumerate(allowed):
-            if not ok:
-                self.bad(row, index, _shown_turn(cells[row], kind))
-        return Turns(name, rules, codes)
+        return turns_of(
+            self.table.header[index],
+            self.cells(index),
+            self.table.decimal,
+            lambda row, text: self.bad(row, index, text),
+        )
 
 
 _DENSEST: Final = 1.5
@@ -816,50 +755,6 @@ def _rotations_of(quaternion: FloatArray) -> FloatArray:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.moveaxis(np.array(rows), 2, 0)
-
-
-def _letters_of(cell: Any) -> tuple[int, int, int] | None:
-    """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. None if the letters name no
-    orientation."""
-    text = cell_text(cell).upper().removeprefix("ROTATIONTYPE.").removeprefix("RT_").removeprefix("ORIENTATION.")
-    for letters in ("XYZ", "LWH", "WHD", "LBH", "LHD", "WDH", "ABC"):
-        if sorted(text) == sorted(letters):
-            return letters.index(text[0]), letters.index(text[1]), letters.index(text[2])
-    return None
-
-
-_YES: Final = frozenset(
-    ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "x", "y", "j", "1")
-)
-_NO: Final = frozenset(("false", "no", "nein", "non", "nie", "original", "none", "n", "0", "", "-"))
-
-
-def _turn_number(cell: Any, decimal: str) -> float | None:
-    if isinstance(cell, bool):
-        return float(cell)
-    number = cell_number(re.sub(r"\s*(°|deg|degrees|grad)$", "", cell) if isinstance(cell, str) else cell, decimal)
-    if number is not None and np.isfinite(number.value):
-        return number.value
-    text = cell_text(cell).lower()
-    return 1.0 if text in _YES else 0.0 if text in _NO else None
-
-
-def _in_degrees(values: list[float | None]) -> list[float | None]:
-    """Angles in radians as degrees. Other numbers are unchanged: they are radians only if some are not whole, and all
-    are quarter turns."""
-    quarters = [value / (math.pi / 2) for value in values if value is not None]
-    near = all(abs(quarter - round(quarter)) < _NEAR_QUARTER for quarter in quarters)
-    if not near or all(value is None or float(value).is_integer() for value in values):
-        return values
-    return [None if value is None else 90.0 * round(value / (math.pi / 2)) for value in values]
-
-
-_NEAR_QUARTER: Final = 5e-3
-"""Largest deviation of an angle in radians from quarter turns, in quarter turns. 1.57 is written with three digits."""
-
-
-def _shown_turn(cell: Any, kind: str) -> str:
-    return "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(cell_text(cell))}"'
 
 
 def box_columns(

@@ -1,0 +1,134 @@
+"""Columns with the rotations of boxes in other tools' tables (``turns_of``): numbers, degrees, letters and words."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.text import printable_name
+from petmjx.plans.raw_cells import cell_number, cell_text
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """A column with the rotations of boxes.
+
+    Attributes:
+        column: name of the column.
+        rules: names of the rules that are possible with its values (``readings.ROTATION_RULES``).
+        codes: (n,) number of each rotation: 0 to 5 as in py3dbp, or the number of quarter turns; −1: unknown.
+        letters: (n, 3) the size that lies along each axis, if rotations are written as letters; None: rotations are not
+            written as letters.
+    """
+
+    column: str
+    rules: tuple[str, ...]
+    codes: NDArray[np.int64]
+    letters: NDArray[np.int64] | None = None
+
+
+def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[int, str], None]) -> Turns | None:
+    """The rotations in a column; None if the column is empty, or has words that no rule knows.
+
+    Args:
+        name: name of the column.
+        decimal: decimal sign of numbers stored as text.
+        on_fault: function that is called with the row and the fault of each bad cell.
+    """
+    filled_cells = [cell for cell in cells if cell not in (None, "")]
+    if not filled_cells:
+        return None
+    letters = [letters_of(cell) for cell in cells]
+    codes = np.full(len(cells), -1, np.int64)
+    if sum(turn is not None for turn in letters) * 2 > len(filled_cells):
+        array = np.zeros((len(cells), 3), np.int64)
+        for row, turn in enumerate(letters):
+            if turn is None:
+                on_fault(row, _shown_turn(cells[row], "three letters"))
+            else:
+                array[row], codes[row] = turn, 0
+        return Turns(name, ("letters",), codes, array)
+    values = _in_degrees([_turn_number(cell, decimal) for cell in cells])
+    used = {value for value in values if value is not None}
+    integers = {value for value in used if float(value).is_integer()}
+    in_degrees = sum(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
+    if in_degrees or name.lower() in ("yaw", "angle", "winkel"):
+        rules: tuple[str, ...] = ("degrees",)
+        allowed = [value is not None and value % 90 == 0 for value in values]
+        codes = np.array(
+            [
+                int(value // 90) % 4 if ok and value is not None else -1
+                for value, ok in zip(values, allowed, strict=True)
+            ]
+        )
+        kind = "a multiple of 90"
+    elif max(integers, default=0) <= 1:
+        rules, kind = ("swap", "py3dbp"), "0 or 1"
+        allowed = [value in (0, 1) for value in values]
+    elif 0 in integers or max(integers) <= 5:
+        rules, kind = ("py3dbp",) if 0 in integers else ("py3dbp", "py3dbp from 1"), "0 to 5"
+        allowed = [value is not None and value in range(6) for value in values]
+    else:
+        rules, kind = ("py3dbp from 1",), "1 to 6"
+        allowed = [value is not None and value in range(1, 7) for value in values]
+    if rules != ("degrees",):
+        codes = np.array(
+            [int(value) if ok and value is not None else -1 for value, ok in zip(values, allowed, strict=True)],
+            np.int64,
+        )
+    if sum(allowed) * 2 <= len(filled_cells):
+        return None  # no rule knows the words in the cells, so sizes are assumed to be as placed
+    for row, ok in enumerate(allowed):
+        if not ok:
+            on_fault(row, _shown_turn(cells[row], kind))
+    return Turns(name, rules, codes)
+
+
+def letters_of(cell: Any) -> tuple[int, int, int] | None:
+    """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. None if the letters name no
+    orientation."""
+    text = cell_text(cell).upper().removeprefix("ROTATIONTYPE.").removeprefix("RT_").removeprefix("ORIENTATION.")
+    for letters in ("XYZ", "LWH", "WHD", "LBH", "LHD", "WDH", "ABC"):
+        if sorted(text) == sorted(letters):
+            return letters.index(text[0]), letters.index(text[1]), letters.index(text[2])
+    return None
+
+
+_YES: Final = frozenset(
+    ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "x", "y", "j", "1")
+)
+_NO: Final = frozenset(("false", "no", "nein", "non", "nie", "original", "none", "n", "0", "", "-"))
+
+
+def _turn_number(cell: Any, decimal: str) -> float | None:
+    if isinstance(cell, bool):
+        return float(cell)
+    number = cell_number(re.sub(r"\s*(°|deg|degrees|grad)$", "", cell) if isinstance(cell, str) else cell, decimal)
+    if number is not None and np.isfinite(number.value):
+        return number.value
+    text = cell_text(cell).lower()
+    return 1.0 if text in _YES else 0.0 if text in _NO else None
+
+
+def _in_degrees(values: list[float | None]) -> list[float | None]:
+    """Angles in radians as degrees. Other numbers are unchanged: they are radians only if some are not whole, and all
+    are quarter turns."""
+    quarters = [value / (math.pi / 2) for value in values if value is not None]
+    near = all(abs(quarter - round(quarter)) < _NEAR_QUARTER for quarter in quarters)
+    if not near or all(value is None or float(value).is_integer() for value in values):
+        return values
+    return [None if value is None else 90.0 * round(value / (math.pi / 2)) for value in values]
+
+
+_NEAR_QUARTER: Final = 5e-3
+"""Largest deviation of an angle in radians from quarter turns, in quarter turns. 1.57 is written with three digits."""
+
+
+def _shown_turn(cell: Any, kind: str) -> str:
+    return "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(cell_text(cell))}"'
