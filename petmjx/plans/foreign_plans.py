@@ -397,6 +397,7 @@ class _Builder:
                 raise InputError(f"{plan}{self._place_of(row)}: {fault}") from None
             raise
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
+        self._check_words(reading, candidate)
         self._note_quantities()
         size, low, containers = self._geometry(reading, candidate, plans)
         self.decks = self._decks(plans, size, low)
@@ -443,6 +444,25 @@ class _Builder:
         )
         table = self._table(list(good_rows.values()), sequences, names, size, low, mass) if good_rows else None
         return ForeignPlans(table, tuple(refused), reading, containers)
+
+    def _check_words(self, reading: Reading, candidate: Candidate) -> None:
+        """Note the words of rotations.
+
+        Raises:
+            InputError: nothing shows the meaning of the words.
+        """
+        turns = self.columns.turns
+        if turns is None or not turns.words:
+            return
+        if turns.rules:
+            zero, one = (printable_name(word or "blank") for word in turns.words)
+            self.notes.append(f"{printable_name(turns.column)}: {zero} is 0, {one} is 1")
+        elif not (self.wishes.sizes or self.columns.source.form.sizes or candidate.geometry.placed):
+            words = first_names(turns.words)
+            raise InputError(
+                f"{printable_name(turns.column)} has rotations of unknown meaning ({words}); if sizes are those of the "
+                "boxes as placed, say --sizes placed"
+            )
 
     def _note_quantities(self) -> None:
         """Add a note about quantities above 1, unless they count the rows of an article. A row has only one place."""

@@ -62,9 +62,9 @@ def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
         assert turns.letters is not None
         return np.take_along_axis(geometry.size, turns.letters, axis=1)
     codes = np.maximum(turns.codes, 0)
-    if candidate.rule in ("swap", "degrees"):
+    if candidate.rule in ("swap", "swap back", "degrees"):
         level = (1, 0, 2) if candidate.up == "z" else (2, 1, 0)
-        odd = codes % 2 == 1
+        odd = codes % 2 == (candidate.rule != "swap back")
         return np.where(odd[:, None], size[:, level], size)
     first = 1 if candidate.rule == "py3dbp from 1" else 0
     return np.take_along_axis(size, _SIX[np.clip(codes - first, 0, 5)], axis=1)
@@ -189,7 +189,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
             continue
         if rule == "py3dbp" and number and not form.rule and "type" not in columns.turns.column.lower():
             continue
-        rules.append((rule, 0.5 * bool(number)))
+        rules.append((rule, 0.5 * bool(number) * (rule != "swap back")))
     if wishes.sizes == "item":
         return rules
     placed = _FIRM if named_rule == "item" else 0.0

@@ -21,6 +21,7 @@ from petmjx.common.text import count_text, three_digits
 ROTATION_RULES: Final = {
     "none": "sizes are as placed",
     "swap": "1 swaps the two level sizes",
+    "swap back": "0 swaps the two level sizes",
     "degrees": "90 and 270 degrees swap the two level sizes",
     "letters": "letters mean which size lies along x, y and z",
     "py3dbp": "0 WHD, 1 HWD, 2 HDW, 3 DHW, 4 DWH, 5 WDH",

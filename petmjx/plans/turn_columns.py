@@ -25,16 +25,22 @@ class Turns:
         codes: (n,) number of each rotation: 0 to 5 as in py3dbp, or the number of quarter turns; −1: unknown.
         letters: (n, 3) the size that lies along each axis, if rotations are written as letters; None: rotations are not
             written as letters.
+        words: the words for rotations 0 and 1, or all words if there is no rule; empty: the cells have numbers or words
+            of known meaning.
     """
 
     column: str
     rules: tuple[str, ...]
     codes: NDArray[np.int64]
     letters: NDArray[np.int64] | None = None
+    words: tuple[str, ...] = ()
 
 
 def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[int, str], None]) -> Turns | None:
-    """The rotations in a column; None if the column is empty, or has words that no rule knows.
+    """The rotations in a column; None if the column is empty.
+
+    If the cells have two words of unknown meaning, either of them may be that of a turned box. If they have more such
+    words, there is no rule.
 
     Args:
         name: name of the column.
@@ -83,7 +89,11 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
             np.int64,
         )
     if sum(allowed) * 2 <= len(filled_cells):
-        return None  # no rule knows the words in the cells, so sizes are assumed to be as placed
+        texts = [cell_text(cell) for cell in cells]
+        words = tuple(sorted({*texts}))
+        rules = ("swap", "swap back") if len(words) == 2 else ()
+        codes = np.array([text == words[-1] for text in texts], np.int64)
+        return Turns(name, rules, codes, words=words) if len(words) > 1 else None
     for row, ok in enumerate(allowed):
         if not ok:
             on_fault(row, _shown_turn(cells[row], kind))

@@ -131,6 +131,10 @@ TABLES = {
         lambda k, box: [NAMES[k], *before_turn(k, box), box[6], *box[:3], "WLH" if TURNED[k] else "LWH"],
         mark="|",
     ),
+    "words of rotations": table(
+        f"name,x,y,z,{SIZES},mass,orientation",
+        lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "across" if TURNED[k] else "along"],
+    ),
     "radians": table(
         f"name,x,y,z,{SIZES},mass,yaw_rad",
         lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], 1.5708 if TURNED[k] else 0.0],
@@ -370,6 +374,8 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
         (nested("Pallet", boxes_by(plain)).replace("12.0", "", 1), "Pallet.Box[0] (a): Weight is missing"),
         ("\n".join(" ".join(map(str, [*box[3:6], *box[:3], (-1) ** (k == 3) * box[6]])) for k, box in enumerate(PILE)),
          "row 4: column 7 must be > 0, got -12"),
+        (table(f"box,x,y,z,{SIZES},kg,orientation", lambda k, box: [*named(k, box), ("front", "side", "top")[k % 3]]),
+         "orientation has rotations of unknown meaning (front, side, top); if sizes are those of the boxes as placed"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
         (json.dumps({"boxes": [{"id": "a", "colour": "red"}] * 3}), "has no list of boxes"),
     ],
