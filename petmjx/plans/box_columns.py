@@ -31,7 +31,16 @@ from petmjx.plans.column_names import (
 from petmjx.plans.foreign_formats import BED_BPP, BoxSource
 from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.raw_cells import CellNumber, cell_number, cell_text, cell_triple, number_fault_of
-from petmjx.plans.turn_columns import Turns, letters_of, turns_of
+from petmjx.plans.turn_columns import (
+    Turns,
+    bad_member,
+    is_matrix,
+    letters_of,
+    matrix_of,
+    rotations_of_quaternions,
+    tilt,
+    turns_of,
+)
 
 ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
@@ -455,14 +464,14 @@ class Extraction:
         size, axes, unit, _, columns = sizes[0]
         quaternions = self.columns_of("quaternion")
         matrix = next(
-            (index for index in range(len(header)) if any(_is_matrix(row[index]) for row in self.table.rows[:3])), None
+            (index for index in range(len(header)) if any(is_matrix(row[index]) for row in self.table.rows[:3])), None
         )
         if matrix is not None:
             rotations, places = np.full((len(size), 3, 3), np.nan), np.full((len(size), 3), np.nan)
             for row, cell in enumerate(self.cells(matrix)):
-                array = _matrix_of(cell)
+                array = matrix_of(cell)
                 if array is None:
-                    self.bad(row, matrix, f"must be a 4×4 matrix of numbers{_bad_member(cell)}")
+                    self.bad(row, matrix, f"must be a 4×4 matrix of numbers{bad_member(cell)}")
                 else:
                     rotations[row], places[row] = array[:3, :3], array[:3, 3]
             columns = {**columns, "pose": header[matrix]}
@@ -488,8 +497,8 @@ class Extraction:
             }
             if number == 1:
                 all_columns["order of quaternions"] = "x, y, z, w"
-            rotation = _rotations_of(values)
-            poses.append((int((_tilt(rotation) > _LEVEL).sum()), rotation, all_columns, indices[0], 0.4 * number))
+            rotation = rotations_of_quaternions(values)
+            poses.append((int((tilt(rotation) > _LEVEL).sum()), rotation, all_columns, indices[0], 0.4 * number))
         least = min((tilted for tilted, *_ in poses), default=0)
         for tilted, rotation, all_columns, index, prior in poses:
             if tilted == least:
@@ -510,7 +519,7 @@ class Extraction:
         anchor: str,
     ) -> Geometry:
         """A geometry from poses. Boxes whose rotation is not a multiple of right angles are refused."""
-        for row in np.flatnonzero(_tilt(rotation) > _LEVEL):
+        for row in np.flatnonzero(tilt(rotation) > _LEVEL):
             degrees = np.degrees(np.arccos(np.clip(np.abs(rotation[row]).max(axis=1).min(), 0, 1)))
             self.bad(
                 int(row), index, f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
@@ -685,12 +694,6 @@ def _mostly(rows: NDArray[np.bool_]) -> bool:
     return sound >= _MOST_SOUND * len(rows) or sound >= len(rows) - 1 > 1
 
 
-def _tilt(rotation: FloatArray) -> FloatArray:
-    """(n,) largest deviation of the axes of rotations (n, 3, 3) from right angles."""
-    tilt: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
-    return tilt
-
-
 def _role_of(meaning: ColumnMeaning) -> str:
     if meaning.kind == "size":
         return role_of(meaning.axis)
@@ -718,43 +721,6 @@ def _without_picks(header: Sequence[str], picked: Sequence[Sequence[int]]) -> li
     """The columns for each coordinate, without the places from which a robot takes boxes if there are others."""
     others = [[index for index in columns if not _PICKED.intersection(words_of(header[index]))] for columns in picked]
     return others if all(others) else [list(columns) for columns in picked]
-
-
-def _is_matrix(cell: Any) -> bool:
-    return isinstance(cell, list | tuple) and _matrix_of(cell) is not None
-
-
-def _matrix_of(cell: Any) -> FloatArray | None:
-    try:
-        array = np.asarray(cell, dtype=float)
-    except (TypeError, ValueError):
-        return None
-    if array.shape == (16,):
-        array = array.reshape(4, 4)
-    return array if array.shape in ((4, 4), (3, 4)) and np.isfinite(array).all() else None
-
-
-def _bad_member(cell: Any) -> str:
-    """The text for messages about a bad matrix: the index, from 0, of its first member that is not a number; "" if the
-    shape of the matrix is wrong."""
-    flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
-    for index, value in enumerate(flat):
-        number = cell_number(value)
-        if number is None or not np.isfinite(number.value):
-            return f", got {printable_name(str(value))} as number {index}"
-    return ""
-
-
-def _rotations_of(quaternion: FloatArray) -> FloatArray:
-    """(n, 3, 3) rotation matrices of (n, 4) quaternions w, x, y, z."""
-    with np.errstate(invalid="ignore"):
-        w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
 
 
 def box_columns(

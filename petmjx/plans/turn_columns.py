@@ -1,4 +1,5 @@
-"""Columns with the rotations of boxes in other tools' tables (``turns_of``): numbers, degrees, letters and words."""
+"""Columns with the rotations of boxes in other tools' tables (``turns_of``): numbers, degrees, letters and words;
+and the rotation matrices of poses."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.text import printable_name
+from petmjx.common.units import FloatArray
 from petmjx.plans.raw_cells import cell_number, cell_text
 
 
@@ -142,3 +144,49 @@ _NEAR_QUARTER: Final = 5e-3
 
 def _shown_turn(cell: Any, kind: str) -> str:
     return "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(cell_text(cell))}"'
+
+
+# Matrices.
+
+
+def tilt(rotation: FloatArray) -> FloatArray:
+    """(n,) largest deviation of the axes of rotations (n, 3, 3) from right angles."""
+    tilt: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
+    return tilt
+
+
+def is_matrix(cell: Any) -> bool:
+    return isinstance(cell, list | tuple) and matrix_of(cell) is not None
+
+
+def matrix_of(cell: Any) -> FloatArray | None:
+    try:
+        array = np.asarray(cell, dtype=float)
+    except (TypeError, ValueError):
+        return None
+    if array.shape == (16,):
+        array = array.reshape(4, 4)
+    return array if array.shape in ((4, 4), (3, 4)) and np.isfinite(array).all() else None
+
+
+def bad_member(cell: Any) -> str:
+    """The text for messages about a bad matrix: the index, from 0, of its first member that is not a number; "" if the
+    shape of the matrix is wrong."""
+    flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
+    for index, value in enumerate(flat):
+        number = cell_number(value)
+        if number is None or not np.isfinite(number.value):
+            return f", got {printable_name(str(value))} as number {index}"
+    return ""
+
+
+def rotations_of_quaternions(quaternion: FloatArray) -> FloatArray:
+    """(n, 3, 3) rotation matrices of (n, 4) quaternions w, x, y, z."""
+    with np.errstate(invalid="ignore"):
+        w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
