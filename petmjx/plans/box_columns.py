@@ -33,10 +33,13 @@ from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.raw_cells import CellNumber, cell_number, cell_text, cell_triple, number_fault_of
 from petmjx.plans.turn_columns import (
     Turns,
+    angles_of,
     bad_member,
     is_matrix,
+    is_rotation,
     letters_of,
     matrix_of,
+    rotations_of_angles,
     rotations_of_quaternions,
     tilt,
     turns_of,
@@ -173,6 +176,9 @@ class Extraction:
             self.meanings = [
                 None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
             ]
+        eulers = [index for index, meaning in enumerate(self.meanings) if meaning and meaning.kind == "euler"]
+        if len(eulers) == 1:  # "rot_z" alone: the box turns about the vertical
+            self.meanings[eulers[0]] = ColumnMeaning("rotation")
         self._mean_by_cells()
         self.fixed: dict[str, int] = {}
         for role, name in chosen.items():
@@ -456,13 +462,12 @@ class Extraction:
         return []
 
     def pose_choices(self) -> list[Geometry]:
-        """Geometries from matrices, or from positions and quaternions."""
+        """Geometries from matrices, or from positions and rotations."""
         header = self.table.header
         sizes = self.size_choices()
         if not sizes:
             return []
         size, axes, unit, _, columns = sizes[0]
-        quaternions = self.columns_of("quaternion")
         matrix = next(
             (index for index in range(len(header)) if any(is_matrix(row[index]) for row in self.table.rows[:3])), None
         )
@@ -476,35 +481,91 @@ class Extraction:
                     rotations[row], places[row] = array[:3, :3], array[:3, 3]
             columns = {**columns, "pose": header[matrix]}
             return [self._pose(size, places, axes, unit, unit, rotations, columns, matrix, "")]
-        places_of = self.place_choices() if quaternions else []
+        options = self._quaternions() or self._angles() or self._turning_matrices()
+        places_of = self.place_choices() if options else []
         if not places_of:
             return []
-        components = [quaternions.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
-        listed = [quaternions.get(str(axis), [None])[0] for axis in range(4)]
+        place, place_unit, anchor, place_columns, _ = places_of[0]
+        tilted = [int((tilt(rotation) > _LEVEL).sum()) for rotation, *_ in options]
+        return [
+            replace(
+                self._pose(
+                    size, place, axes, unit, place_unit, rotation, columns | place_columns | named, index, anchor
+                ),
+                prior=0.4 * number,
+            )
+            for number, (rotation, named, index) in enumerate(options)
+            if tilted[number] == min(tilted)
+        ]
+
+    def _quaternions(self) -> list[_Rotations]:
+        """Rotations by quaternions, if there are any. In a list without names, w may be the first or the last one."""
+        header = self.table.header
+        named, turned = self.columns_of("quaternion"), self.columns_of("rotation")
+        if "w" in named:
+            named = {**self.columns_of("euler"), **named}
+        elif "3" in turned:
+            named = turned
+        components = [named.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
+        listed = [named.get(str(axis), [None])[0] for axis in range(4)]
         orders = (
             [components] if None not in components else [listed, [listed[3], *listed[:3]]] if None not in listed else []
         )
-        place, place_unit, anchor, place_columns, _ = places_of[0]
-        geometries: list[Geometry] = []
-        poses: list[tuple[int, FloatArray, dict[str, str], int, float]] = []
+        rotations = []
         for number, order in enumerate(orders):
             indices = [index for index in order if index is not None]
             values = np.stack([self.numbers(index, LENGTH_UNITS)[0] for index in indices], axis=1)
-            all_columns = {
-                **columns,
-                **place_columns,
-                "quaternion": header[indices[0]].rpartition("[")[0] or header[indices[0]],
-            }
-            if number == 1:
-                all_columns["order of quaternions"] = "x, y, z, w"
-            rotation = rotations_of_quaternions(values)
-            poses.append((int((tilt(rotation) > _LEVEL).sum()), rotation, all_columns, indices[0], 0.4 * number))
-        least = min((tilted for tilted, *_ in poses), default=0)
-        for tilted, rotation, all_columns, index, prior in poses:
-            if tilted == least:
-                geometry = self._pose(size, place, axes, unit, place_unit, rotation, all_columns, index, anchor)
-                geometries.append(replace(geometry, prior=prior))
-        return geometries
+            columns = {"quaternion": header[indices[0]].rpartition("[")[0] or header[indices[0]]}
+            columns |= {"order of quaternions": "x, y, z, w"} if number == 1 else {}
+            rotations.append((rotations_of_quaternions(values), columns, indices[0]))
+        return rotations
+
+    def _angles(self) -> list[_Rotations]:
+        """Rotations by angles about at least two of the axes, if there are any: "rx", "ry" and "rz"; roll, pitch and
+        yaw; lists of three."""
+        named = {axis: columns[0] for axis, columns in self.columns_of("euler").items()}
+        quaternions, turned = self.columns_of("quaternion"), self.columns_of("rotation")
+        listed = turned if {*"012"} <= turned.keys() else quaternions if {*"012"} <= quaternions.keys() else {}
+        if listed:
+            named = {axis: listed[str(number)][0] for number, axis in enumerate(_XYZ)}
+        elif {*_XYZ} <= quaternions.keys():  # "orientation.x" without a w
+            named = {axis: quaternions[axis][0] for axis in _XYZ}
+        elif named and "z" not in named:
+            yaws = [index for index in turned.get("", ()) if "yaw" in words_of(self.table.header[index])]
+            if yaws:
+                named["z"] = yaws[0]
+        if len(named) < 2:
+            return []
+        indices = list(named.values())
+        angles = np.zeros((len(self.table.rows), 3))
+        angles[:, [_XYZ.index(axis) for axis in named]] = angles_of(
+            [self.cells(index) for index in indices], self.table.decimal
+        )
+        for row, axis in np.argwhere(np.isnan(angles)).tolist():
+            index = named[_XYZ[axis]]
+            self.bad(row, index, number_fault_of(self.table.rows[row][index], self.table.decimal))
+        columns = {"angles": self.table.header[indices[0]].rpartition("[")[0] or self.table.header[indices[0]]}
+        orders = ("", "x last")
+        return [
+            (rotation, {**columns, **({"order of angles": orders[number]} if number else {})}, indices[0])
+            for number, rotation in enumerate(rotations_of_angles(angles))
+        ]
+
+    def _turning_matrices(self) -> list[_Rotations]:
+        """Rotations by matrices (3, 3), if there are any."""
+        rows = self.table.rows
+        index = next(
+            (index for index in range(len(self.table.header)) if any(is_rotation(row[index]) for row in rows[:3])), None
+        )
+        if index is None:
+            return []
+        rotations = np.full((len(rows), 3, 3), np.nan)
+        for row, cell in enumerate(self.cells(index)):
+            try:
+                rotations[row] = np.array(cell, float)
+            except (TypeError, ValueError):
+                self.bad(row, index, f"must be a 3×3 matrix of numbers{bad_member(cell)}")
+        return [(rotations, {"rotation": self.table.header[index]}, index)]
 
     def _pose(
         self,
@@ -678,6 +739,8 @@ class Extraction:
         )
 
 
+_Rotations = tuple[FloatArray, dict[str, str], int]
+"""(n, 3, 3) rotation matrices; role → name of its column; the column that is named in errors."""
 _DENSEST: Final = 1.5
 """Largest density, relative to water, in a column without a name. No carton reaches this density."""
 _LEVEL: Final = 2e-3

@@ -15,13 +15,13 @@ from functools import lru_cache
 from typing import Final, Literal
 
 Kind = Literal[
-    "size", "sizes", "position", "positions", "low", "high", "quaternion", "matrix", "weight", "density", "volume",
-    "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group", "material",
+    "size", "sizes", "position", "positions", "low", "high", "quaternion", "euler", "matrix", "weight", "density",
+    "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group", "material",
     "row_kind", "strength",
 ]  # fmt: skip
 """Meaning of a column. ``sizes`` and ``positions`` are three numbers in one cell. ``low`` and ``high`` are coordinates
 of the corners with the smallest and the largest x, y and z. ``sequence`` is a packing order. ``number`` is a running
-number, which may be a packing order."""
+number, which may be a packing order. ``euler`` is an angle about one axis."""
 
 OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
 """petmjx's own names for the sizes and the weight of items, which contain the units."""
@@ -347,8 +347,10 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     size_word = next((size for size, names in _SIZES.items() if words & set(names.split())), None)
     if size_word is None and len(tail) == 2 and tail[0] in _BOX and last in _LONE:
         size_word = _LONE[last]
-    if last == "qw":
+    if last == "qw" or (last == "w" and everything & {"rot", "rotation"}):
         return ColumnMeaning("quaternion", "w")
+    if last in ("roll", "pitch"):
+        return ColumnMeaning("euler", {"roll": "x", "pitch": "y"}[last])
     axis = next((word for word in reversed(tail) if word in _AXES), None)
     numbered = next((word for word in reversed(tail) if word in ("1", "2")), None)
     compact = re.fullmatch(r"([dlsw]|len|dim|size|extent|ext|box|siz)([xyz])", last) or (
@@ -359,13 +361,15 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         if last[1:] == "w" or last[:-1] == "w":
             return None  # the name is an angular velocity (wx), or another kind of word
         return ColumnMeaning("size", letter, placed=last[0] in "l" or placed, half=half)
-    point = re.fullmatch(r"(c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc)([xyz])", last)
+    point = re.fullmatch(
+        r"(r|rot|c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc)([xyz])", last
+    )
     back = re.fullmatch(r"([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi)", last)
     edge = re.fullmatch(r"([xyz])([012])", "".join(tail[-2:])) if numbered or last == "0" else None
     mark, letter = (point[1], point[2]) if point else (back[2], back[1]) if back else ("", "")
     if letter:
-        if mark == "q":
-            return ColumnMeaning("quaternion", letter)
+        if mark in ("q", "r", "rot"):
+            return ColumnMeaning("quaternion" if mark == "q" else "euler", letter)
         if mark in ("c", "m", "ctr", "cen", "center", "centre", "mid"):
             return ColumnMeaning("position", letter, anchor="centre")
         return ColumnMeaning(
@@ -390,8 +394,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if axis is not None:
         if is_dims or words & {"d", "delta", "l", "len", "size"} or half:
             return ColumnMeaning("size", axis, placed=placed, half=half)
-        if everything & {"rotation", "rot", "angle", "euler"}:
-            return None
+        if everything & {"rotation", "rot", "angle", "angles", "euler"}:
+            return ColumnMeaning("euler", axis)
         if len(tail) == 1 or is_position or everything & (_CENTRE | _LOW | _HIGH | BASE_WORDS):
             if everything & _HIGH and not everything & {"left"}:
                 return ColumnMeaning("high", axis)
@@ -443,6 +447,8 @@ def _anchor_of(words: set[str]) -> str:
     return "corner" if words & {"corner", "ecke", "flb", "flbcoordinates", "coin", "esquina", "angolo", "rog"} else ""
 
 
+_NO_WEIGHT: Final = word_set("max limit capacity total maximum tare tara dim dimensional volumetric chargeable empty")
+"""Words for weights that are not those of boxes with their contents."""
 _UNLOADING: Final = word_set(
     "unload unloading unpack unpacking entladen entladung ausladen dechargement descarga scarico"
 )
@@ -469,7 +475,7 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
                 break
             if kind == "sequence" and words & _UNLOADING:
                 return None  # the order in which boxes leave the pallet
-            if kind == "weight" and words & {"max", "limit", "capacity", "total", "maximum"}:
+            if kind == "weight" and words & _NO_WEIGHT:
                 return None
             if kind == "rotation" and words & {"allowed", "possible", "keep", "updown"}:
                 return None

@@ -33,6 +33,8 @@ _UNPLACED: Final = word_set(
 _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
 _LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
 """Words for lists whose members are parts of one plan."""
+_STACKS: Final = word_set("stack stacks tower towers column columns pile piles block blocks")
+"""Words for parts of a plan that stand beside each other."""
 _NAMES: Final = (
     "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
     "binId", "load_id", "loadId",
@@ -196,7 +198,7 @@ def _outermost(lists: Sequence[BoxList]) -> list[BoxList]:
             and boxes.path != outer.path
             and "weight" not in boxes.kinds
             and not _words_of_last(boxes) & _BOXES
-            and not _words_of_last(outer) & (_HOLDERS | _LAYERS)
+            and not _words_of_last(outer) & (_HOLDERS | _LAYERS | _STACKS)
             for outer in boxes_with_both
         )
 
@@ -455,7 +457,7 @@ def _is_matrix(value: Sequence[Any]) -> bool:
 
 def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
     """Turn a list of objects into a table; None if the objects are not boxes."""
-    flat = [{**flattened(member.value), **_of_layer(member)} for member in members]
+    flat = [{**flattened(member.value), **_of_part(member)} for member in members]
     counts: dict[str, int] = {}
     for row in flat:
         for name in row:
@@ -493,21 +495,20 @@ def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
     )
 
 
-def _of_layer(member: _Member) -> dict[str, Any]:
-    """The height of a box, and its place along the vertical, from the layer that contains it, if the box lacks them."""
-    step, layer = member.around[-1] if member.around else ("", {})
-    if not _LAYERS.intersection(words_of(step)):
+def _of_part(member: _Member) -> dict[str, Any]:
+    """The coordinates and the height that a box lacks, from the layer or stack that contains it."""
+    step, holder = member.around[-1] if member.around else ("", {})
+    if not (_LAYERS | _STACKS).intersection(words_of(step)):
         return {}
-    fields = {name: value for name, value in layer.items() if cell_number(value) is not None}
-    axes = {(meaning.kind, meaning.axis) for meaning in column_meanings(list(flattened(member.value))) if meaning}
-    if ("positions", "") in axes or ("sizes", "") in axes or not {("position", "x"), ("position", "y")} <= axes:
+    own = {(meaning.kind, meaning.axis) for meaning in column_meanings(list(flattened(member.value))) if meaning}
+    if ("positions", "") in own or ("sizes", "") in own or not any(kind == "position" for kind, _ in own):
         return {}
+    fields = {name: value for name, value in holder.items() if cell_number(value) is not None}
+    lacking = {*(("position", axis) for axis in "xyz"), ("size", "height")} - own
     return {
         name: fields[name]
         for name, meaning in zip(fields, column_meanings(list(fields)), strict=True)
-        if meaning is not None
-        and (meaning.kind, meaning.axis) in (("position", "z"), ("size", "height"))
-        and (meaning.kind, meaning.axis) not in axes
+        if meaning is not None and (meaning.kind, meaning.axis) in lacking
     }
 
 
@@ -523,11 +524,7 @@ def _parts(members: Sequence[_Member]) -> list[str]:
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
         for level in range(depth)
     ]
-    several = [
-        level
-        for level in levels
-        if len({id(holder) for _, holder in level}) > 1 and not _LAYERS.intersection(words_of(level[0][0]))
-    ]
+    several = [level for level in levels if len({id(holder) for _, holder in level}) > 1 and not _is_part(level[0][0])]
     if not several:
         return [_only_name(members[0].around)] * len(members) if members else []
     names = []
@@ -537,6 +534,12 @@ def _parts(members: Sequence[_Member]) -> list[str]:
         by_holder = dict(zip(distinct, labels, strict=True))
         names.append([by_holder[id(holder)] for _, holder in level])
     return ["/".join(filter(None, parts)) for parts in zip(*names, strict=True)]
+
+
+def _is_part(step: str) -> bool:
+    """Whether the members of a list with this name are parts of one plan: its layers, or several stacks."""
+    words = set(words_of(step))
+    return bool(words & _LAYERS) or (bool(words & _STACKS) and step.endswith("]"))
 
 
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:

@@ -80,10 +80,11 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
         rules, kind = ("swap", "py3dbp"), "0 or 1"
         allowed = [value in (0, 1) for value in values]
     elif 0 in integers or max(integers) <= 5:
-        rules, kind = ("py3dbp",) if 0 in integers else ("py3dbp", "py3dbp from 1"), "0 to 5"
+        from_1 = () if 0 in integers else ("py3dbp from 1", "permutations from 1")
+        rules, kind = ("py3dbp", "permutations", *from_1), "0 to 5"
         allowed = [value is not None and value in range(6) for value in values]
     else:
-        rules, kind = ("py3dbp from 1",), "1 to 6"
+        rules, kind = ("py3dbp from 1", "permutations from 1"), "1 to 6"
         allowed = [value is not None and value in range(1, 7) for value in values]
     if rules != ("degrees",):
         codes = np.array(
@@ -128,6 +129,30 @@ def _turn_number(cell: Any, decimal: str) -> float | None:
     return 1.0 if text in _YES else 0.0 if text in _NO else None
 
 
+def angles_of(columns: Sequence[Sequence[Any]], decimal: str) -> FloatArray:
+    """(n, k) angles in degrees, from the cells of k columns; NaN for cells without a number."""
+    values = [_turn_number(cell, decimal) for cells in columns for cell in cells]
+    angles = np.array([np.nan if value is None else value for value in _in_degrees(values)])
+    return angles.reshape(len(columns), -1).T
+
+
+def rotations_of_angles(angles: FloatArray) -> list[FloatArray]:
+    """(n, 3, 3) rotation matrices of (n, 3) angles about x, y and z, in degrees, if the turns about x, y and z follow
+    one another in this order, and in the reverse order. One array if both are the same but for signs."""
+    about = []
+    for axis in range(3):
+        cos, sin = np.cos(np.radians(angles[:, axis])), np.sin(np.radians(angles[:, axis]))
+        matrix = np.zeros((len(angles), 3, 3))
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        matrix[:, axis, axis] = 1.0
+        matrix[:, first, first] = matrix[:, second, second] = cos
+        matrix[:, first, second], matrix[:, second, first] = -sin, sin
+        about.append(matrix)
+    x, y, z = about
+    both = [z @ y @ x, x @ y @ z]
+    return both[:1] if np.allclose(np.abs(both[0]), np.abs(both[1]), equal_nan=True) else both
+
+
 def _in_degrees(values: list[float | None]) -> list[float | None]:
     """Angles in radians as degrees. Other numbers are unchanged: they are radians only if some are not whole, and all
     are quarter turns."""
@@ -153,6 +178,13 @@ def tilt(rotation: FloatArray) -> FloatArray:
     """(n,) largest deviation of the axes of rotations (n, 3, 3) from right angles."""
     tilt: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
     return tilt
+
+
+def is_rotation(cell: Any) -> bool:
+    """Whether a cell is a rotation matrix, (3, 3)."""
+    return (
+        isinstance(cell, list | tuple) and [len(row) if isinstance(row, list | tuple) else 0 for row in cell] == [3] * 3
+    )
 
 
 def is_matrix(cell: Any) -> bool:

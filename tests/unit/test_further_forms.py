@@ -68,6 +68,10 @@ def before_turn(number: int, box: list[float]) -> list[float]:
     return [width, length, height] if TURNED[number] else [length, width, height]
 
 
+def centre(box: list[float]) -> list[float]:
+    return [box[axis] + box[axis + 3] / 2 for axis in range(3)]
+
+
 def framed(lines: str, bar: str, cross: str, line: str) -> str:
     """A printed table with frames. ``lines``: "all" rows have a line below them, or only the "header"."""
     rows = [["box", *FIELDS], *([NAMES[number], *map(str, box)] for number, box in enumerate(PILE))]
@@ -139,6 +143,19 @@ TABLES = {
         f"name,x,y,z,{SIZES},mass,yaw_rad",
         lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], 1.5708 if TURNED[k] else 0.0],
     ),
+    "angles about three axes": table(
+        f"name,x,y,z,rx,ry,rz,{SIZES},mass",
+        lambda k, box: [NAMES[k], *centre(box), 0, 0, 90 * TURNED[k], *before_turn(k, box), box[6]],
+    ),
+    "roll, pitch and yaw": table(
+        f"name,x,y,z,roll,pitch,yaw,{SIZES},mass",
+        lambda k, box: [NAMES[k], *centre(box), 0, 0, 1.5708 * TURNED[k], *before_turn(k, box), box[6]],
+    ),
+    "numbers of permutations": table(
+        "id,l,w,h,kg,x,y,z,rotation",
+        lambda k, box: [NAMES[k], box[5], *before_turn(k, box)[:2], box[6], *box[:3], 5 if TURNED[k] else 3],
+    ),
+    "tare and net": table(f"id,tare_kg,net_kg,x,y,z,{SIZES}", lambda k, box: [NAMES[k], 0.4, box[6], *box[:6]]),
     "a column of units": table("x,y,z,l,w,h,kg,uom", lambda k, box: [*(v / 10 for v in box[:6]), box[6], "cm"]),
     "rows in two units": table("x,y,z,l,w,h,kg,unit", mixed_units),
     "net and gross": table(f"carton,net_kg,gross_kg,{SIZES},x,y,z",
@@ -192,13 +209,27 @@ def with_points(box: list[float]) -> dict[str, Any]:
 
 def with_pose(box: list[float]) -> dict[str, Any]:
     """A collision object of a robot: the pose of a centre, m."""
-    centre = [(box[axis] + box[axis + 3] / 2) / 1e3 for axis in range(3)]
     pose = {
-        "position": dict(zip("xyz", centre, strict=True)),
+        "position": dict(zip("xyz", (value / 1e3 for value in centre(box)), strict=True)),
         "orientation": {"x": 0.0, "y": 0.0, "z": math.sqrt(0.5), "w": math.sqrt(0.5)},
     }
     dimensions = [box[4] / 1e3, box[3] / 1e3, box[5] / 1e3]
     return {"primitive": {"type": 1, "dimensions": dimensions}, "pose": pose, "mass": box[6]}
+
+
+def turned(rotation: Any) -> list[dict[str, Any]]:
+    """Boxes turned by 90° about z, with this rotation in any form."""
+    return boxes_by(
+        lambda box: {"position": centre(box), "rotation": rotation, "size": [box[4], box[3], box[5]], "kg": box[6]}
+    )
+
+
+def stacks() -> Any:
+    """Boxes that have only a height, in stacks that have a place."""
+    by_place: dict[tuple[Any, ...], list[Any]] = {}
+    for box in boxes_by(plain):
+        by_place.setdefault((box.pop("x"), box.pop("y")), []).append(box)
+    return {"stacks": [{"x": x, "y": y, "boxes": boxes} for (x, y), boxes in by_place.items()]}
 
 
 def corners(box: list[float]) -> list[list[float]]:
@@ -274,6 +305,9 @@ DOCUMENTS = {
     "poses in the boxes": {"frame": "pallet", "collision_objects": boxes_by(with_pose)},
     "eight corners": {"boxes": boxes_by(lambda box: {"vertices": corners(box), "weight": box[6]})},
     "bounds": {"boxes": boxes_by(lambda box: {"bbox": corners(box)[0] + corners(box)[7], "weight": box[6]})},
+    "lists of angles": turned([0, 0, 90]),
+    "rotation matrices": turned([[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+    "boxes in stacks": {"stacks": [{"boxes": [box]} for box in boxes_by(plain)]},
     "layers with z": layers(),
     "layers by keys": {"tool": "a", "layer_1": boxes_by(plain)[:4], "layer_2": boxes_by(plain)[4:]},
     "flags as numbers": {
@@ -294,6 +328,12 @@ def test_documents_in_further_conventions(name: str, tmp_path: Path) -> None:
     assert not plan_set.skipped
     (plan,) = plan_set.plans
     check_pile(plan)
+
+
+def test_stacks_give_their_places(tmp_path: Path) -> None:
+    (plan,) = load(tmp_path, "pile.json", json.dumps(stacks())).plans
+    order = [NAMES.index(name) for name in plan.item_ids]
+    np.testing.assert_allclose(plan.corner_mm, np.array(PILE)[order, :3])
 
 
 def test_pairs_of_sizes_and_places_in_an_array(tmp_path: Path) -> None:
@@ -376,6 +416,10 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
          "row 4: column 7 must be > 0, got -12"),
         (table(f"box,x,y,z,{SIZES},kg,orientation", lambda k, box: [*named(k, box), ("front", "side", "top")[k % 3]]),
          "orientation has rotations of unknown meaning (front, side, top); if sizes are those of the boxes as placed"),
+        (json.dumps([*turned([0, 0, 90])[:4], *turned([0, 0, 30])[4:]]),
+         "[4] (e): rotation[0] is turned by 30° out of right angles"),
+        (json.dumps([*turned([0, 0, 90])[:4], *turned([0, 0, "9O"])[4:]]),
+         '[4] (e): rotation[2] must be a number, got "9O"'),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
         (json.dumps({"boxes": [{"id": "a", "colour": "red"}] * 3}), "has no list of boxes"),
     ],
