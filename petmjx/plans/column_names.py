@@ -247,6 +247,14 @@ def is_unit(text: str) -> bool:
     return word in LENGTH_UNITS or word in MASS_UNITS
 
 
+_SIDES: Final[dict[str, tuple[Kind, str]]] = {
+    "left": ("low", "x"), "right": ("high", "x"), "front": ("low", "y"), "back": ("high", "y"), "bottom": ("low", "z"),
+    "top": ("high", "z"),
+}  # fmt: skip
+"""Names of the sides of a box → the coordinate that a column with this name has."""
+_NEAR_SIDES: Final = frozenset(("left", "front", "bottom"))
+
+
 def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     """The meanings of the names of a table's columns, in the same order; None: the name is unknown.
 
@@ -257,6 +265,12 @@ def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     if not any(meaning is not None and meaning.kind in ("size", "sizes", "high") for meaning in meanings):
         meanings = [_meaning(_SCALE.sub(" size", name)) for name in names]
     bases = [split_unit(name.rpartition(".")[2])[0].strip(" .:") for name in names]
+    sides = {base.lower(): index for index, base in enumerate(bases) if base.lower() in _SIDES}
+    if sides.keys() >= _NEAR_SIDES:
+        for side, index in sides.items():
+            kind, axis = _SIDES[side]
+            unit = split_unit(names[index])[1]
+            meanings[index] = ColumnMeaning(kind, axis, unit if unit in LENGTH_UNITS else "")
     single = {index: base for index, base in enumerate(bases) if len(base) == 1 and base.lower() not in _AXES}
     for letters, axes in _LETTERS:
         strict = letters != tuple(letter.lower() for letter in letters)

@@ -13,6 +13,7 @@ import io
 import math
 import re
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections import Counter
@@ -494,7 +495,7 @@ def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
         raise InputError(f"{prefix}is an array {shape} without values")
     try:
         return np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
+    except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:
         raise InputError(f"{prefix}is not a whole NumPy array: {error}") from error
 
 

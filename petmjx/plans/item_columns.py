@@ -7,6 +7,7 @@ only orders have: weights of whole rows, boxes per layer, numbers of cartons.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -164,6 +165,13 @@ def _is_of_packingsolver(header: Sequence[str]) -> bool:
     return upper >= {"X", "Y", "Z"} and not upper & {"LX", "LY", "LZ"} and bool(marks)
 
 
+_PIECES_OF: Final = re.compile(
+    r"^(\d+)\s*(?:x|pcs?|pieces?|stk|stck|st|stück|ea|each|units?|uds?|szt|pz|ctns?|cartons?|boxes|box)\.?$",
+    re.IGNORECASE,
+)
+"""A number of pieces with its unit."""
+
+
 class _ItemExtraction(Extraction):
     """The columns of one source while their meanings are being determined, including columns that only orders have."""
 
@@ -214,7 +222,9 @@ class _ItemExtraction(Extraction):
             elif words & _LAYER and words & _PER:
                 self.meanings[index] = ColumnMeaning("quantity")
                 self.of_layer.add(index)
-            elif "quantity" not in kinds and self._is_quantity(words, joined) and self._is_whole(index):
+            elif "quantity" not in kinds and (
+                (self._is_quantity(words, joined) and self._is_whole(index)) or self._counts_pieces(index)
+            ):
                 self.meanings[index] = ColumnMeaning("quantity")
             elif ("plan" not in kinds and words & _ORDERS and words & _NUMBERED and words <= _ORDERS | _NUMBERED) or (
                 meaning is None and joined in _ORDERS
@@ -228,6 +238,11 @@ class _ItemExtraction(Extraction):
         if words & _PER:
             return False
         return joined in _QUANTITY | _PIECES or bool(words & _PIECES and words <= _COUNTED)
+
+    def _counts_pieces(self, index: int) -> bool:
+        """Whether all cells of a column are numbers of pieces: "3 pcs"."""
+        cells = [cell for cell in self.cells(index) if cell not in (None, "")]
+        return bool(cells) and all(isinstance(cell, str) and _PIECES_OF.match(cell.strip()) for cell in cells)
 
     def _is_whole(self, index: int) -> bool:
         """Whether most cells are whole numbers, and the column is not one of identifiers. Identifiers increase from
@@ -297,7 +312,8 @@ class _ItemExtraction(Extraction):
             if otherwise is not None and cell in (None, ""):
                 values[row] = otherwise
                 continue
-            number = cell_number(cell, self.table.decimal)
+            pieces = _PIECES_OF.match(cell.strip()) if isinstance(cell, str) else None
+            number = cell_number(pieces[1] if pieces else cell, self.table.decimal)
             if number is not None and number.value.is_integer() and smallest <= number.value <= MOST_PIECES:
                 values[row] = number.value
                 continue

@@ -416,11 +416,21 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
             elif (ends := _ends_of_vertices(inner)) is not None:
                 for end, point in zip(("min", "max"), ends, strict=True):
                     flat |= {f"{path}.{end}[{axis}]": value for axis, value in enumerate(point)}
+            elif (pose := _PARTS_OF_POSES.get(len(inner))) and str(name).lower() in ("pose", "qpos"):
+                flat |= {f"{path}.{part}": cell for part, cell in zip(pose, inner, strict=True)}
             elif 0 < len(inner) <= _LISTED and not any(isinstance(cell, Mapping | list | tuple) for cell in inner):
                 flat |= {f"{path}[{index}]": cell for index, cell in enumerate(inner)}
         else:
             flat[path] = inner
     return flat
+
+
+_PARTS_OF_POSES: Final = {
+    4: ("x", "y", "z", "yaw"),
+    6: ("x", "y", "z", "rx", "ry", "rz"),
+    7: ("x", "y", "z", *(f"quaternion[{index}]" for index in range(4))),
+}
+"""Length of a list of numbers that is called a pose → its members."""
 
 
 def _quantity(value: Mapping[str, Any]) -> Any:

@@ -167,6 +167,11 @@ TABLES = {
     "picks of a robot": table(f"box,pick_x,pick_y,pick_z,place_x,place_y,place_z,{SIZES},weight",
                               lambda k, box: [NAMES[k], -1500, 200, 900, *box]),
     "far corners with sizes": table(f"end_x,end_y,end_z,{SIZES},weight", far_corners),
+    "sides": table("left,right,front,back,bottom,top,weight", two_corners_in_turns),
+    "letters in cells": table(
+        "box,position,size,kg",
+        lambda k, box: [NAMES[k], "z={2} y={1} x={0}".format(*box), "B={4} L={3} H={5}".format(*box), box[6]],
+    ),
     "corners in turns": table("X1,X2,Y1,Y2,Z1,Z2,weight", two_corners_in_turns),
     "a web page": "<html><body><table><tr>"
     + "".join(f"<th>{name}</th>" for name in ("box", *FIELDS))
@@ -176,7 +181,7 @@ TABLES = {
 }  # fmt: skip
 
 
-WITHOUT_IDS = ("a column of units", "rows in two units", "far corners with sizes", "corners in turns")
+WITHOUT_IDS = ("a column of units", "rows in two units", "far corners with sizes", "sides", "corners in turns")
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -222,6 +227,10 @@ def turned(rotation: Any) -> list[dict[str, Any]]:
     return boxes_by(
         lambda box: {"position": centre(box), "rotation": rotation, "size": [box[4], box[3], box[5]], "kg": box[6]}
     )
+
+
+def sized(box: list[float]) -> dict[str, Any]:
+    return {"dims": box[3:6], "mass": box[6]}
 
 
 def stacks() -> Any:
@@ -307,6 +316,9 @@ DOCUMENTS = {
     "bounds": {"boxes": boxes_by(lambda box: {"bbox": corners(box)[0] + corners(box)[7], "weight": box[6]})},
     "lists of angles": turned([0, 0, 90]),
     "rotation matrices": turned([[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+    "poses of seven numbers": boxes_by(lambda box: {"pose": [*centre(box), 1, 0, 0, 0], **sized(box)}),
+    "poses of six numbers": boxes_by(lambda box: {"pose": [*centre(box), 0, 0, 180], **sized(box)}),
+    "poses of four numbers": boxes_by(lambda box: {"pose": [*centre(box), 0.0], **sized(box)}),
     "boxes in stacks": {"stacks": [{"boxes": [box]} for box in boxes_by(plain)]},
     "layers with z": layers(),
     "layers by keys": {"tool": "a", "layer_1": boxes_by(plain)[:4], "layer_2": boxes_by(plain)[4:]},
