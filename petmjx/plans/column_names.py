@@ -267,10 +267,10 @@ def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     bases = [split_unit(name.rpartition(".")[2])[0].strip(" .:") for name in names]
     sides = {base.lower(): index for index, base in enumerate(bases) if base.lower() in _SIDES}
     if sides.keys() >= _NEAR_SIDES:
-        for side, index in sides.items():
+        for side, column in sides.items():
             kind, axis = _SIDES[side]
-            unit = split_unit(names[index])[1]
-            meanings[index] = ColumnMeaning(kind, axis, unit if unit in LENGTH_UNITS else "")
+            unit = split_unit(names[column])[1]
+            meanings[column] = ColumnMeaning(kind, axis, unit if unit in LENGTH_UNITS else "")
     single = {index: base for index, base in enumerate(bases) if len(base) == 1 and base.lower() not in _AXES}
     for letters, axes in _LETTERS:
         strict = letters != tuple(letter.lower() for letter in letters)
