@@ -366,10 +366,9 @@ def _columnar(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
         return None
     lists = {name: list(inner) for name, inner in value.items() if isinstance(inner, list | tuple | np.ndarray)}
     lengths = {len(inner) for inner in lists.values()}
-    n_known = sum(meaning is not None for meaning in column_meanings(list(lists)))
-    if len(lengths) != 1 or 0 in lengths or n_known < 2:
+    if len(lengths) != 1 or 0 in lengths or any(isinstance(inner[0], Mapping) for inner in lists.values()):
         return None
-    if any(isinstance(inner[0], Mapping) for inner in lists.values()):
+    if sum(meaning is not None for meaning in column_meanings(list(lists))) < 2:
         return None
     flat = sum(3 if isinstance(inner[0], list | tuple) else 1 for inner in lists.values())
     if flat < _LEAST_COLUMNS:
@@ -467,7 +466,9 @@ def _is_matrix(value: Sequence[Any]) -> bool:
 
 def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
     """Turn a list of objects into a table; None if the objects are not boxes."""
-    flat = [{**flattened(member.value), **_of_part(member)} for member in members]
+    flat = [flattened(member.value) for member in members]
+    for row, member in zip(flat, members, strict=True):
+        row.update(_of_part(member))
     counts: dict[str, int] = {}
     for row in flat:
         for name in row:
