@@ -515,7 +515,7 @@ class Extraction:
         for number, order in enumerate(orders):
             indices = [index for index in order if index is not None]
             values = np.stack([self.numbers(index, LENGTH_UNITS)[0] for index in indices], axis=1)
-            columns = {"quaternion": header[indices[0]].rpartition("[")[0] or header[indices[0]]}
+            columns = _roles("quaternion", [header[index] for index in indices])
             columns |= {"order of quaternions": "x, y, z, w"} if number == 1 else {}
             rotations.append((rotations_of_quaternions(values), columns, indices[0]))
         return rotations
@@ -544,10 +544,9 @@ class Extraction:
         for row, axis in np.argwhere(np.isnan(angles)).tolist():
             index = named[_XYZ[axis]]
             self.bad(row, index, number_fault_of(self.table.rows[row][index], self.table.decimal))
-        columns = {"angles": self.table.header[indices[0]].rpartition("[")[0] or self.table.header[indices[0]]}
-        orders = ("", "x last")
+        columns = _roles("angle", [self.table.header[index] for index in indices])
         return [
-            (rotation, {**columns, **({"order of angles": orders[number]} if number else {})}, indices[0])
+            (rotation, {**columns, **({"order of angles": "z, y, x"} if number else {})}, indices[0])
             for number, rotation in enumerate(rotations_of_angles(angles))
         ]
 
@@ -763,6 +762,12 @@ def _role_of(meaning: ColumnMeaning) -> str:
     return meaning.axis if meaning.kind == "position" else {"positions": "position"}.get(meaning.kind, meaning.kind)
 
 
+def _roles(role: str, names: Sequence[str]) -> dict[str, str]:
+    """Role → name of its column, for columns that have one role together. Members of a list have one name."""
+    names = list(dict.fromkeys(name.rpartition("[")[0] or name for name in names))
+    return {role if number == 1 else f"{role} ({number})": name for number, name in enumerate(names, start=1)}
+
+
 def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
     """Three columns that belong to the same object, such as ``dimensions.length``, ``dimensions.width`` and
     ``dimensions.height``. If there are no three such columns, the first column of each size."""
@@ -865,6 +870,6 @@ def box_columns(
         {} if sequence is not None else work.counters(used),
         {role: name for role, name in named.items() if name},
         work.faults,
-        tuple(name for name in header if name not in known and name not in work.unit_columns),
+        tuple(name for name in header if not {name, name.rpartition("[")[0]} & known and name not in work.unit_columns),
         tuple(work.unit_columns),
     )

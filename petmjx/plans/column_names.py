@@ -159,7 +159,7 @@ _TOKEN: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|'")
 _UNIT_MARK: Final = re.compile(
     r"[\[(\{<]\s*([^\])}>]*?)\s*[\])}>]|/\s*([a-zµ]+)\s*$|\bin\s+([a-z]+)\s*$", re.IGNORECASE
 )
-_SCALE: Final = re.compile(r"(?<![a-zA-Z])[sS]cale(?![a-z])|(?<=[a-z])Scale(?![a-z])")
+_SCALE: Final = re.compile(r"(?<![a-zA-Z])(?i:scale)(?![a-zA-Z])|(?<=[a-z])Scale(?![a-z])|(?<![a-zA-Z])scale(?=[XYZ])")
 """Names of scale factors. In scenes of three.js and Unity, boxes are scaled unit cubes, so the factors are their
 sizes."""
 _INDEX: Final = re.compile(r"\[(\d+)\]")
@@ -343,8 +343,7 @@ def _meaning(name: str) -> ColumnMeaning | None:
     if kind is None:
         return None
     if kind == "weight" or (kind in ("article", "item_id") and unit in MASS_UNITS and len(unit) > 1):  # "item.kg"
-        kind = "weight"
-        return ColumnMeaning(kind, unit=unit if unit in MASS_UNITS else "", of_container=contained)
+        return ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "", of_container=contained)
     return ColumnMeaning(kind, unit=unit, axis=index, of_container=contained and kind in ("quantity", "volume"))
 
 

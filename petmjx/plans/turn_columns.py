@@ -176,8 +176,8 @@ def _shown_turn(cell: Any, kind: str) -> str:
 
 def tilt(rotation: FloatArray) -> FloatArray:
     """(n,) largest deviation of the axes of rotations (n, 3, 3) from right angles."""
-    tilt: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
-    return tilt
+    largest: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
+    return largest
 
 
 def is_rotation(cell: Any) -> bool:
@@ -188,10 +188,12 @@ def is_rotation(cell: Any) -> bool:
 
 
 def is_matrix(cell: Any) -> bool:
+    """Whether a cell is the matrix of a pose."""
     return isinstance(cell, list | tuple) and matrix_of(cell) is not None
 
 
 def matrix_of(cell: Any) -> FloatArray | None:
+    """The matrix of a pose, (4, 4) or (3, 4), in a cell; None if there is none."""
     try:
         array = np.asarray(cell, dtype=float)
     except (TypeError, ValueError):

@@ -137,7 +137,8 @@ class _PageRows(HTMLParser):
         elif tag in ("td", "th") and self.tables and self.tables[-1]:
             row, span = self.tables[-1][-1], dict(attrs).get("colspan") or "1"
             self.cell, self.in_cell = (row, len(row)), True
-            row += ["", *[None] * (min(int(span), MOST_COLUMNS) - 1 if span.isdigit() else 0)]
+            wide = min(int(span), MOST_COLUMNS - len(row)) if span.isdecimal() else 1
+            row += ["", *[None] * (wide - 1)]
 
     def handle_endtag(self, tag: str) -> None:
         self.in_cell &= tag not in ("td", "th", "tr", "table")
@@ -157,6 +158,8 @@ def tables_of_page(text: str) -> list[RawTable]:
     page = _PageRows()
     page.feed(text)
     page.close()
+    if sum(map(len, page.tables)) > MOST_ROWS:
+        raise InputError(f"has more than {MOST_ROWS:,} rows")
     return _tables_of_sheets({f"table {number}": rows for number, rows in enumerate(page.tables, start=1)})
 
 
