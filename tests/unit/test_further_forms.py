@@ -167,6 +167,12 @@ TABLES = {
     "picks of a robot": table(f"box,pick_x,pick_y,pick_z,place_x,place_y,place_z,{SIZES},weight",
                               lambda k, box: [NAMES[k], -1500, 200, 900, *box]),
     "far corners with sizes": table(f"end_x,end_y,end_z,{SIZES},weight", far_corners),
+    "Markdown": "\n".join(
+        [f"| box | {' | '.join(FIELDS)} |", "|:---|" + "---:|" * len(FIELDS)]
+        + [f"| {NAMES[k]} | " + " | ".join(map(str, box)) + " |" for k, box in enumerate(PILE)]
+    ),
+    "centres of bases": table(f"box,center_x_mm,center_y_mm,bottom_z_mm,{SIZES.replace(',', '_mm,')}_mm,mass_kg",
+                              lambda k, box: [NAMES[k], *centre(box)[:2], *box[2:]]),
     "sides": table("left,right,front,back,bottom,top,weight", two_corners_in_turns),
     "letters in cells": table(
         "box,position,size,kg",
@@ -284,7 +290,8 @@ def nested(tag: str, value: Any) -> str:
 
 
 def scene() -> Any:
-    """Unit cubes with scales, metres, centres, y upwards, as three.js and Unity have them. No cube is a container."""
+    """A scene as exported by three.js and Unity: scaled unit cubes, given by their centres in metres, with y upwards.
+    It has no cube for the container."""
     cubes = {}
     for number, (x, y, z, length, width, height, kg) in enumerate(PILE):
         middle = {"x": (x + length / 2) / 1e3, "y": (z + height / 2) / 1e3, "z": (y + width / 2) / 1e3}
@@ -294,7 +301,8 @@ def scene() -> Any:
 
 
 def by_columns(hole: str = "") -> Any:
-    """pandas' ``to_json()``: a value for each row by its label. ``hole``: a row without a z."""
+    """JSON as written by ``to_json()`` of pandas: for each column, a value for each label of a row. The row ``hole``
+    has no z."""
     columns = {name: {str(row): box[k] for row, box in enumerate(PILE)} for k, name in enumerate(FIELDS)}
     columns["z"].pop(hole, None)
     return columns
@@ -335,7 +343,7 @@ DOCUMENTS = {
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_documents_in_further_conventions(name: str, tmp_path: Path) -> None:
     content = DOCUMENTS[name]
-    up = {"up": "y"} if name == "scales of cubes" else {}  # 8 boxes of a scene stand either way
+    up = {"up": "y"} if name == "scales of cubes" else {}  # the boxes of the scene would also stand with z upwards
     plan_set = load(tmp_path, "pile.json", content if isinstance(content, str) else json.dumps(content), **up)
     assert not plan_set.skipped
     (plan,) = plan_set.plans
