@@ -71,6 +71,8 @@ _NO_WEIGHT: Final = word_set(
 """Words in names of columns whose masses are not the weights of boxes."""
 GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
+_GOALS: Final = word_set("to bis top")
+"""Words that mean far corners beside near ones ("from" and "to"), and otherwise any point of the box."""
 _UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites unidad unidades unita jednostka")
 _SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
 """Units that a column may have under any name. Others, such as "m" or "in", also have other meanings."""
@@ -427,7 +429,9 @@ class Extraction:
             far = {_ON_AXES.get(axis, axis): columns[0] for axis, columns in self.columns_of("high").items()}
             if all(axis in far for axis in _XYZ):
                 values, unit = self.joined([far[axis] for axis in _XYZ])
-                choices.append((values, unit, "far-corner", {axis: header[far[axis]] for axis in _XYZ}, ""))
+                columns = {axis: header[far[axis]] for axis in _XYZ}
+                is_goal = any(_GOALS.intersection(words_of(name)) for name in columns.values())
+                choices.append((values, unit, "" if is_goal else "far-corner", columns, ""))
         return choices[:1]
 
     def corner_choices(self) -> list[Geometry]:

@@ -29,7 +29,7 @@ from petmjx.common.file_kinds import foreign_kind
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, words_of
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.nested_json import BoxList, JsonLines, box_lists, decoded_json, flattened
+from petmjx.plans.nested_json import LAYERS, BoxList, JsonLines, box_lists, decoded_json, flattened
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 from petmjx.plans.raw_tables import RawTable, computed_row, decoded_text, distinct_names, geometric_names, united
 from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables, tables_of_page, value_of_xml
@@ -173,6 +173,8 @@ def sources_of_tables(file: RawFile) -> list[BoxSource]:
         ]
         if several_sheets:
             tables = [replace(table, places=[f"{table.title}, {place}" for place in table.places]) for table in tables]
+        if names and all(LAYERS.intersection(words_of(name)) for name in names):
+            names = [""] * len(names)
         joined = united(tables)
         boxes = BoxList(joined, "", tuple(names), _containers_above(joined))
         sources.append(_with_known_form(boxes, file.kind))

@@ -73,6 +73,8 @@ _OF_PALLETS: Final = word_set(
     "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
 )
 """Words that mean a pallet in names of columns. Used for names that ``column_names`` does not know."""
+_OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
+"""Names of columns that may name pallets, or stacks of one pallet."""
 _MATCHED: Final = 0.9
 """A table of items belongs to the boxes if at least this share of the boxes has an item in the table."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
@@ -381,6 +383,8 @@ class _Builder:
         unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
         if unsaid and self.columns.plan is None and not any(self.boxes.parts) and self.boxes.table.has_header:
             self._find_pallets()
+        elif unsaid and self.columns.columns.get("plan", "").lower() in _OF_STACKS:
+            self._ask_about_stacks()
         names = self._plan_names()
         plans = _rows_by(names)
         try:
@@ -555,6 +559,23 @@ class _Builder:
         texts = [cell_text(cell) for cell in self.boxes.table.column(sure[0])]
         self.columns = replace(columns, plan=texts, columns={**columns.columns, "plan": sure[0]})
         self.notes.append(f"several pallets, by {printable_name(sure[0])}")
+
+    def _ask_about_stacks(self) -> None:
+        """Refuse a column of stacks if all boxes together could be one plan.
+
+        Raises:
+            InputError: no box overlaps or floats if the stacks are one plan.
+        """
+        name, names = self.columns.columns["plan"], self.columns.plan or []
+        if len(set(names)) < 2 or self.columns.faults:
+            return
+        of_one = self._overlaps({"": np.arange(self.columns.n_boxes)}, 0.0)
+        if not of_one:
+            shown = printable_name(name)
+            raise InputError(
+                f"{shown} may name pallets, or stacks of one pallet; say which with --columns plan={shown} or "
+                f"--columns plan={IGNORED} (one pallet)"
+            )
 
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
         """Whether, in the most plausible reading, more than a certain share of the boxes overlaps other boxes, or any

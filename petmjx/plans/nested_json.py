@@ -31,8 +31,8 @@ _UNPLACED: Final = word_set(
 )
 """Words in names of lists whose boxes are not part of the plan."""
 _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
-_LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
-"""Words for lists whose members are parts of one plan."""
+LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
+"""Words for lists, sheets and sections whose members are parts of one plan."""
 _STACKS: Final = word_set("stack stacks tower towers column columns pile piles block blocks")
 """Words for parts of a plan that stand beside each other."""
 _NAMES: Final = (
@@ -198,7 +198,7 @@ def _outermost(lists: Sequence[BoxList]) -> list[BoxList]:
             and boxes.path != outer.path
             and "weight" not in boxes.kinds
             and not _words_of_last(boxes) & _BOXES
-            and not _words_of_last(outer) & (_HOLDERS | _LAYERS | _STACKS)
+            and not _words_of_last(outer) & (_HOLDERS | LAYERS | _STACKS)
             for outer in boxes_with_both
         )
 
@@ -239,7 +239,7 @@ def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
     parts: list[str] = []
     containers: dict[str, Mapping[str, float]] = {}
     for boxes, name in zip(group, names, strict=True):
-        plan = "" if _LAYERS.intersection(words_of(name)) else name
+        plan = "" if LAYERS.intersection(words_of(name)) else name
         own = {
             part: "/".join(filter(None, (plan, "" if part == plan else part))) for part in dict.fromkeys(boxes.parts)
         }
@@ -401,7 +401,7 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
     Longer lists are left out."""
     flat: dict[str, Any] = {}
     for name, inner in value.items():
-        path = f"{prefix}{name}"
+        path = prefix[:-1] if name in _VALUES and prefix.endswith(".") else f"{prefix}{name}"
         if isinstance(inner, np.ndarray):
             inner = inner.tolist()
         if isinstance(inner, Mapping) and (quantity := _quantity(inner)) is not None:
@@ -432,12 +432,20 @@ _PARTS_OF_POSES: Final = {
 """Length of a list of numbers that is called a pose → its members."""
 
 
+_VALUES: Final = ("value", "amount", "magnitude")
+_UNITS: Final = frozenset(
+    ("unit", "units", "uom", "einheit", "unite", "unité", "unidad", "unita", "unità", "jednostka")
+)
+"""Fields of a number, and fields of its unit, in an object beside one another."""
+
+
 def _quantity(value: Mapping[str, Any]) -> Any:
     """The text of a number with a unit, from an object such as {"value": "400", "unit": "mm"}; None for other
     objects."""
-    name = next((name for name in ("value", "amount", "magnitude") if name in value), None)
-    if name is not None and isinstance(value.get("unit"), str) and len(value) <= 4:
-        return f"{value[name]} {value['unit']}"
+    name = next((name for name in _VALUES if name in value), None)
+    unit = next((unit for key, unit in value.items() if key.lower() in _UNITS and isinstance(unit, str)), None)
+    if name is not None and unit is not None and len(value) <= 4:
+        return f"{value[name]} {unit}"
     if set(value) == {"ticks"}:
         return f"{value['ticks']} ticks"
     return None
@@ -509,7 +517,7 @@ def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
 def _of_part(member: _Member) -> dict[str, Any]:
     """The coordinates and the height that a box lacks, from the layer or stack that contains it."""
     step, holder = member.around[-1] if member.around else ("", {})
-    if not (_LAYERS | _STACKS).intersection(words_of(step)):
+    if not (LAYERS | _STACKS).intersection(words_of(step)):
         return {}
     own = {(meaning.kind, meaning.axis) for meaning in column_meanings(list(flattened(member.value))) if meaning}
     if ("positions", "") in own or ("sizes", "") in own or not any(kind == "position" for kind, _ in own):
@@ -550,7 +558,7 @@ def _parts(members: Sequence[_Member]) -> list[str]:
 def _is_part(step: str) -> bool:
     """Whether the members of a list with this name are parts of one plan: its layers, or several stacks."""
     words = set(words_of(step))
-    return bool(words & _LAYERS) or (bool(words & _STACKS) and step.endswith("]"))
+    return bool(words & LAYERS) or (bool(words & _STACKS) and step.endswith("]"))
 
 
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:

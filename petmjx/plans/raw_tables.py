@@ -224,6 +224,10 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
     yield from rows
 
 
+_LEAST_TABS: Final = 2
+"""If all lines have the same number of tabs, and at least this number, fields are separated by tabs."""
+
+
 def _delimiter_of(text: str) -> str:
     """The separator of a text: the one that gives the most known names in a header, and the most rows with equally many
     fields."""
@@ -245,6 +249,9 @@ def _delimiter_of(text: str) -> str:
         return (n_known if n_known >= _LEAST_KNOWN else 0), even
 
     lines = [line for line in sample.splitlines()[:_SEARCHED_ROWS] if line.strip()]
+    n_tabs = {line.count("\t") for line in lines}
+    if len(n_tabs) == 1 and n_tabs.pop() >= _LEAST_TABS:
+        return "\t"  # no field has a tab, but fields may have commas: "(0, 300, 0)"
     marked = any(sum(mark in line for line in lines) * 2 > len(lines) for mark in (";", "\t", "|"))
     return max(_DELIMITERS if marked else (*_DELIMITERS, _SPACES), key=merit)
 

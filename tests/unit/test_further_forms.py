@@ -167,6 +167,13 @@ TABLES = {
     "picks of a robot": table(f"box,pick_x,pick_y,pick_z,place_x,place_y,place_z,{SIZES},weight",
                               lambda k, box: [NAMES[k], -1500, 200, 900, *box]),
     "far corners with sizes": table(f"end_x,end_y,end_z,{SIZES},weight", far_corners),
+    "tabs between cells with commas": table(
+        "Item;Pos(x,y,z) [mm];Dim(l,w,h) [mm];Mass [kg]".replace(",", "\0"),
+        lambda k, box: [NAMES[k], "({}, {}, {})".format(*box), "({3}, {4}, {5})".format(*box), box[6]],
+        mark="\t",
+    ).replace("\0", ",").replace(";", "\t"),
+    "sections of layers": table(f"box,x,y,z,{SIZES},weight", named, mark=";").replace("e;", "Layer 2;;;;;;;\ne;", 1)
+    .replace("a;", "Layer 1;;;;;;;\na;", 1),
     "Markdown": "\n".join(
         [f"| box | {' | '.join(FIELDS)} |", "|:---|" + "---:|" * len(FIELDS)]
         + [f"| {NAMES[k]} | " + " | ".join(map(str, box)) + " |" for k, box in enumerate(PILE)]
@@ -335,6 +342,12 @@ DOCUMENTS = {
     },
     "masses by their unit": boxes_by(lambda box: {"at": plain(box), "item": {"kg": box[6]}} | {"at": {
         name: value for name, value in plain(box).items() if name != "weight"}}),
+    "units in German": boxes_by(
+        lambda box: {**plain(box), "weight": {"value": box[6] * 1000, "Einheit": "g", "tara": 0}}
+    ),
+    "goals of moves": boxes_by(
+        lambda box: {"size": box[3:6], "kg": box[6], "to": dict(zip("xyz", centre(box), strict=True))}
+    ),
     "Python's values": printed(boxes_by(plain)),
     "XML": nested("Pallet", boxes_by(plain)),
 }  # fmt: skip
@@ -389,6 +402,8 @@ BOX_ROWS = [["box", *FIELDS], *(named(number, list(box)) for number, box in enum
         ("numbered.json", {"tool": "a", "pallet_1": boxes_by(plain), "pallet_2": boxes_by(plain)},
          ("pallet_1", "pallet_2")),
         ("remarks.xlsx", sheets(A=BOX_ROWS, B=[[*row, "remark"] for row in BOX_ROWS]), ("A", "B")),
+        ("stacks.csv", table(f"stack,box,x,y,z,{SIZES},weight", lambda k, box: [1, *named(k, box)])
+         + table("2", lambda k, box: [2, *named(k, box)]).partition("\n")[2], ("stacks/1", "stacks/2")),
         ("loads.json", {"loads": [{"load_id": name, "x": 0, "y": 1000 * number, "z": 0, "length": 1200, "width": 800,
                                    "height": 900, "units": boxes_by(plain)} for number, name in enumerate("AB")]},
          ("A", "B")),
@@ -397,7 +412,7 @@ BOX_ROWS = [["box", *FIELDS], *(named(number, list(box)) for number, box in enum
 def test_no_list_of_boxes_is_lost_beside_another(
     name: str, content: Any, plans: tuple[str, ...], tmp_path: Path
 ) -> None:
-    plan_set = load(tmp_path, name, content if isinstance(content, bytes) else json.dumps(content))
+    plan_set = load(tmp_path, name, content if isinstance(content, str | bytes) else json.dumps(content))
     assert tuple(plan.plan_id for plan in plan_set.plans) == plans
     for plan in plan_set.plans:
         check_pile(plan)
@@ -440,6 +455,8 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
          "[4] (e): rotation[0] is turned by 30° out of right angles"),
         (json.dumps([*turned([0, 0, 90])[:4], *turned([0, 0, "9O"])[4:]]),
          '[4] (e): rotation[2] must be a number, got "9O"'),
+        (table(f"stack,box,x,y,z,{SIZES},kg", lambda k, box: [k % 2, *named(k, box)]),
+         "stack may name pallets, or stacks of one pallet; say which with --columns plan=stack or --columns plan=-"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
         (json.dumps({"boxes": [{"id": "a", "colour": "red"}] * 3}), "has no list of boxes"),
     ],
