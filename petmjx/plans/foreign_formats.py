@@ -90,10 +90,6 @@ ARRAY: Final = KnownForm("an array of numbers", anchor="corner", up="z")
 POSES: Final = KnownForm("poses", up="z")
 
 
-_OWN_FIELDS: Final = re.compile(r'"(?:item|orientation|flb_coordinates|item_sequence)"')
-"""Fields of BED-BPP's JSON. The reader of that form explains the faults of a text that has one of them."""
-
-
 def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
     """The lists of boxes in a file's bytes, most likely first. Lists may lack places or sizes.
 
@@ -129,8 +125,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
                 raise
         sources = [_with_named_units(_with_known_form(boxes)) for boxes in box_lists(value)]
         if not sources:
-            kind_of_error = NoBoxes if _OWN_FIELDS.search(start) else InputError
-            raise kind_of_error("has no list of boxes: petmjx looks for objects with places and sizes")
+            raise NoBoxes("has no list of boxes: petmjx looks for objects with places and sizes")
         return sources
     if (kind := foreign_kind(data)) is not None:
         raise NoBoxes(kind)

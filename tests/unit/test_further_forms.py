@@ -458,7 +458,6 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
         (table(f"stack,box,x,y,z,{SIZES},kg", lambda k, box: [k % 2, *named(k, box)]),
          "stack may name pallets, or stacks of one pallet; say which with --columns plan=stack or --columns plan=-"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
-        (json.dumps({"boxes": [{"id": "a", "colour": "red"}] * 3}), "has no list of boxes"),
     ],
 )  # fmt: skip
 def test_a_damaged_value_is_named_with_its_place(text: str, fault: str, tmp_path: Path) -> None:
