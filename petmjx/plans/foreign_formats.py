@@ -1,5 +1,7 @@
-"""Forms of other tools (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes, together
-with the known facts about the form.
+"""Reads what other tools write (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes.
+
+A list comes with its form (``KnownForm``): the layout in which a tool writes boxes, and what is known about the meaning
+of the columns in this layout, such as units and the vertical axis.
 
 Sources of the forms: py3dbp (``Item.string``, ``get_dimension``; github.com/enzoruiz/3dbinpacking) and its fork with a
 web API (github.com/jerry800416/3D-bin-packing), packingsolver's certificates, 3d-bin-container-packing's placements,
@@ -37,15 +39,18 @@ from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables, tabl
 
 @dataclass(frozen=True, slots=True)
 class KnownForm:
-    """Known facts about a form. An empty field is unknown, and its value is chosen by plausibility.
+    """A form (the layout in which a tool writes boxes), and what is known about the meaning of its columns. If a field
+    is empty, its value is unknown, and is later chosen by plausibility.
 
     Attributes:
         name: name of the form, in words.
-        units: name of the unit of lengths; masses: that of masses (``column_names``).
-        anchor: the point of a box that coordinates describe.
+        units: name of the unit of lengths (one of ``column_names.LENGTH_UNITS``).
+        masses: name of the unit of masses (one of ``column_names.MASS_UNITS``).
+        anchor: the point of a box that coordinates describe, such as "corner" or "centre".
         up: the vertical axis, "y" or "z".
-        sizes: "placed": sizes of the box as placed; "item": sizes before turning.
-        rule: how a column of rotations turns a box (``readings.ROTATION_RULES``).
+        sizes: which sizes of a box the columns have: "placed": those of the box as it is placed; "item": those of the
+            box before it is turned.
+        rule: how a column of rotations turns a box (a key of ``readings.ROTATION_RULES``).
     """
 
     name: str
@@ -63,8 +68,8 @@ class BoxSource:
 
     Attributes:
         boxes: list of boxes with their places.
-        form: known facts about the form.
-        notes: lines about how the file is read.
+        form: the form of the list, with what the form states about units, coordinates and sizes.
+        notes: lines for the user about how the file was read.
     """
 
     boxes: BoxList
@@ -73,8 +78,8 @@ class BoxSource:
 
 
 MOST_BYTES: Final = 32 << 20
-"""Largest file of another tool. A file of this size holds about 200,000 boxes. As Python values, they take ten times as
-much memory as the file."""
+"""Largest size of a file of another tool, in bytes. A file of this size holds about 200,000 boxes. As Python values,
+the boxes take ten times as much memory as the file."""
 
 PY3DBP: Final = KnownForm("py3dbp", anchor="corner", rule="py3dbp", sizes="item")
 _UPRIGHT: Final = KnownForm("", anchor="corner", up="z", sizes="placed")
@@ -91,7 +96,8 @@ POSES: Final = KnownForm("poses", up="z")
 
 
 def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
-    """The lists of boxes in a file's bytes, most likely first. Lists may lack places or sizes.
+    """The lists of boxes in a file's bytes. The list that most likely describes a plan comes first. The boxes of a list
+    may lack places or sizes.
 
     Raises:
         InputError: the file has none of the known forms, or is damaged. The error does not name the file.
@@ -195,7 +201,7 @@ def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
 
 
 def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
-    """A list of boxes with the facts that the names of its fields imply. Rows of totals are removed."""
+    """A list of boxes with the form that the names of its fields imply. Rows of totals are removed."""
     boxes = _without_totals(boxes)
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
@@ -244,7 +250,7 @@ def _with_named_units(source: BoxSource) -> BoxSource:
 
 
 def _without_totals(boxes: BoxList) -> BoxList:
-    """Remove the last row of each part if it has the sums or means of the other rows."""
+    """Remove the last row of each part (plan) of a list if this row has the sums or means of the part's other rows."""
     table = boxes.table
     if not table.has_header:
         return boxes
@@ -281,8 +287,8 @@ def rows_of(boxes: BoxList, kept: Sequence[int]) -> BoxList:
 
 
 def _certificate(boxes: BoxList) -> BoxSource:
-    """The boxes of packingsolver's certificate. Rows of type ITEM are boxes. Rows of type BIN are containers, each of
-    them COPIES times."""
+    """The boxes of packingsolver's certificate. Rows of type ITEM are boxes. A row of type BIN stands for one
+    or several equal containers; the column COPIES has their number."""
     table = boxes.table
     upper = {name.upper(): table.header.index(name) for name in table.header}
     kinds = [cell_text(row[upper["TYPE"]]).upper() for row in table.rows]
@@ -472,7 +478,7 @@ def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
     number of bytes.
 
     Args:
-        name: name of the member of an archive, for errors; "" if the file is the array.
+        name: name of the array in its archive, for error messages; "" if the file is not an archive but a single array.
     """
     prefix = f"{printable_name(name)} " if name else ""
     try:
@@ -640,10 +646,11 @@ _PALLET: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wal
 
 
 def _scene(text: str) -> BoxSource:
-    """The boxes of a MuJoCo scene: free bodies whose only shape is a box. MuJoCo itself parses the text.
+    """The boxes of a MuJoCo scene: free bodies whose only colliding geom is a box. MuJoCo itself parses the text.
 
     Raises:
-        InputError: MuJoCo cannot parse it, or no free body is a box.
+        InputError: MuJoCo cannot parse the text, a free body is not a single box, or there are no boxes. Bodies that
+            are named as pallets are ignored.
     """
     import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
@@ -685,7 +692,7 @@ def _scene(text: str) -> BoxSource:
             f"is a MuJoCo scene in which these free bodies are not single boxes: {first_names(other_bodies)}"
         )
     if not rows:
-        raise InputError("is a MuJoCo scene without a free body that is one box")
+        raise InputError("is a MuJoCo scene in which no free body consists of exactly one box geom")
     notes = []
     if pallets:
         notes.append(f"{count_text(pallets, 'body', 'bodies')} named as a pallet or floor left out")

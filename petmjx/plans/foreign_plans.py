@@ -1,5 +1,5 @@
-"""Plans in files of other tools (``read_foreign``). The columns are interpreted, a reading is chosen, and the boxes
-become the same checked table of placements as in petmjx's own forms."""
+"""Plans in files of other tools (``read_foreign``). A reading (a meaning for each column) is chosen for the file, and
+the boxes become a checked table of placements, as in petmjx's own formats."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ USUAL_KG_M3: Final = 300.0
 that is the same for all boxes."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
-"""Densities up to this value are relative to water."""
+"""If no density in a column of densities exceeds this value, the column is relative to the density of water. Otherwise,
+it is in kg/m³."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density
 of foam, and the upper limit above the density of iron parts."""
@@ -57,22 +58,23 @@ _DECK: Final = re.compile(
 )
 """Names of pallets in lists of boxes, such as "EUR", "EPAL 1", "Euro pallet", "Palette"."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
-"""Smallest short and long side of a pallet, and largest short and long side."""
+"""Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
 _NUMBERS_OF_A_BOX: Final = 6
 """Smallest number of numbers in the row of a box: three sizes and three coordinates."""
 _MANY_OVERLAP: Final = 0.3
 """If at least this share of the boxes overlaps, two pallets have probably been read as one."""
 _LEVEL: Final = 0.01
-"""Largest height of the lowest box above or below the deck, as a share of the boxes' median height: 2 mm for cartons of
-200 mm. Centres are often rounded to millimetres."""
+"""Largest distance between the bottom of the lowest box and the deck at which the box counts as standing on the deck,
+as a share of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
 _LEAST_OF_PALLETS: Final = 4
-"""Smallest number of boxes for which a column of pallets is guessed."""
+"""Smallest number of boxes in a file for which petmjx searches for a column that names the pallets."""
 _OF_PALLETS: Final = word_set(
     "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
     "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
 )
-"""Words that mean a pallet in names of columns. Used for names that ``column_names`` does not know."""
+"""Words that mean a pallet in names of columns. The words are used for column names that ``column_names`` does not
+know."""
 _OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
 """Names of columns that may name pallets, or stacks of one pallet."""
 _MATCHED: Final = 0.9
@@ -85,9 +87,9 @@ class ForeignPlans:
     """The plans in a file of another tool.
 
     Attributes:
-        table: the good plans, as a table of placements in millimetres and kilograms; None if there are none.
+        table: the usable plans, as a table of placements in millimetres and kilograms; None if no plan is usable.
         refused: the plans and rows that are unusable.
-        reading: how the file was read.
+        reading: how the file was read: the meaning of each column, units, and the packing order.
         containers: plan id → size of its container along x, y and z, mm; NaN if unknown.
     """
 
@@ -104,8 +106,8 @@ def read_foreign(
 
     Args:
         source: name of the file in messages.
-        items: file with the sizes and weights of items, for files that contain only places; None: such a file is
-            searched for beside the file of plans.
+        items: file with the sizes and weights of items, for files that contain only places. If None, such a file is
+            searched for in the folder of the file of plans.
 
     Raises:
         AmbiguousFile: the file can be read in two ways.
@@ -134,7 +136,7 @@ def plans_of_sources(
     parts = [plans for plans in (first, second) if plans is not None]
     best = min(parts, key=lambda plans: plans.reading.cost, default=None)
     if best is None or (len(parts) == 2 and abs(parts[0].reading.cost - parts[1].reading.cost) < TIE):
-        return _plans_of(chosen, sources, path, source, wishes)  # its error names the ambiguous number
+        return _plans_of(chosen, sources, path, source, wishes)  # raises the error that names the ambiguous number
     return best
 
 
@@ -203,11 +205,12 @@ def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | N
 
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
 _MOST_BESIDE: Final = 20
-"""Largest number of files of items that are tried, beside a file that contains only places."""
+"""Largest number of files in the folder of a file with places alone that are tried as files of items."""
 
 
 def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
-    """Boxes with sizes added from a file of items that lies beside their own file, if exactly one file matches."""
+    """Boxes with sizes added from a file of items in the folder of the boxes' file, if the items of exactly one file
+    match. Otherwise, the boxes are returned unchanged."""
     try:
         beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
     except OSError:
@@ -263,10 +266,10 @@ def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
 
 
 def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool = False) -> BoxSource | None:
-    """Boxes with the columns of their items added; None if the items do not belong to the boxes.
+    """Boxes with the columns of a table of items added; None if the items do not belong to the boxes.
 
     Args:
-        by_number: whether the column ID of the boxes has the number, from 0, of a row of the items. If so, the sizes in
+        by_number: whether the column ID of each box has the number of the row of its item, from 0. If so, the sizes in
             both tables must agree.
     """
     table, other = best.boxes.table, items.boxes.table
@@ -578,7 +581,7 @@ class _Builder:
             )
 
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
-        """Whether, in the most plausible reading, more than a certain share of the boxes overlaps other boxes, or any
+        """Whether, in the most plausible reading, more than the given share of the boxes overlaps other boxes, or any
         box floats."""
         try:
             choice = choose_reading(self.columns, plans, self.wishes)
@@ -618,7 +621,7 @@ class _Builder:
         parts = self.boxes.parts or ("",) * self.columns.n_boxes
         column = self.columns.plan
         if column is not None and len(set(column)) * 2 > self.columns.n_boxes + 2 and len(set(column)) > 1:
-            column = None  # nearly every box has its own name, so the column does not name plans
+            column = None  # nearly every row has another name, so the column does not name plans
         stem = Path(self.source).name.split(".")[0] or "plan"
         names = [
             "/".join(filter(None, (part, "" if column is None else column[row]))) for row, part in enumerate(parts)
@@ -634,7 +637,8 @@ class _Builder:
         return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
 
     def _decks(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> set[int]:
-        """Rows that describe a pallet, not a box: named as a pallet, pallet-sized, and below all boxes."""
+        """Numbers of the rows that describe a pallet, not a box: these rows are named as a pallet, have the size of a
+        pallet, and lie below all boxes."""
         decks = set()
         for rows in plans.values():
             if len(rows) < 2 or np.isnan(low[rows]).any():
@@ -715,7 +719,7 @@ class _Builder:
         """Move the boxes of a plan so that the deck's corner is the origin. Returns a note ("" if nothing was moved).
 
         Args:
-            used: the rows that have no faults.
+            used: numbers of the rows that have no faults.
             bottom: height of the deck, mm.
         """
         notes = []
@@ -921,7 +925,7 @@ def _place_names(columns: Mapping[str, str]) -> list[str]:
 
 
 def _rows_by(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
-    """Name → the rows that have it."""
+    """Name → numbers of the rows that have this name."""
     rows: dict[str, list[int]] = {}
     for row, name in enumerate(names):
         rows.setdefault(name, []).append(row)
@@ -929,12 +933,13 @@ def _rows_by(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
 
 
 def _counts_all(values: FloatArray) -> bool:
-    """Whether the numbers are all the whole numbers from 0 or 1 on, in any order."""
+    """Whether the n numbers are 0, 1, … n − 1 or 1, 2, … n, each once and in any order."""
     return bool((np.sort(values) - np.arange(len(values)) == min(max(float(values.min()), 0.0), 1.0)).all())
 
 
 def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:
-    """Whether, in this order, each box that lies on others is placed after at least one of them."""
+    """Whether, in this packing order, each box that lies on other boxes is placed after at least one of the boxes below
+    it."""
     by_order = np.argsort(order, kind="stable")
     low, size = low[by_order], size[by_order]
     in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM
