@@ -15,6 +15,7 @@ import io
 import math
 import re
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections import Counter
@@ -30,10 +31,10 @@ from petmjx.common.file_kinds import foreign_kind
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, words_of
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.nested_json import BoxList, box_lists, decoded_json, flattened
+from petmjx.plans.nested_json import LAYERS, BoxList, JsonLines, box_lists, decoded_json, flattened
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
-from petmjx.plans.raw_tables import RawTable, computed_row, decoded_text, distinct_names
-from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
+from petmjx.plans.raw_tables import RawTable, computed_row, decoded_text, distinct_names, geometric_names, united
+from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables, tables_of_page, value_of_xml
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,14 +118,17 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
     if start.startswith("<"):
         if re.search(r"<mujoco[\s>/]", start[:20_000]):
             return [_scene(text)]
-        raise NoBoxes(foreign_kind(start.encode()[:4096]) or "is XML of another kind")
+        return _sources_of_markup(start)
     if start[:1] in ("{", "[") and not re.match(r"\[\s*[A-Za-z]", start):
         try:
             value = decoded_json(start)
         except InputError as error:
-            if start.startswith("{") or "nested" in str(error):  # another reader's error explains the fault better
+            if (printed_values := _python_values(start)) is not None:
+                value = printed_values
+            elif start.startswith("{") or "nested" in str(error):  # another reader's error explains the fault better
                 raise NoBoxes(str(error)) from None
-            raise
+            else:
+                raise
         sources = [_with_named_units(_with_known_form(boxes)) for boxes in box_lists(value)]
         if not sources:
             raise NoBoxes("has no list of boxes: petmjx looks for objects with places and sizes")
@@ -136,32 +140,43 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
     return sources_of_tables(read_raw_tables(data))
 
 
+def _sources_of_markup(text: str) -> list[BoxSource]:
+    """The lists of boxes in a web page or in XML.
+
+    Raises:
+        InputError: there are none.
+    """
+    kind = foreign_kind(text.encode()[:4096]) or "is XML of another kind"
+    if re.search(r"<table[\s>]", text, re.IGNORECASE) and re.search(r"<t[dh][\s>]", text, re.IGNORECASE):
+        return sources_of_tables(RawFile(tables_of_page(text), "a web page (HTML)"))
+    try:
+        lists = box_lists(value_of_xml(text))
+    except InputError:
+        lists = []
+    if not lists:
+        raise NoBoxes(kind)
+    return [_with_named_units(_with_known_form(boxes, "XML")) for boxes in lists]
+
+
 def sources_of_tables(file: RawFile) -> list[BoxSource]:
     """Turn tables into lists of boxes. Tables with the same header are joined into one list."""
     groups: dict[tuple[str, ...], list[RawTable]] = {}
     for table in file.tables:
-        groups.setdefault(table.header, []).append(table)
+        key = geometric_names(table.header) if table.has_header else table.header
+        groups.setdefault(key, []).append(table)
     sources = []
     for tables in groups.values():
-        rows = [row for table in tables for row in table.rows]
         several_sheets = len({table.title for table in tables}) > 1
         names = [
             "/".join(filter(None, (table.title if several_sheets else "", table.part)))
             for table in tables
             for _ in table.rows
         ]
-        places = [f"{table.title}, {place}" if several_sheets else place for table in tables for place in table.places]
-        lost = tuple(entry for table in tables for entry in table.lost)
-        notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
-        decimals = {table.decimal for table in tables if table.decimal != "."}
-        joined = replace(
-            tables[0],
-            rows=rows,
-            places=places,
-            lost=lost,
-            notes=notes,
-            decimal=decimals.pop() if len(decimals) == 1 else ".",
-        )
+        if several_sheets:
+            tables = [replace(table, places=[f"{table.title}, {place}" for place in table.places]) for table in tables]
+        if names and all(LAYERS.intersection(words_of(name)) for name in names):
+            names = [""] * len(names)
+        joined = united(tables)
         boxes = BoxList(joined, "", tuple(names), _containers_above(joined))
         sources.append(_with_known_form(boxes, file.kind))
     return sorted(sources, key=lambda source: (source.boxes.has_places, len(source.boxes.table.rows)), reverse=True)
@@ -326,6 +341,37 @@ def _of_d_wave(boxes: BoxList) -> BoxSource:
     return BoxSource(replace(boxes, table=replace(table, rows=rows)), D_WAVE, (note,))
 
 
+# Text that Python prints.
+
+_MOST_PRINTED: Final = 8 << 20
+"""Largest text of Python values that is parsed, in characters. Their syntax tree takes 100 times as much memory."""
+_CONSTRUCTED: Final = re.compile(
+    r"\b(?:[A-Za-z_]\w*\.)*(?:Decimal|float(?:32|64)|u?int(?:8|16|32|64)|array)\(([^()]*?)(?:, dtype=\w+)?\)"
+)
+"""A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])"."""
+_NOT_FINITE: Final = re.compile(r"(?<![\w'\"])(-?(?:nan|inf))(?![\w'\"])")
+
+
+def _python_values(text: str) -> Any:
+    """The dictionaries and lists in a text that Python has printed, one or several; None for any other text."""
+    if "'" not in text or len(text) > _MOST_PRINTED:
+        return None
+    text = _NOT_FINITE.sub(r"'\1'", _CONSTRUCTED.sub(r"\1", text))
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        pass
+    values = JsonLines()
+    try:
+        for number, line in enumerate(text.splitlines(), start=1):
+            if line.strip():
+                values.append(ast.literal_eval(line))
+                values.lines.append(number)
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        return None
+    return values
+
+
 # Text that py3dbp prints.
 
 _ITEM_LINE: Final = re.compile(
@@ -452,7 +498,7 @@ def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
         raise InputError(f"{prefix}is an array {shape} without values")
     try:
         return np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
+    except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:
         raise InputError(f"{prefix}is not a whole NumPy array: {error}") from error
 
 
@@ -531,6 +577,8 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
             table = RawTable(("matrix",), rows, [f"row {index}" for index in range(len(rows))], title=name)
             sources.append(BoxSource(BoxList(table, name, ("",) * len(rows), containers), POSES))
             continue
+        if array.shape[1:] == (2, 3):  # sizes and places, or two corners, of each box
+            array = array.reshape(len(array), 6)
         plans = array if array.ndim == 3 else array[None] if array.ndim == 2 else None
         if plans is None or not 6 <= plans.shape[2] <= 64:
             continue

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import IGNORED, BoxColumns, box_columns, role_of
+from petmjx.plans.box_columns import IGNORED, BoxColumns, Geometry, box_columns, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry
 from petmjx.plans.foreign_formats import PACKINGSOLVER, POSES, BoxSource, rows_of, sources_of_bytes
@@ -74,6 +75,8 @@ _OF_PALLETS: Final = word_set(
 )
 """Words that mean a pallet in names of columns. The words are used for column names that ``column_names`` does not
 know."""
+_OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
+"""Names of columns that may name pallets, or stacks of one pallet."""
 _MATCHED: Final = 0.9
 """A table of items belongs to the boxes if at least this share of the boxes has an item in the table."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
@@ -119,6 +122,7 @@ def plans_of_sources(
     """Read the plans in lists of boxes, which are sorted by likelihood. Arguments and errors are those of
     :func:`read_foreign`."""
     chosen = _with_items(sources, path, items)
+    chosen = replace(chosen, notes=(*chosen.notes, *_other_plans(sources)))
     if chosen.boxes.table.decimal:
         return _plans_of(chosen, sources, path, source, wishes)
     try:
@@ -134,6 +138,18 @@ def plans_of_sources(
     if best is None or (len(parts) == 2 and abs(parts[0].reading.cost - parts[1].reading.cost) < TIE):
         return _plans_of(chosen, sources, path, source, wishes)  # raises the error that names the ambiguous number
     return best
+
+
+def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
+    """Lines about further lists of boxes that have sizes and places, but other columns than the first, and are not
+    read."""
+    lines = []
+    for other in sources[1:]:
+        boxes = other.boxes
+        if boxes.has_places and boxes.has_sizes and boxes.table.has_header and boxes.table.rows:
+            where = printable_name(boxes.table.title or boxes.path or "another table")
+            lines.append(f"{count_text(len(boxes.table.rows), 'box', 'boxes')} in {where} not read: other columns")
+    return lines
 
 
 def _with_decimal(source: BoxSource, decimal: str) -> BoxSource:
@@ -366,9 +382,12 @@ class _Builder:
         self.counters: set[str] = set()  # columns used as packing order
 
     def plans(self) -> ForeignPlans:
+        self.columns = replace(self.columns, faults={**self._far_cells(), **self.columns.faults})
         unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
         if unsaid and self.columns.plan is None and not any(self.boxes.parts) and self.boxes.table.has_header:
             self._find_pallets()
+        elif unsaid and self.columns.columns.get("plan", "").lower() in _OF_STACKS:
+            self._ask_about_stacks()
         names = self._plan_names()
         plans = _rows_by(names)
         try:
@@ -385,6 +404,8 @@ class _Builder:
                 raise InputError(f"{plan}{self._place_of(row)}: {fault}") from None
             raise
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
+        self._check_words(reading, candidate)
+        self._note_quantities()
         size, low, containers = self._geometry(reading, candidate, plans)
         self.decks = self._decks(plans, size, low)
         self._check_ranges(reading, candidate, size, low)
@@ -431,6 +452,59 @@ class _Builder:
         table = self._table(list(good_rows.values()), sequences, names, size, low, mass) if good_rows else None
         return ForeignPlans(table, tuple(refused), reading, containers)
 
+    def _check_words(self, reading: Reading, candidate: Candidate) -> None:
+        """Note the words of rotations.
+
+        Raises:
+            InputError: nothing shows the meaning of the words.
+        """
+        turns = self.columns.turns
+        if turns is None or not turns.words:
+            return
+        if turns.rules:
+            zero, one = (printable_name(word or "blank") for word in turns.words)
+            self.notes.append(f"{printable_name(turns.column)}: {zero} is 0, {one} is 1")
+        elif not (self.wishes.sizes or self.columns.source.form.sizes or candidate.geometry.placed):
+            words = first_names(turns.words)
+            raise InputError(
+                f"{printable_name(turns.column)} has rotations of unknown meaning ({words}); if sizes are those of the "
+                "boxes as placed, say --sizes placed"
+            )
+
+    def _note_quantities(self) -> None:
+        """Add a note about quantities above 1, unless they count the rows of an article. A row has only one place."""
+        table, articles = self.boxes.table, self.columns.article or [""] * self.columns.n_boxes
+        if self.columns.source.form == PACKINGSOLVER:  # has its own note
+            return
+        rows_of_article = Counter(articles)
+        for name, meaning in zip(table.header, self.boxes.meanings, strict=True):
+            if meaning is None or meaning.kind != "quantity":
+                continue
+            numbers = [cell_number(cell, table.decimal) for cell in table.column(name)]
+            if any(
+                number is not None and number.value > 1 and number.value != rows_of_article[article]
+                for number, article in zip(numbers, articles, strict=True)
+            ):
+                self.notes.append(f"{printable_name(name)} is above 1 in some rows, but each row is read as one box")
+
+    def _far_cells(self) -> dict[int, tuple[str, str]]:
+        """Row → (column, error text), for sizes and coordinates that are too large in every unit that a reading may
+        give them."""
+        geometry, form = self.columns.geometries[0], self.columns.source.form
+        faults: dict[int, tuple[str, str]] = {}
+        for values, largest, names, named_unit in (
+            (geometry.size, LARGEST_MM, _size_names(geometry, geometry.columns), geometry.size_unit),
+            (geometry.place, FARTHEST_MM, _place_names(geometry.columns), geometry.place_unit),
+        ):
+            low, high, unit = _limits(-largest, largest, named_unit or self.wishes.units or form.units or "mm")
+            with np.errstate(invalid="ignore"):
+                is_far = np.abs(values) > high
+            for row, axis in np.argwhere(is_far).tolist():
+                text = coordinate_fault(names[axis], float(values[row, axis]), low, high, unit)
+                if text is not None:
+                    faults.setdefault(row, (names[axis], text.removeprefix(f"{names[axis]} ")))
+        return faults
+
     def _first_bad_row(self) -> tuple[int, str] | None:
         """The first row that no reading can use, and its fault: a bad cell, or a size that is not positive. None if all
         rows are good."""
@@ -440,8 +514,7 @@ class _Builder:
         is_bad = np.array([~(geometry.size > 0).all(axis=1) for geometry in geometries]).all(axis=0)
         for row in np.flatnonzero(is_bad).tolist():
             axis = int(np.argmin(np.nan_to_num(geometries[0].size[row], nan=math.inf)))
-            names, role = geometries[0].columns, role_of(geometries[0].axes[axis])
-            name = next(filter(None, map(names.get, (role, "sizes", f"{geometries[0].axes[axis]} (far)"))), role)
+            name = _size_names(geometries[0], geometries[0].columns)[axis]
             faults.setdefault(row, f"{name} must be > 0, got {geometries[0].size[row, axis]:g}")
         return min(faults.items(), default=None)
 
@@ -489,6 +562,23 @@ class _Builder:
         texts = [cell_text(cell) for cell in self.boxes.table.column(sure[0])]
         self.columns = replace(columns, plan=texts, columns={**columns.columns, "plan": sure[0]})
         self.notes.append(f"several pallets, by {printable_name(sure[0])}")
+
+    def _ask_about_stacks(self) -> None:
+        """Refuse a column of stacks if all boxes together could be one plan.
+
+        Raises:
+            InputError: no box overlaps or floats if the stacks are one plan.
+        """
+        name, names = self.columns.columns["plan"], self.columns.plan or []
+        if len(set(names)) < 2 or self.columns.faults:
+            return
+        of_one = self._overlaps({"": np.arange(self.columns.n_boxes)}, 0.0)
+        if not of_one:
+            shown = printable_name(name)
+            raise InputError(
+                f"{shown} may name pallets, or stacks of one pallet; say which with --columns plan={shown} or "
+                f"--columns plan={IGNORED} (one pallet)"
+            )
 
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
         """Whether, in the most plausible reading, more than the given share of the boxes overlaps other boxes, or any
@@ -655,13 +745,8 @@ class _Builder:
     def _check_ranges(self, reading: Reading, candidate: Candidate, size: FloatArray, low: FloatArray) -> None:
         """Add faults for sizes and coordinates that are out of range. A fault names the column."""
         sizes, places = reading.length_units
-        names = dict(reading.columns)
-        axes = candidate.geometry.axes
-        named_sizes = [
-            next(filter(None, map(names.get, (role_of(axis), "sizes", f"{axis} (far)"))), role_of(axis))
-            for axis in axes
-        ]
-        named_places = [names.get(axis, names.get("position", axis)) for axis in "xyz"]
+        named_sizes = _size_names(candidate.geometry, reading.columns)
+        named_places = _place_names(reading.columns)
         for role, name in candidate.geometry.columns.items():
             are_sizes = role.removesuffix(" (far)") not in {*"xyz", "position"}
             cells = self.boxes.table.column(name) if name in self.boxes.table.header else ()
@@ -724,7 +809,9 @@ class _Builder:
         """Names of the columns that a reading does not use."""
         used = set(reading.columns.values())
         return tuple(
-            name for name in self.boxes.table.header if name not in used and name.rpartition("[")[0] not in used
+            name
+            for name in self.boxes.table.header
+            if name not in used and name.rpartition("[")[0] not in used and name not in self.columns.unit_columns
         )
 
     def _odd(self, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
@@ -820,6 +907,21 @@ class _Builder:
                 values[name] = [texts[row][:1000] for row in rows.tolist()]
         numbers = np.array([_number_of(self.places[row], row) for row in rows.tolist()], np.int64)
         return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
+
+
+def _size_names(geometry: Geometry, columns: Mapping[str, str]) -> list[str]:
+    """The names of the columns of the three sizes.
+
+    Args:
+        columns: role → name of its column.
+    """
+    roles = [(role_of(axis), "sizes", f"{axis} (far)") for axis in geometry.axes]
+    return [next(filter(None, map(columns.get, names)), names[0]) for names in roles]
+
+
+def _place_names(columns: Mapping[str, str]) -> list[str]:
+    """The names of the columns of the three coordinates."""
+    return [columns.get(axis, columns.get("position", axis)) for axis in "xyz"]
 
 
 def _rows_by(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
