@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import time
 import warnings
-from collections.abc import Callable, Generator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,9 +26,9 @@ from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
-from petmjx.repairs.search_processes import run_searches
-from petmjx.repairs.states import Candidate, State, batch_of
-from petmjx.repairs.trials import Asked, OutOfTime, Question, Trial
+from petmjx.repairs.search_processes import Tasks, run_searches
+from petmjx.repairs.states import Candidate, State, batch_of, key_of
+from petmjx.repairs.trials import Answer, Asked, OutOfTime, Question, Steps, Trial, TrialStream
 
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
 """Repairs without worlds with errors, which take most of the time."""
@@ -293,19 +291,21 @@ def test_statics_names_the_box_that_is_too_much() -> None:
 
 
 def test_a_search_asks_for_the_same_worlds_again() -> None:
-    """What is simulated depends on the plan and the options alone."""
+    """What is simulated depends on the plan and the options alone, not on which drafts are simulated first."""
     plan, requests = make_plan(boxes=TOWER), []
-    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     for _ in range(2):
-        search = Search(plan, Simulation(), RepairOptions(worlds=0))
-        steps = search.run()
-        first = next(steps)
-        requests.append([first, steps.send(question.trials(first))])
-    assert [len(part) for part in requests[0]] == [len(part) for part in requests[1]]
-    for (one, judged, _), (other, _, _) in zip(requests[0][1], requests[1][1], strict=True):
-        assert judged
-        assert one.order == other.order
-        assert np.array_equal(one.corner_mm, other.corner_mm)
+        question = Question({"engine": "mujoco", "threads": 1 + len(requests)}, RepairOptions(worlds=0))
+        search = Search(plan, Simulation(), RepairOptions(worlds=0, trials=20))
+        drafts: list[bytes] = []
+
+        def ask(some: list[Asked], question: Question = question, drafts: list[bytes] = drafts) -> list[Trial]:
+            drafts.extend(key_of(one.draft) for one in some)
+            return question.trials(some)
+
+        result_of(search.run(), ask)
+        requests.append(drafts)
+    assert requests[0] == requests[1]
+    assert len(requests[0]) > 20
 
 
 def test_a_draft_is_judged_as_it_is_scored() -> None:
@@ -321,17 +321,39 @@ def test_a_draft_is_judged_as_it_is_scored() -> None:
     assert judged[0].n_held == 3 <= judged[0].n_placed, "the third box is too much for the second one"
 
 
-def answered(steps: Generator[list[Asked], list[Trial], Any], stands: Callable[[Draft], bool]) -> tuple[Any, int]:
-    """What a part of a search returns, and how many trials it asks for, if drafts stand as told."""
-    count = 0
-    try:
-        requests = next(steps)
-        while True:
-            count += len(requests)
-            good = [stands(draft) for draft, *_ in requests]
-            requests = steps.send([Trial("stable" if g else "unstable", "", None, (), 1, 1, 0.0) for g in good])
-    except StopIteration as end:
-        return end.value, count
+Ask = Callable[[list[Asked]], list[Trial]]
+
+
+def result_of(steps: Steps[Any], ask: Ask) -> Any:
+    """What a part of a search returns, if its drafts have the trials that ``ask`` returns."""
+    results = []
+
+    def noting() -> Steps[None]:
+        results.append((yield from steps))
+
+    tasks = Tasks([noting()])
+    while tasks.requests:
+        requests, tasks.requests = tasks.requests, []
+        for ticket, drafts in requests:
+            tasks.take(Answer(ticket, ask(drafts)))
+    return results[0]
+
+
+class Simulated:
+    """A simulator of searches: a function instead of an engine."""
+
+    def __init__(self, ask: Ask) -> None:
+        self._ask, self._requests = ask, list[tuple[Any, Sequence[Asked]]]()
+
+    def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
+        self._requests.append((ticket, drafts))
+
+    def answers(self) -> Iterator[Answer | None]:
+        while self._requests:
+            requests, self._requests = self._requests, []
+            for ticket, drafts in requests:
+                yield Answer(ticket, self._ask([*drafts]))
+            yield None
 
 
 def test_only_changes_that_are_needed_are_left() -> None:
@@ -345,10 +367,17 @@ def test_only_changes_that_are_needed_are_left() -> None:
     def stands(draft: Draft) -> bool:
         return bool((draft.corner_mm[[3, 12], 0] == plan.corner_mm[[3, 12], 0] + 20).all())
 
-    _, count = answered(search._finished([State(draft, changes, Trial("stable", "", None, (), 16, 16, 0.0))]), stands)
+    requests = list[Asked]()
+
+    def ask(drafts: list[Asked]) -> list[Trial]:
+        requests.extend(drafts)
+        good = [stands(one.draft) for one in drafts]
+        return [Trial("stable" if g else "unstable", "", None, (), 1, 1, 0.0) for g in good]
+
+    result_of(search._finished([State(draft, changes, Trial("stable", "", None, (), 16, 16, 0.0))]), ask)
     (repair,) = search.repairs
     assert [change.boxes for change in repair.changes] == [(12,), (3,)]
-    assert count < 50, "one by one it is up to 16 + 15 + … + 3 = 133"
+    assert len(requests) < 50, "one by one it is up to 16 + 15 + … + 3 = 133"
 
 
 def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_first() -> None:
@@ -361,13 +390,15 @@ def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_firs
     trials = question.trials([Asked(draft, is_judged=False) for draft in drafts])
     assert [trial.stands for trial in trials] == [True, True]
     states = [State(draft, (move,), trial) for draft, move, trial in zip(drafts, moves, trials, strict=True)]
-    steps = search._compared(states, states[:1])
-    requests = next(steps)
+    requests = list[Asked]()
+
+    def ask(drafts: list[Asked]) -> list[Trial]:
+        requests.extend(drafts)
+        return question.trials(drafts)
+
+    best, worst = result_of(search._compared(states, states[:1]), ask)
     assert sorted({one.world for one in requests}) == [1, 2, 3, 4]
     assert len(requests) == 8
-    with pytest.raises(StopIteration) as end:
-        steps.send(question.trials(requests))
-    best, worst = end.value.value
     assert (best.changes, worst.changes) == ((moves[1],), (moves[0],))
     assert best.n_good == 4 > worst.n_good
 
@@ -386,10 +417,7 @@ def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
     for share in (0.25, 1.0):
         search = Search(plan, Simulation(), RepairOptions(share=share, forbid=("exchange", "place", "turn", "order")))
         search.repairs = (State(draft, moves, trial),)
-        steps, answers = search._strengthened(), None
-        with suppress(StopIteration):
-            while True:
-                answers = question.trials(steps.send(answers) if answers else next(steps))
+        result_of(search._strengthened(), question.trials)
         repairs[share] = search.repairs[0]
     assert repairs[0.25].changes == moves
     assert 2 <= repairs[0.25].n_good < 8, "about half of the worlds"
@@ -425,16 +453,16 @@ def test_faults_are_counted_by_taking_off_what_falls() -> None:
     moves = (), (Move(1, -60.0, 0.0),), (Move(1, -60.0, 0.0), Move(4, -60.0, 0.0))
     drafts = [draft for changes in moves if (draft := applied(Draft.of(search.plan), changes)) is not None]
     trials = question.trials([Asked(draft, True) for draft in drafts])
-    steps = search._faults([State(draft, (), trial) for draft, trial in zip(drafts, trials, strict=True)], 9.0)
-    requests = next(steps)
-    assert [draft.order for draft, *_ in requests] == [(0, 3, 4), (0, 1, 2, 3)], (
-        "with the box on it, which loses its hold"
-    )
-    second = steps.send(question.trials(requests))
-    assert [draft.order for draft, *_ in second] == [(0, 3)]
-    with pytest.raises(StopIteration) as end:
-        steps.send(question.trials(second))
-    assert end.value.value == [2, 1, 0]
+    requests = []
+
+    def ask(drafts: list[Asked]) -> list[Trial]:
+        requests.append([one.draft.order for one in drafts])
+        return question.trials(drafts)
+
+    states = [State(draft, (), trial) for draft, trial in zip(drafts, trials, strict=True)]
+    assert result_of(search._faults(states, 9.0), ask) == [2, 1, 0]
+    # with the box on it, which loses its hold
+    assert requests == [[(0, 3, 4)], [(0, 1, 2, 3)], [(0, 3)]], "the plans do not wait for one another"
 
 
 def test_two_faults_are_mended_by_two_changes() -> None:
@@ -477,28 +505,28 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
     ]
 
     def ask(requests: list[Asked]) -> list[Trial]:
-        good = [bool((draft.corner_mm[1, :2] > draft.plan.size_mm[0, 2] - 100).all()) for draft, *_ in requests]
+        good = [bool((one.draft.corner_mm[1, :2] > one.draft.plan.size_mm[0, 2] - 100).all()) for one in requests]
         return [Trial("stable" if g else "unstable", "", None if g else 1, () if g else (1,), 2, 1, 0.0) for g in good]
 
     ends = []
     for processes in (1, 2):
         searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
-        run_searches(searches, ask, processes)
+        run_searches(searches, Simulated(ask), processes)
         ends.append([([state.changes for state in s.repairs], s.n_trials, s.before, s.complete) for s in searches])
     assert ends[0] == ends[1]
     assert all(changes for changes, *_ in ends[0])
     searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
 
     def ask_until_stopped(requests: list[Asked]) -> list[Trial]:
-        if any(is_judged and draft.plan.plan_id == "2" for draft, is_judged, _ in requests):
-            raise KeyboardInterrupt  # plan 0, which is in the same process, had its answer before
+        if any(one.draft.plan.plan_id == "2" and len(one.draft.order) == 1 for one in requests):
+            raise KeyboardInterrupt  # plan 0, which is in the same process, had all of its answers before
         trials = zip(requests, ask(requests), strict=True)
         return [
             trial._replace(verdict="stable") if draft.plan.plan_id == "0" else trial for (draft, *_), trial in trials
         ]
 
     with pytest.raises(KeyboardInterrupt):
-        run_searches(searches, ask_until_stopped, 2)
+        run_searches(searches, Simulated(ask_until_stopped), 2)
     assert [search.complete for search in searches[::2]] == [True, False, False, False]
 
 
@@ -589,7 +617,7 @@ def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.Capt
     assert capsys.readouterr().err.startswith("petmjx: --without must be one of order, move")
 
 
-@pytest.mark.parametrize(("n_calls", "names"), [(0, []), (1, ["stands"]), (None, ["stands", "falls"])])
+@pytest.mark.parametrize(("n_calls", "names"), [(0, []), (3, ["stands"]), (None, ["stands", "falls"])])
 def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     n_calls: int | None,
     names: list[str],
@@ -597,21 +625,23 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The interrupt comes after some runs of the engine, or (None) while shares with errors are simulated."""
+    """The interrupt comes after some answers of the engine, or (None) while shares with errors are simulated."""
     source, out = tmp_path / "plans.json", tmp_path / "repaired.json"
     petmjx.save_plans([make_plan("stands", stack(2)), make_plan("falls", COUNTERWEIGHT)], source)
-    trials, requests = Question.trials, []
+    answers, n_answers = TrialStream.answers, 0
 
-    def stopped(question: Question, drafts: Sequence[Any], end_s: float = math.inf) -> list[Trial]:
-        if len(requests) == n_calls:
-            raise KeyboardInterrupt
-        requests.append(drafts)
-        return trials(question, drafts, end_s)
+    def stopped(stream: TrialStream) -> Iterator[Answer | None]:
+        nonlocal n_answers
+        for answer in answers(stream):
+            if n_answers == n_calls:
+                raise KeyboardInterrupt
+            n_answers += answer is not None
+            yield answer
 
     def no_shares(question: Question, plans: Sequence[Plan]) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Question, "trials", stopped)
+    monkeypatch.setattr(TrialStream, "answers", stopped)
     monkeypatch.setattr(Question, "shares", no_shares)
     assert main(["repair", str(source), "-o", str(out), "--engine", "mujoco", "--threads", "1"]) == 130
     shown = capsys.readouterr()
