@@ -67,7 +67,7 @@ COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
 MOST_LOST: Final = 3
 """The changes of a plan are first judged in at most this many of the worlds with errors in which the plan falls."""
 
-WIDE: Final = 4
+WIDE: Final = 2
 """A GPU judges many plans as fast as a few. So there a search judges this many times as many plans at once, and goes on
 in fewer rounds."""
 
@@ -286,7 +286,7 @@ class Search(Candidates):
             if node.queue:
                 queues.append(node.queue)
                 node.n_judged += AT_ONCE
-            if len(queues) == (WIDE * BEAM if self.is_wide else BEAM):
+            if len(queues) == BEAM:
                 break
         return queues
 
