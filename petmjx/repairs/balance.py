@@ -97,7 +97,8 @@ def _balances(drafts: Sequence[Draft], sim: Simulation, spare_mm: float) -> list
     ends = np.searchsorted(loads.box, first)
     missing_room = _missing_room(drafts)
     return [
-        _balance(draft, loads, slice(*ends[k : k + 2]), int(first[k]), missing_room[k]) for k, draft in enumerate(drafts)
+        _balance(draft, loads, slice(*ends[k : k + 2]), int(first[k]), missing_room[k])
+        for k, draft in enumerate(drafts)
     ]
 
 
@@ -145,21 +146,21 @@ def _balance(draft: Draft, loads: _Loads, rows: slice, first: int, missing_room:
         missing_room: (n,) as from ``_missing_room``.
     """
     order = np.array(draft.order)
-    box, step, least_mm, last_mm, is_sure = (values[rows] for values in loads)
-    beyond = least_mm < 0
+    of_draft = _Loads(*(values[rows] for values in loads))
+    beyond = of_draft.least_mm < 0
     weakness = float(missing_room.sum())
-    for edge_mm in least_mm[~beyond & (least_mm < SAFE_MM)].tolist():
+    for edge_mm in of_draft.least_mm[~beyond & (of_draft.least_mm < SAFE_MM)].tolist():
         weakness += 1 - edge_mm / SAFE_MM
-    steps, boxes = step[beyond] - first, order[box[beyond] - first]
+    steps, boxes = of_draft.step[beyond] - first, order[of_draft.box[beyond] - first]
     in_time = np.lexsort((boxes, steps))
-    depth_mm = -least_mm[beyond][in_time]
-    weight = np.where(is_sure[beyond][in_time], 1.0, PERHAPS)
+    depth_mm = -of_draft.least_mm[beyond][in_time]
+    weight = np.where(of_draft.is_sure[beyond][in_time], 1.0, PERHAPS)
     return Balance(
         box=boxes[in_time].astype(np.intp),
         step=steps[in_time].astype(np.intp),
         cause=order[steps[in_time]].astype(np.intp),
         depth_mm=depth_mm,
-        last_mm=last_mm[beyond][in_time],
+        last_mm=of_draft.last_mm[beyond][in_time],
         trouble=float((weight * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))).sum()),
         weakness=weakness,
         squeezed=tuple(order[missing_room > 0].tolist()),

@@ -16,6 +16,7 @@ from support.plans import Box, make_plan, stack
 import petmjx
 from petmjx.cli.main import main
 from petmjx.common.errors import InputError
+from petmjx.engines.attempt_runner import run_engine
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
@@ -25,10 +26,10 @@ from petmjx.repairs.proposals import Limits, Target, proposals
 from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.search import Search
+from petmjx.repairs.search import Search, _different_falls
 from petmjx.repairs.search_processes import Tasks, run_searches
 from petmjx.repairs.states import Candidate, State, batch_of, key_of
-from petmjx.repairs.trials import Answer, Asked, OutOfTime, Question, Steps, Trial, TrialStream
+from petmjx.repairs.trials import Answer, Asked, OutOfTime, Question, Steps, Together, Trial, TrialStream
 
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
 """Repairs without worlds with errors, which take most of the time."""
@@ -321,6 +322,48 @@ def test_a_draft_is_judged_as_it_is_scored() -> None:
     assert judged[0].n_held == 3 <= judged[0].n_placed, "the third box is too much for the second one"
 
 
+def test_a_judged_plan_that_stands_is_not_simulated_again_for_its_score(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its judged world and the first attempt of its score are the same world, so the margin is the same, too."""
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
+    drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (stack(2), stack(3, 90.0), TOWER)]
+    judged = question.trials([Asked(draft, True) for draft in drafts])
+    scored = question.trials([Asked(draft, False) for draft in drafts])
+    assert [trial.is_score for trial in judged] == [True, True, False]
+    assert [trial._replace(is_score=False) for trial in judged[:2]] == scored[:2]
+    monkeypatch.setattr(question, "scores", None)
+    known = [Asked(draft, False, judged=trial) for draft, trial in zip(drafts, judged, strict=True)][:2]
+    assert question.trials(known) == judged[:2]
+
+
+def test_drafts_join_the_worlds_that_are_being_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A request that follows from an answer is simulated in the same run of the engine. Scores have a run of their
+    own, once no draft is being judged."""
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
+    runs = []
+
+    def counted(*arguments: Any) -> Iterator[Any]:
+        runs.append("judged")
+        return run_engine(*arguments)
+
+    scores = question.scores
+    monkeypatch.setattr("petmjx.repairs.trials.run_engine", counted)
+    monkeypatch.setattr(question, "scores", lambda asked: [runs.append("scored"), *scores(asked)][1:])
+    draft = Draft.of(make_plan(boxes=stack(2)))
+    stream = TrialStream(question)
+    stream.put("score", [Asked(draft, False)])
+    stream.put("first", [Asked(draft, True)] * 2)
+    tickets = []
+    for answer in stream.answers():
+        if answer is not None:
+            tickets.append(answer.ticket)
+            assert all(trial.stands for trial in answer.trials)
+            if answer.ticket == "first":
+                stream.put("second", [Asked(draft, True)])
+    assert sorted(tickets) == ["first", "score", "second"]
+    assert sorted(runs) == ["judged", "scored"]
+    assert tickets.index("first") < tickets.index("second")
+
+
 Ask = Callable[[list[Asked]], list[Trial]]
 
 
@@ -354,6 +397,36 @@ class Simulated:
             for ticket, drafts in requests:
                 yield Answer(ticket, self._ask([*drafts]))
             yield None
+
+
+def test_parts_of_a_search_wait_only_for_their_own_trials() -> None:
+    draft = Draft.of(make_plan(boxes=stack(2)))
+
+    def part(name: str, n_requests: int) -> Steps[str]:
+        for number in range(n_requests):
+            (trial,) = yield [Asked(draft, True, number)]
+            assert trial == (name, number)
+        return name
+
+    def whole() -> Steps[list[str]]:
+        assert (yield Together([])) == []
+        results: list[str] = yield Together([part("long", 3), part("short", 1), part("none", 0)])
+        return results
+
+    results = []
+
+    def noting() -> Steps[None]:
+        results.append((yield from whole()))
+
+    tasks = Tasks([noting()])
+    (long_part, _), (short_part, _) = tasks.requests
+    for number in range(3):
+        tasks.take(Answer(long_part, [("long", number)]))  # type: ignore[list-item]
+        long_part, (request,) = tasks.requests[-1]
+        assert request.world == min(number + 1, 2)
+    assert not results
+    tasks.take(Answer(short_part, [("short", 0)]))  # type: ignore[list-item]
+    assert results == [["long", "short", "none"]]
 
 
 def test_only_changes_that_are_needed_are_left() -> None:
@@ -403,6 +476,35 @@ def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_firs
     assert best.n_good == 4 > worst.n_good
 
 
+def test_repairs_are_compared_until_enough_of_them_stand() -> None:
+    """The first four repairs stand in all four worlds. No other one can stand more often, so none is simulated."""
+    plan = make_plan(boxes=stack(2))
+    search, stands = Search(plan, Simulation(), RepairOptions(worlds=4)), Trial("stable", "", None, (), 2, 2, 0.5)
+    moves = [Move(box, float(length), 0.0) for box in (0, 1) for length in range(5, 30, 5)]
+    drafts = [draft for move in moves if (draft := move.applied(Draft.of(plan))) is not None]
+    states = [State(draft, (move,), stands) for draft, move in zip(drafts, moves, strict=True)]
+    requests = list[Asked]()
+
+    def ask(some: list[Asked]) -> list[Trial]:
+        requests.extend(some)
+        return [stands] * len(some)
+
+    assert len(result_of(search._compared(states, states), ask)) == 4
+    assert len(requests) == 16
+    assert len({key_of(one.draft) for one in requests}) == 4
+    result_of(search._compared(states, states), ask)
+    assert len(requests) == 16, "no world is simulated twice"
+
+
+def test_worlds_in_which_different_boxes_fall_come_first() -> None:
+    def falls(box: int) -> Trial:
+        return Trial("unstable", "tilt", box, (box,), 4, 3, 0.0)
+
+    stands = Trial("stable", "", None, (), 4, 4, 0.5)
+    errors = {1: falls(3), 2: falls(2), 3: stands, 4: falls(2), 5: falls(2)}
+    assert _different_falls(State(Draft.of(make_plan()), (), stands, errors=errors)) == [2, 1, 4]
+
+
 def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
     """One fault is mended. The other stack stands as planned, half a millimetre from its edge, and falls with many
     errors: its box is moved inside, too, but only if that is wanted, and if both changes are needed."""
@@ -441,6 +543,18 @@ def test_a_box_that_is_lowered_between_two_others_gets_room() -> None:
     assert (Move(0, -7.0, 0.0),) in some, "whether a box may reach so far is for the rules to say"
     drafts = [one for p in ((Order(2, 1),), (Move(1, 7.0, 0.0),)) if (one := applied(draft, p)) is not None]
     assert [balance.squeezed for balance in balances(drafts, Simulation())] == [(), ()]
+
+
+def test_statics_of_a_draft_does_not_depend_on_the_drafts_beside_it() -> None:
+    drafts = [
+        Draft.of(make_plan(boxes=boxes)) for boxes in (COUNTERWEIGHT, stack(1), TOWER, stack(2, 190.0), TOWER[:3])
+    ]
+    for spare_mm in (0.0, 12.0):
+        together = balances(drafts, Simulation(), spare_mm=spare_mm)
+        for draft, balance in zip(drafts, together, strict=True):
+            (alone,) = balances([draft], Simulation(), spare_mm=spare_mm)
+            assert all(np.array_equal(one, other) for one, other in zip(alone, balance, strict=True))
+    assert together[3].last_mm[0] == pytest.approx(10 - 12, abs=0.2), "200 mm of 400 may hang over, 190 do"
 
 
 TWO_FAULTS: Sequence[Box] = (*stack(3, 230.0), *stack(2, 230.0, at_mm=(0.0, 600.0)))
