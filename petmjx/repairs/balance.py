@@ -95,10 +95,9 @@ def _balances(drafts: Sequence[Draft], sim: Simulation, spare_mm: float) -> list
     rows = np.flatnonzero(~np.isnan(edge_mm))  # a box that floats or overlaps may bear a load although nothing bears it
     loads = _loads(built.box[rows], built.step[rows], edge_mm[rows], perhaps[rows])
     ends = np.searchsorted(loads.box, first)
-    missing_room = _missing_room(drafts)
     return [
-        _balance(draft, loads, slice(*ends[k : k + 2]), int(first[k]), missing_room[k])
-        for k, draft in enumerate(drafts)
+        _balance(draft, loads.take(slice(*ends[k : k + 2]), int(first[k])), missing_room)
+        for k, (draft, missing_room) in enumerate(zip(drafts, _missing_room(drafts), strict=True))
     ]
 
 
@@ -119,6 +118,11 @@ class _Loads(NamedTuple):
     last_mm: FloatArray
     is_sure: BoolArray
 
+    def take(self, rows: slice, first: int) -> _Loads:
+        """Some rows, with boxes and steps that are counted from ``first``."""
+        box, step = self.box[rows] - first, self.step[rows] - first
+        return _Loads(box, step, self.least_mm[rows], self.last_mm[rows], self.is_sure[rows])
+
 
 def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> _Loads:
     """The loads from their distances from edges at all steps, sorted by box and step."""
@@ -137,30 +141,23 @@ def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArra
     )
 
 
-def _balance(draft: Draft, loads: _Loads, rows: slice, first: int, missing_room: FloatArray) -> Balance:
-    """The balance of a draft.
-
-    Args:
-        rows: the rows of its loads.
-        first: number of its first box among the boxes of all drafts.
-        missing_room: (n,) as from ``_missing_room``.
-    """
+def _balance(draft: Draft, loads: _Loads, missing_room: FloatArray) -> Balance:
+    """The balance of a draft from its loads. ``missing_room``: (n,) as from ``_missing_room``."""
     order = np.array(draft.order)
-    of_draft = _Loads(*(values[rows] for values in loads))
-    beyond = of_draft.least_mm < 0
+    beyond = loads.least_mm < 0
     weakness = float(missing_room.sum())
-    for edge_mm in of_draft.least_mm[~beyond & (of_draft.least_mm < SAFE_MM)].tolist():
+    for edge_mm in loads.least_mm[~beyond & (loads.least_mm < SAFE_MM)].tolist():
         weakness += 1 - edge_mm / SAFE_MM
-    steps, boxes = of_draft.step[beyond] - first, order[of_draft.box[beyond] - first]
-    in_time = np.lexsort((boxes, steps))
-    depth_mm = -of_draft.least_mm[beyond][in_time]
-    weight = np.where(of_draft.is_sure[beyond][in_time], 1.0, PERHAPS)
+    rows = np.flatnonzero(beyond)
+    rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]
+    depth_mm, steps = -loads.least_mm[rows], loads.step[rows].astype(np.intp)
+    weight = np.where(loads.is_sure[rows], 1.0, PERHAPS)
     return Balance(
-        box=boxes[in_time].astype(np.intp),
-        step=steps[in_time].astype(np.intp),
-        cause=order[steps[in_time]].astype(np.intp),
+        box=order[loads.box[rows]].astype(np.intp),
+        step=steps,
+        cause=order[steps].astype(np.intp),
         depth_mm=depth_mm,
-        last_mm=of_draft.last_mm[beyond][in_time],
+        last_mm=loads.last_mm[rows],
         trouble=float((weight * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))).sum()),
         weakness=weakness,
         squeezed=tuple(order[missing_room > 0].tolist()),

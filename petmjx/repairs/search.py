@@ -7,8 +7,9 @@ short simulation each. Plans that stand are scored. Then needless changes are ta
 needed: without it, the plan falls. Worlds with errors decide which of the repairs with the fewest changes is chosen. If
 this repair falls in too many of these worlds, it is changed further at the places where it falls there.
 
-``search`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans can
-share runs of an engine. The simulated plans depend only on the plan and the options, not on time.
+``Search.run`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans
+can share runs of an engine. Parts of a search that do not depend on each other run side by side (``Together``). The
+simulated plans depend only on the plan, the options and the kind of engine, not on time.
 """
 
 from __future__ import annotations
@@ -67,6 +68,10 @@ COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
 MOST_LOST: Final = 3
 """The changes of a plan are first judged in at most this many of the worlds with errors in which the plan falls."""
 
+BETTER: Final = 0.25
+"""A changed plan is changed further if it holds better with errors than before by this much (``State.strength``). 1 is
+a whole world."""
+
 WIDE: Final = 2
 """A GPU judges many plans as fast as a few. So there a search judges this many times as many plans at once, and goes on
 in fewer rounds."""
@@ -111,9 +116,9 @@ class Search(Candidates):
         self.complete = other.complete
 
     @property
-    def _at_once(self) -> int:
-        """Number of changed plans that are judged at once."""
-        return WIDE * AT_ONCE if self.is_wide else AT_ONCE
+    def _scale(self) -> int:
+        """How many times as many plans as usual are judged at once."""
+        return WIDE if self.is_wide else 1
 
     def begin(self, before: Trial) -> None:
         """Note the simulation of the plan as it is."""
@@ -212,7 +217,7 @@ class Search(Candidates):
             queues = self._queues(useful, limits, anew=is_late)
             if not queues:
                 break
-            batch = batch_of(queues, min(2 * self._at_once if is_late else self._at_once, last - self.n_trials))
+            batch = batch_of(queues, min(self._scale * (2 * AT_ONCE if is_late else AT_ONCE), last - self.n_trials))
             states = yield from self._judged(batch)
             if any(state.trial.stands for state in states):  # other plans may stand in more worlds with errors
                 if not self.is_wide:
@@ -252,7 +257,7 @@ class Search(Candidates):
             counted += yield from self._judged_in(chosen[begin : begin + at_once], COMPARED_IN)
             if sum(state.n_good == len(COMPARED_IN) for state in counted) >= MOST_FINALISTS:
                 break  # no other repair stands more often
-        counted.sort(key=lambda state: -state.n_good)
+        counted.sort(key=lambda state: -state.strength(COMPARED_IN))
         best, sure = counted[: 2 * MOST_FINALISTS], {key_of(state.draft) for state in scored}
         unsure = [k for k, state in enumerate(best) if key_of(state.draft) not in sure]
         for k, state in zip(unsure, (yield from self._scored([best[k] for k in unsure])), strict=True):
@@ -302,7 +307,7 @@ class Search(Candidates):
         different: dict[tuple[object, ...], int] = {}
         for k in sorted(range(len(states)), key=rank):
             different.setdefault(way_of(states[k]), k)
-        chosen = [*different.values()][: WIDE * MOST_COUNTED if self.is_wide else MOST_COUNTED]
+        chosen = [*different.values()][: self._scale * MOST_COUNTED]
         faults = [0.0 if state.trial.stands else c.parent.faults for state, c in zip(states, batch, strict=True)]
         counts = yield from self._faults([states[k] for k in chosen], max((faults[k] for k in chosen), default=0.0))
         for k, count in zip(chosen, counts, strict=True):
@@ -400,7 +405,7 @@ class Search(Candidates):
             compared += yield from self._judged_in(self.repairs[begin : begin + at_once], ALL_WORLDS)
             if compared[-1].n_good == ERROR_WORLDS:
                 break
-        compared.sort(key=lambda state: -state.n_good)
+        compared.sort(key=lambda state: -state.strength(ALL_WORLDS))
         self.repairs = tuple(compared)
         kinds = options.kinds - {Kind.FILM, Kind.LEAVE_OUT}
         if options.profile is not None or not kinds:
@@ -410,14 +415,16 @@ class Search(Candidates):
         nodes, best = [Node(state) for state in compared], compared[0]
         last = self.n_trials + int(STRENGTHENED * options.trials)
         while nodes and best.n_good < wanted and self.n_trials < last:
-            node = min(nodes, key=lambda node: (node.n_judged // AT_ONCE - node.state.n_good, node.state.cost))
+            node = min(
+                nodes, key=lambda node: (node.n_judged // AT_ONCE - node.state.strength(ALL_WORLDS), node.state.cost)
+            )
             if node.queue is None:
                 node.queue = self._ranked(node.state, limits)
             if not node.queue:
                 nodes.remove(node)
                 continue
             node.n_judged += AT_ONCE
-            better = yield from self._stronger(node.state, batch_of([node.queue], self._at_once), wanted)
+            better = yield from self._stronger(node.state, batch_of([node.queue], self._scale * AT_ONCE), wanted)
             nodes += [Node(state) for state in better]
             if better and (most := max(better, key=lambda state: state.n_good)).n_good > best.n_good:
                 (most,) = yield from self._scored([most])
@@ -427,33 +434,34 @@ class Search(Candidates):
             self.repairs = (best, *compared)
 
     def _stronger(self, weak: State, batch: Sequence[Candidate], wanted: int) -> Steps[list[State]]:
-        """The candidates that stand, and stand in more worlds with errors than the plan ``weak`` from which they were
-        made.
+        """The candidates that stand, and hold better with errors than the plan ``weak`` from which they were made: by
+        ``BETTER`` worlds at least. A candidate that falls later than ``weak`` counts, too, since a plan may have
+        several weak places.
 
         A world with errors has five times as many steps as one without errors, in which no hand lowers the boxes. So
         few worlds are simulated that a candidate does not need. Candidates that stand without errors are judged in
-        worlds in which ``weak`` falls, one world after the other, until enough of them stand. Those that stand most
-        often are judged in all worlds, one after the other, until one stands in ``wanted`` of them.
+        worlds in which ``weak`` falls, one world after the other, until enough of them hold better. The best of these
+        are judged in all worlds, one after the other, until one stands in ``wanted`` of them.
         """
         judged = yield from self._judged(batch)
         standing = [state for state in judged if state.trial.stands]
-        falling = [
-            standing[k] for k in self._safest(standing)[: WIDE * MOST_COMPARED if self.is_wide else MOST_COMPARED]
-        ]
+        falling = [standing[k] for k in self._safest(standing)[: self._scale * MOST_COMPARED]]
         worlds, good = _different_falls(weak), list[State]()
         for world in worlds:
             states = yield from self._judged_in(falling, worlds if self.is_wide else [world])
-            good += [state for state in states if state.n_good]
-            falling = [state for state in states if not state.n_good]
-            if self.is_wide or len(good) >= MOST_FINALISTS:
+            least = weak.strength([world])
+            good += [state for state in states if state.strength([world]) > least]
+            falling = [state for state in states if state.strength([world]) <= least]
+            if len(good) >= MOST_FINALISTS:
                 break
-        good = sorted((yield from self._judged_in(good, worlds)), key=lambda state: -state.n_good)
-        finalists = good[: WIDE * MOST_FINALISTS if self.is_wide else MOST_FINALISTS]
-        at_once = len(finalists) if self.is_wide else 1
+        good.sort(key=lambda state: -state.n_good)
+        good = yield from self._judged_in(good[: self._scale * 2 * MOST_FINALISTS], worlds)
+        good.sort(key=lambda state: -state.strength(worlds))
         better: list[State] = []
-        for begin in range(0, len(finalists), max(at_once, 1)):
-            states = yield from self._judged_in(finalists[begin : begin + at_once], ALL_WORLDS)
-            better += [state for state in states if state.n_good > weak.n_good]
+        at_once = WIDE * MOST_FINALISTS if self.is_wide else 1
+        for begin in range(0, self._scale * MOST_FINALISTS, at_once):
+            states = yield from self._judged_in(good[begin : begin + at_once], ALL_WORLDS)
+            better += [one for one in states if one.strength(ALL_WORLDS) >= weak.strength(ALL_WORLDS) + BETTER]
             if any(state.n_good >= wanted for state in better):
                 break
         return better
