@@ -255,7 +255,7 @@ class Search(Candidates):
         at_once = MOST_COMPARED if self.is_wide else MOST_FINALISTS
         for begin in range(0, len(chosen), at_once):
             counted += yield from self._judged_in(chosen[begin : begin + at_once], COMPARED_IN)
-            if sum(state.n_good == len(COMPARED_IN) for state in counted) >= MOST_FINALISTS:
+            if sum(state.n_good == len(COMPARED_IN) for state in counted) >= _n_finalists(counted):
                 break  # no other repair stands more often
         counted.sort(key=lambda state: -state.strength(COMPARED_IN))
         best, sure = counted[: 2 * MOST_FINALISTS], {key_of(state.draft) for state in scored}
@@ -386,7 +386,7 @@ class Search(Candidates):
     def _finished(self, standing: Sequence[State]) -> Steps[None]:
         """Take back needless changes, and keep the repairs with the fewest changes."""
         fewest = min(len(state.changes) for state in standing)
-        finalists = shortest(standing)[: min(MOST_FINALISTS, max(MOST_UNDONE // fewest, 1))]
+        finalists = shortest(standing)[: _n_finalists(standing)]
         reduced: list[State] = yield Together([self._reduced(state) for state in finalists])
         pruned = shortest((yield from self._pruned(reduced, judged=fewest > MOST_UNDONE)))
         different = [*{key_of(state.draft): state for state in pruned}.values()]
@@ -534,6 +534,11 @@ class Search(Candidates):
 def _lost(draft: Draft, trial: Trial) -> int:
     """The box that fell first; if none is known, the one that was placed last."""
     return draft.order[min(trial.n_placed, len(draft.order)) - 1] if trial.culprit is None else trial.culprit
+
+
+def _n_finalists(states: Sequence[State]) -> int:
+    """Of repairs, the number of those whose changes are taken back one by one."""
+    return min(MOST_FINALISTS, max(MOST_UNDONE // min(len(state.changes) for state in states), 1))
 
 
 def _different_falls(state: State) -> list[int]:
