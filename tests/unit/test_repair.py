@@ -531,6 +531,36 @@ def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
     assert balance.weakness < 0.5
 
 
+@pytest.mark.parametrize(("is_wide", "rounds"), [(False, [6, 6, 4, 3, 5, 5, 5, 5]), (True, [6, 18, 15])])
+def test_few_worlds_with_errors_are_simulated_for_changes_that_do_not_help(is_wide: bool, rounds: list[int]) -> None:
+    """Of six moves, the first two hold longer in world 2 than the weak plan, and the third one stands in world 5. The
+    plan falls elsewhere in world 5 than in worlds 2 and 7. A GPU has fewer rounds, with more worlds."""
+    plan = make_plan(boxes=stack(2))
+    search, start = Search(plan, Simulation(), RepairOptions(), is_wide=is_wide), Draft.of(plan)
+    stands = Trial("stable", "", None, (), 2, 2, 0.5)
+    falls = {world: Trial("unstable", "tilt", box, (box,), 2, 1, -1.0) for world, box in ((2, 1), (5, 0), (7, 1))}
+    weak = State(start, (), stands, errors={world: falls.get(world, stands) for world in range(1, 9)})
+    moves = [Move(1, float(length), 0.0) for length in (5, 10, 15, 20, 25, 30)]
+    drafts = {move: draft for move in moves if (draft := move.applied(start)) is not None}
+    batch = [Candidate(draft, (move,), (move,), 0.0, 0.0, weak) for move, draft in drafts.items()]
+    sizes = []
+
+    def ask(requests: list[Asked]) -> list[Trial]:
+        sizes.append(len(requests))
+        trials = []
+        for one in requests:
+            number = next(k for k, draft in enumerate(drafts.values()) if key_of(draft) == key_of(one.draft))
+            helps = {2: number < 2, 5: number == 2, 7: number == 0}.get(one.world, True)
+            longer = falls[2]._replace(n_held=2)
+            trials.append(stands if helps and (one.world, number) != (2, 1) else longer if helps else falls[one.world])
+        return trials
+
+    better = result_of(search._stronger(weak, batch, 8), ask)
+    assert [state.changes for state in better] == [(moves[0],), (moves[2],), (moves[1],)]
+    assert [state.n_good for state in better] == [7, 6, 5]
+    assert sizes == rounds
+
+
 def test_a_box_that_is_lowered_between_two_others_gets_room() -> None:
     plan = make_plan(boxes=[((200, 200, 200), (x, 0, 0), 5) for x in (0, 402, 201)])
     draft, rules = Draft.of(plan), Rules(make_plan(), Simulation(), 2000.0, 0)
@@ -583,6 +613,20 @@ def test_two_faults_are_mended_by_two_changes() -> None:
     result = repaired(TWO_FAULTS, trials=60)
     assert len(result.changes) == 2
     assert verdict(result.plan) == "stable"
+
+
+def test_a_gpu_judges_more_plans_at_once() -> None:
+    search = Search(make_plan(boxes=TWO_FAULTS), Simulation(), RepairOptions(worlds=0, trials=60), is_wide=True)
+    question, sizes = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0)), list[int]()
+
+    def ask(drafts: list[Asked]) -> list[Trial]:
+        sizes.append(len(drafts))
+        return question.trials(drafts)
+
+    result_of(search.run(), ask)
+    assert search.repairs[0].trial.stands
+    assert len(search.repairs[0].changes) == 2
+    assert max(sizes) == 48
 
 
 def test_each_way_to_change_a_box_is_judged_before_other_amounts() -> None:
