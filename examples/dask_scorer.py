@@ -1,4 +1,4 @@
-"""A Dask actor that holds a warm engine and scores plans on request: needs ``dask`` and ``distributed``.
+"""A Dask actor that keeps an engine warm and scores plans on request. It needs ``dask`` and ``distributed``.
 
 python examples/dask_scorer.py plans.json --workers 2
 """
@@ -16,13 +16,13 @@ import petmjx
 
 
 class ScorerActor:
-    """One engine, kept warm."""
+    """An actor with one engine, which stays warm between calls."""
 
     def __init__(self, **options: Any) -> None:
         self._scorer = petmjx.Scorer(**options)
 
     def worlds(self, plans: list[petmjx.Plan]) -> pd.DataFrame:
-        """One row a plan, in the order of the plans."""
+        """The table ``worlds`` of these plans: one row per plan, in the order of the plans."""
         return self._scorer.score(plans).worlds
 
 

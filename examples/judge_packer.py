@@ -23,14 +23,15 @@ Box = dict[str, Any]
 
 
 def pack(items: list[Box], extent_mm: tuple[float, float]) -> list[Box]:
-    """Stacks of equal boxes beside each other: a packer that is easy to understand, and to beat.
+    """Pack an order into stacks of equal boxes beside each other: a packer that is easy to understand, and easy to
+    beat.
 
     Args:
-        items: as an order has them.
-        extent_mm: of the target, x and y.
+        items: boxes in the form of BED-BPP's orders.
+        extent_mm: extents of the target along x and y, mm.
 
     Returns:
-        Boxes in packing order, with their corners; those without a place are left out.
+        Boxes in packing order, with their corners. Boxes without a place are left out.
     """
     placed: list[Box] = []
     x = y = z = end = row_end = 0.0
@@ -39,9 +40,9 @@ def pack(items: list[Box], extent_mm: tuple[float, float]) -> list[Box]:
         items, key=lambda candidate: (-candidate["length/mm"] * candidate["width/mm"], candidate["article"])
     ):
         length, width, height = (item[f"{side}/mm"] for side in ("length", "width", "height"))
-        if item["article"] != stacked or z + height > 1800:  # a new stack
+        if item["article"] != stacked or z + height > 1800:  # begin a new stack
             x, z, stacked = end, 0.0, item["article"]
-            if x + length > extent_mm[0]:  # a new row
+            if x + length > extent_mm[0]:  # begin a new row of stacks
                 x, y = 0.0, row_end
             if y + width > extent_mm[1]:
                 break

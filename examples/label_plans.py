@@ -1,10 +1,10 @@
-"""Label many plans: a file with one row for each plan, to train or test a model with.
+"""Label many plans: writes a file with one row per plan, with which you can train or test a model.
 
     python examples/label_plans.py plans.json labels.parquet --run results
 
-You can interrupt the run in ``results``: the same command continues it. The README says under "How fast" how long
-10,000 plans take. With ``--confidence 16`` the label is the share of 16 worlds with errors that stands, instead of 0
-or 1; that takes much longer.
+You can interrupt the run in the folder ``results``: the same command continues the run. The README gives the time for
+10,000 plans under "How fast". With ``--confidence 16`` the label is the share of 16 worlds with errors that stand,
+instead of 0 or 1. This takes much longer.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ import petmjx
 
 
 def labels(results: petmjx.RunResults) -> pd.DataFrame:
-    """plan_id, stands (0 or 1, or a share), margin, and the first box to fail. Plans without an answer are left out."""
+    """A table of labels, one row per plan: plan_id, stands (0 or 1, or a share), margin, and the first box to fail.
+    Plans without a verdict are left out."""
     worlds = results.worlds
     nominal = worlds[worlds["variant"] == 0] if "variant" in worlds else worlds
     known = nominal[nominal["verdict"] != "invalid"]
     table = known[["plan_id", "margin", "reason", "culprit", "first_sign_s"]].copy()
     table.insert(1, "stands", (known["verdict"] == "stable").astype(float))
-    if results.summary is not None:  # of a run with confidence
+    if results.summary is not None:  # a run with --confidence
         table["stands"] = table["plan_id"].map(results.summary.set_index("plan_id")["share"]).astype(float)
     return table
 

@@ -2,8 +2,8 @@
 
     python examples/ray_cluster.py plans.json results --ray head:6379
 
-Every machine needs the same versions of petmjx and of its simulation packages. If a worker dies, other workers take its
-worlds; if this process dies, the same command continues the run.
+Every machine needs the same versions of petmjx and of its simulation packages. If a worker dies, other workers
+simulate its worlds. If this process dies, the same command continues the run.
 """
 
 from __future__ import annotations

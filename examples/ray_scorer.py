@@ -2,7 +2,7 @@
 
     python examples/ray_scorer.py plans.json --actors 2
 
-With GPUs give each actor one: ``ScorerActor.options(num_gpus=1).remote(engine="mjx-warp")``.
+On GPUs, give each actor a GPU: ``ScorerActor.options(num_gpus=1).remote(engine="mjx-warp")``.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import petmjx
 
 
 class ScorerActor:
-    """One engine, kept warm."""
+    """An actor with one engine, which stays warm between calls."""
 
     def __init__(self, **options: Any) -> None:
         self._scorer = petmjx.Scorer(**options)
 
     def worlds(self, plans: list[petmjx.Plan]) -> pd.DataFrame:
-        """One row a plan, in the order of the plans."""
+        """The table ``worlds`` of these plans: one row per plan, in the order of the plans."""
         return self._scorer.score(plans).worlds
 
 

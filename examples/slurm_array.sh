@@ -1,6 +1,6 @@
 #!/bin/bash
-# One run shared out over an array of SLURM jobs: sbatch examples/slurm_array.sh plans.json results
-# Each job may be stopped and started again. When all are through: petmjx merge results/shard-* --out results/all
+# Divides one run among the jobs of a SLURM array: sbatch examples/slurm_array.sh plans.json results
+# Each job may be stopped and started again. When all jobs have finished: petmjx merge results/shard-* --out results/all
 #SBATCH --job-name=petmjx
 #SBATCH --array=1-20
 #SBATCH --cpus-per-task=8
@@ -11,8 +11,8 @@ set -euo pipefail
 
 plans=$1
 results=$2
-shards=${SHARDS:-${SLURM_ARRAY_TASK_COUNT:?start it with sbatch}} # SHARDS=20 to start one of 20 again
+shards=${SHARDS:-${SLURM_ARRAY_TASK_COUNT:?start it with sbatch}} # set SHARDS=20 to start one of 20 jobs again
 
-# On GPUs: #SBATCH --gpus=1, and --engine mjx-warp without --threads
+# On GPUs: add #SBATCH --gpus=1, and use --engine mjx-warp without --threads
 exec petmjx score "$plans" --engine mujoco --threads "$SLURM_CPUS_PER_TASK" \
     --shard "$SLURM_ARRAY_TASK_ID/$shards" --out "$results/shard-$SLURM_ARRAY_TASK_ID" --resume

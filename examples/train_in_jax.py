@@ -2,9 +2,9 @@
 
     python examples/train_in_jax.py --updates 50 --pallets 64
 
-With ``--engine mjx-warp`` the pallets never leave the GPU (``--pallets 1024 --boxes 80``). Needs no library beside JAX:
-Adam and the network are written out, so that you can put your own in their place. One small network scores every
-candidate, so that what is learned of one place holds for all.
+With ``--engine mjx-warp`` the pallets never leave the GPU (``--pallets 1024 --boxes 80``). The program needs no library
+except JAX: it contains Adam and the network, so that you can replace them with your own. One small network scores every
+candidate place, so that what it learns from one place applies to all places.
 """
 
 from __future__ import annotations
@@ -23,26 +23,29 @@ OPTIONS: dict[str, Any] = {
     "actions": "candidates",
     "n_candidates": 24,
     "mask": "support_50",
-    "gap_mm": 6.0,  # what a robot needs to put boxes beside each other
+    "gap_mm": 6.0,  # free space that a robot needs to put boxes beside each other
     "inside_mm": 20.0,
     "max_height_mm": 2000.0,
     "cell_mm": 50.0,
-    "longest_wait_s": 2.0,  # all pallets wait for the one that trembles longest
+    "longest_wait_s": 2.0,  # each step waits for the box that trembles longest on any pallet
     "rewards": {"utilisation": 20, "fall": 2},
 }
 
 GAMMA, TRACE, CLIP, ENTROPY, PARTS = 1.0, 0.95, 0.2, 0.003, 8
-"""Of PPO (Schulman et al. 2017) with generalised advantages (Schulman et al. 2016), and ``PARTS`` minibatches."""
+"""Parameters of PPO (Schulman et al. 2017) with generalised advantages (Schulman et al. 2016): discount, decay of the
+advantage's trace, clipping range, weight of the entropy, and number of minibatches."""
 
 WIDTH = 64
-"""Units of hidden layers."""
+"""Number of units of each hidden layer."""
 
 CARTONS = ((8, 6), (6, 8), (12, 8), (6, 4))
-"""Cells under common cartons: how low and on how many level places they could stand next says how good a pile is."""
+"""Sizes of common cartons in cells of the height map. How low such a carton could stand next, and on how many level
+places, shows how good a pile is."""
 
 
 class Seen(NamedTuple):
-    """What the network sees of a pallet: (s,) numbers of its state, (a, f) numbers of each candidate, (a,) mask."""
+    """What the network sees of a pallet: (s,) numbers of the pallet's state; (a, f) features of each candidate place;
+    (a,) whether each candidate is legal."""
 
     state: jax.Array
     candidates: jax.Array
@@ -50,7 +53,8 @@ class Seen(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A step of all pallets: (t, n, …). ``total``: the sum of an episode's rewards so far."""
+    """One step of all pallets; arrays (t, n, …) have the axes step and pallet. ``total``: sum of the rewards of an
+    episode so far."""
 
     seen: Seen
     action: jax.Array
@@ -62,7 +66,8 @@ class Step(NamedTuple):
 
 
 class Learner(NamedTuple):
-    """What training changes: the networks, Adam's moments and number of steps, the pallets, and the key."""
+    """Everything that training changes: the networks, Adam's moments and number of steps, the pallets, and the random
+    key."""
 
     layers: Any
     moments: Any
@@ -72,7 +77,7 @@ class Learner(NamedTuple):
 
 
 def largest_over(cells: jax.Array, along: int, length: int) -> jax.Array:
-    """The largest of ``length`` neighbours along an axis."""
+    """The largest of ``length`` neighbouring cells along an axis, for each cell."""
     done = 1
     while done < length:
         shift = min(done, length - done)
@@ -85,7 +90,7 @@ def largest_over(cells: jax.Array, along: int, length: int) -> jax.Array:
 
 
 def of_piles(cells: jax.Array) -> jax.Array:
-    """(…, f) numbers of height maps (…, x, y), m: mean, roughness, and free places of common cartons."""
+    """(…, f) features of height maps (…, x, y) in m: mean height, roughness, and the free places of common cartons."""
     steps = (jnp.abs(jnp.diff(cells, axis=axis)).mean(axis=(-2, -1)) for axis in (-2, -1))
     columns = [cells.mean(axis=(-2, -1)), cells.max(axis=(-2, -1)), 5 * sum(steps)]
     x, y = cells.ndim - 2, cells.ndim - 1
@@ -99,7 +104,8 @@ def of_piles(cells: jax.Array) -> jax.Array:
 
 
 def seen(env: Any, observation: Any) -> Seen:
-    """An observation as numbers of about 1. A candidate's are those of its place, and those of the pile with it on."""
+    """An observation as features of size about 1. The features of a candidate describe its place, and the pile with the
+    box on this place."""
     cells = observation.height_map / 1000
     side = OPTIONS["cell_mm"]
     turned, x, y, z, dx, dy, dz, mass, support, inside, pile = jnp.moveaxis(observation.candidates, -1, 0)
@@ -125,7 +131,7 @@ def seen(env: Any, observation: Any) -> Seen:
 
 
 def fresh(key: jax.Array, sizes: list[int]) -> list[tuple[jax.Array, jax.Array]]:
-    """The layers of a network."""
+    """New layers of a network, with random weights."""
     keys = jax.random.split(key, len(sizes) - 1)
     return [
         (
@@ -137,7 +143,7 @@ def fresh(key: jax.Array, sizes: list[int]) -> list[tuple[jax.Array, jax.Array]]
 
 
 def applied(layers: Any, x: jax.Array) -> jax.Array:
-    """The outputs of a network."""
+    """The outputs of a network for the inputs x."""
     for weights, bias in layers[:-1]:
         x = jax.nn.relu(x @ weights + bias)
     out: jax.Array = x @ layers[-1][0] + layers[-1][1]
@@ -145,7 +151,7 @@ def applied(layers: Any, x: jax.Array) -> jax.Array:
 
 
 def network(layers: Any, x: Seen) -> tuple[jax.Array, jax.Array]:
-    """Logarithms of the candidates' chances, and the value of the state."""
+    """Logarithms of the candidates' probabilities, and the value of the state."""
     state = jnp.broadcast_to(x.state[..., None, :], (*x.candidates.shape[:-1], x.state.shape[-1]))
     scores = applied(layers["score"], jnp.concatenate([x.candidates, state], axis=-1))[..., 0]
     chances = jax.nn.log_softmax(jnp.where(x.mask, scores, -1e9))
@@ -153,7 +159,8 @@ def network(layers: Any, x: Seen) -> tuple[jax.Array, jax.Array]:
 
 
 def rollout(env: Any, steps: int, layers: Any, pallet: Any, key: jax.Array) -> tuple[Any, Step, jax.Array]:
-    """Steps of one pallet, with a new episode after each end. Returns also the value of the next state."""
+    """Play ``steps`` steps on one pallet; a new episode begins after each end. Also returns the value of the state
+    after the last step."""
 
     def one(pallet: Any, key: jax.Array) -> tuple[Any, Step]:
         state, observation, total = pallet
@@ -189,7 +196,7 @@ def advantages(batch: Step, last: jax.Array) -> jax.Array:
 
 
 def loss(layers: Any, batch: Step, advantage: jax.Array, returns: jax.Array) -> jax.Array:
-    """PPO's clipped objective, the error of values, and the entropy."""
+    """The loss of PPO: the clipped objective, the error of the values, and the entropy."""
     chances, value = network(layers, batch.seen)
     ratio = jnp.exp(jnp.take_along_axis(chances, batch.action[..., None], axis=-1)[..., 0] - batch.chance)
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
@@ -219,7 +226,8 @@ def begin(env: Any, pallets: int, key: jax.Array) -> Learner:
 
 
 def update(env: Any, steps: int, epochs: int, rate: float, learner: Learner) -> tuple[Learner, dict[str, jax.Array]]:
-    """A rollout of ``steps`` of each pallet, and ``epochs`` over it. Pure: ``jax.vmap`` trains several seeds."""
+    """Play ``steps`` steps on each pallet, then train ``epochs`` times on them. The function is pure, so ``jax.vmap``
+    can train several seeds."""
     key, play_key, order_key = jax.random.split(learner.key, 3)
     n = len(learner.pallets[1].left)
     play = jax.vmap(partial(rollout, env, steps), in_axes=(None, 0, 0), out_axes=(0, 1, 0))
@@ -244,7 +252,7 @@ def update(env: Any, steps: int, epochs: int, rate: float, learner: Learner) -> 
 
 
 def packed(env: Any, layers: Any, order: jax.Array, key: jax.Array) -> tuple[Any, jax.Array]:
-    """The pallet onto which the policy's best actions put an order, and its return."""
+    """Pack an order with the policy's most likely actions. Returns the pallet and its return."""
 
     def one(carry: Any) -> Any:
         state, timestep, total = carry
@@ -258,7 +266,7 @@ def packed(env: Any, layers: Any, order: jax.Array, key: jax.Array) -> tuple[Any
 
 
 def environment(boxes: int, engine: str, seed: int, orders: int) -> Any:
-    """Pallets of at most ``boxes`` boxes, with drawn orders of a seed."""
+    """An environment of pallets with at most ``boxes`` boxes, and drawn orders of this seed."""
     drawn = [draw_order(seed, number) for number in range(orders)]
     return petmjx.jax.Palletizing(**OPTIONS, orders=drawn, most_boxes=boxes, engine=engine)
 

@@ -2,9 +2,9 @@
 
     python examples/train_with_physics.py --updates 30 --pallets 16
 
-The policy learns which of the lowest places to take, on generated orders; the reward counts standing boxes. Put your
-own network in place of ``Policy``: it needs ``observed["candidates"]``, (pallets, places, features), and the mask.
-Needs the extra ``gym``. On a GPU: ``--engine mjx-warp --pallets 2048``.
+The policy learns which of the lowest places to take, on generated orders. The reward is the number of standing boxes.
+You can replace ``Policy`` with your own network, which gets ``observed["candidates"]``, (pallets, places, features),
+and the mask. The program needs the extra ``gym``. On a GPU: ``--engine mjx-warp --pallets 2048``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LENGTHS = ("x", "y", "z", "length_x", "length_y", "height")
 
 
 def prepared(candidates: NDArray[Any]) -> Array:
-    """(n, a, f) features of about 1: metres, tens of kilograms, and some products."""
+    """(n, a, f) features of size about 1: lengths in metres, masses in units of ten kilograms, and some products."""
     features = candidates.astype(np.float64)
     for name in LENGTHS:
         features[..., FEATURES.index(name)] /= 1000
@@ -36,20 +36,22 @@ def prepared(candidates: NDArray[Any]) -> Array:
 
 
 class Policy:
-    """Softmax of a linear function of each candidate's features; and a linear value of the state."""
+    """A policy: softmax of a linear function of each candidate's features. It also has a linear function for the value
+    of a state."""
 
     def __init__(self, features: int) -> None:
         self.weights: Array = np.zeros(features)
         self.value: Array = np.zeros(3)
 
     def shares(self, features: Array, mask: NDArray[Any]) -> Array:
-        """(n, a) probabilities of legal actions."""
+        """(n, a) probabilities of the actions; 0 for illegal actions."""
         logits = np.where(mask, features @ self.weights, -np.inf)
         shares = np.exp(logits - logits.max(axis=-1, keepdims=True))
         return np.asarray(shares / shares.sum(axis=-1, keepdims=True), np.float64)
 
     def improve(self, batch: Batch, *, epochs: int = 4, clip: float = 0.2, rate: float = 0.3) -> None:
-        """PPO's clipped objective (Schulman et al. 2017), by its gradient: of log π it is φ(a) − Σ π φ."""
+        """Maximise PPO's clipped objective (Schulman et al. 2017), by its gradient: the gradient of log π is φ(a) − Σ π
+        φ."""
         advantage = batch.returns - batch.states @ self.value
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         rows = np.arange(len(batch.actions))
@@ -65,7 +67,7 @@ class Policy:
 
 @dataclass
 class Batch:
-    """Steps of all pallets: observations, actions, and results."""
+    """Steps of all pallets: features of observations, actions, and results."""
 
     features: Array
     mask: NDArray[Any]
@@ -76,7 +78,7 @@ class Batch:
 
 
 def collect(env: Any, observed: Any, policy: Policy, steps: int, rng: np.random.Generator) -> tuple[Batch, Any, Any]:
-    """Play some steps on all pallets; episodes begin anew in the step in which they end."""
+    """Play some steps on all pallets. A new episode begins in the step in which the previous one ends."""
     seen: list[tuple[Any, ...]] = []
     ended = []
     for _ in range(steps):
@@ -117,7 +119,7 @@ def main() -> None:
         autoreset_mode="SameStep",
         engine=arguments.engine,
         n_candidates=16,
-        mask="support_50",  # without the mask of physics: safety is to be learned
+        mask="support_50",  # without the mask "physics": the policy has to learn which places are safe
         rewards={"utilisation": 20, "fall": 2, "height": 0.5},
     )
     observed, _ = env.reset(seed=arguments.seed)

@@ -2,7 +2,7 @@
 
     python examples/train_with_rllib.py --updates 20
 
-RLlib steps single environments, each on an engine of its own, in as many processes as ``--runners``.
+RLlib steps single environments, each on an engine of its own, in ``--runners`` processes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ray.tune.registry import register_env
 
 
 class FlatWithMask(gymnasium.ObservationWrapper[Any, Any, Any]):
-    """Observations for RLlib's module for masks: one vector, and the mask beside it."""
+    """Observations in the form that RLlib's module for masks needs: one vector, and the mask beside it."""
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         super().__init__(env)
@@ -42,7 +42,7 @@ class FlatWithMask(gymnasium.ObservationWrapper[Any, Any, Any]):
 
 
 def make(options: dict[str, Any]) -> gymnasium.Env[Any, Any]:
-    """The environment, in whichever process RLlib wants it."""
+    """The environment, made in the process in which RLlib needs it."""
     return FlatWithMask(gymnasium.make("petmjx.gym:petmjx/Palletizing-v0", scaled=True, engine="mujoco", **options))
 
 
@@ -57,7 +57,7 @@ def main() -> None:
 
     register_env("palletizing", make)
     options = {"mask": "support_50", "rewards": {"utilisation": 20, "fall": 2}, "threads": 1}
-    start: Any = PPOConfig  # has no types
+    start: Any = PPOConfig  # PPOConfig has no types
     config = (
         start()
         .environment("palletizing", env_config=options)

@@ -2,8 +2,8 @@
 
     python examples/train_with_sb3.py --steps 200000 --engine mjx-warp-cpu
 
-The policy learns on orders that grow and are placed more and more inexactly. On a GPU: ``--engine mjx-warp --pallets
-2048``. One small network scores every candidate, so that what is learned of one place holds for all.
+During the training, orders grow and boxes are placed more and more inexactly. On a GPU: ``--engine mjx-warp --pallets
+2048``. One small network scores every candidate place, so that what it learns from one place applies to all places.
 """
 
 from __future__ import annotations
@@ -24,21 +24,23 @@ OPTIONS: dict[str, Any] = {
     "n_candidates": 16,
     "cell_mm": 100,
     "max_height_mm": 2000,
-    "gap_mm": 6,  # what a robot needs to put boxes beside each other
+    "gap_mm": 6,  # free space that a robot needs to put boxes beside each other
     "rewards": {"utilisation": 20, "fall": 2},
     "curriculum": {"boxes": (8, 80), "sizes": (0.5, 1.0), "errors": (0.0, 1.0)},
     "level": 0.0,
 }
 
 WIDTH = 64
-"""Units of hidden layers."""
+"""Number of units of each hidden layer."""
 
 
-class Scores(nn.Module):  # type: ignore[misc]  # Any where PyTorch is not installed
-    """Scores of candidates and the value of a state, in the place of Stable-Baselines3's two networks.
+class Scores(nn.Module):  # type: ignore[misc]  # the base class is Any if PyTorch is not installed
+    """A network that scores candidates and estimates the value of a state. It replaces Stable-Baselines3's two
+    networks.
 
     Args:
-        space: the observations; SB3 hands them over flat, one after another in the order of their names.
+        space: space of the observations. SB3 passes an observation as one flat vector, with its parts in the order of
+            their names.
     """
 
     def __init__(self, space: Any) -> None:
@@ -52,17 +54,17 @@ class Scores(nn.Module):  # type: ignore[misc]  # Any where PyTorch is not insta
         self.latent_dim_pi, self.latent_dim_vf = self._shape[0], WIDTH
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """(m, a) scores, and (m, WIDTH) what the value is made of."""
+        """(m, a) scores of the candidates, and (m, WIDTH) features from which the value is computed."""
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """(m, a) scores of candidates."""
+        """(m, a) scores of the candidates."""
         candidates, rest = self._separate(features)
         state = self.state(rest)[:, None].expand(-1, self._shape[0], -1)
         return self.score(torch.cat([candidates, state], dim=2))[..., 0]
 
     def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
-        """(m, WIDTH) what the value is made of."""
+        """(m, WIDTH) features from which the value is computed."""
         return self.critic(self._separate(features)[1])
 
     def _separate(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -71,8 +73,8 @@ class Scores(nn.Module):  # type: ignore[misc]  # Any where PyTorch is not insta
         return parts["candidates"].reshape(-1, *self._shape), torch.cat(rest, dim=1)
 
 
-class ScoringPolicy(MaskableMultiInputActorCriticPolicy):  # type: ignore[misc]  # Any where SB3 is not installed
-    """A policy whose logits are the scores of candidates."""
+class ScoringPolicy(MaskableMultiInputActorCriticPolicy):  # type: ignore[misc]  # the base class is Any if SB3 is not installed
+    """A policy whose logits are the scores of the candidates."""
 
     def _build_mlp_extractor(self) -> None:
         self.mlp_extractor = Scores(self.observation_space)
@@ -83,8 +85,9 @@ class ScoringPolicy(MaskableMultiInputActorCriticPolicy):  # type: ignore[misc] 
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-class Harder(BaseCallback):  # type: ignore[misc]  # Any where SB3 is not installed
-    """Raises the level of all environments with the steps, from 0 to 1 at half of the steps."""
+class Harder(BaseCallback):  # type: ignore[misc]  # the base class is Any if SB3 is not installed
+    """Raises the level of the curriculum in all environments with the number of steps, from 0 to 1. The level is 1 from
+    half of the steps on."""
 
     def __init__(self, steps: int) -> None:
         super().__init__()
@@ -98,7 +101,7 @@ class Harder(BaseCallback):  # type: ignore[misc]  # Any where SB3 is not instal
 
 
 def learner(env: Any, rollout: int = 32, seed: int = 0) -> Any:
-    """MaskablePPO with the network above; ``rollout`` steps of each pallet between two updates."""
+    """MaskablePPO with the network above. Between two updates, each pallet makes ``rollout`` steps."""
     steps = env.num_envs * rollout
     return MaskablePPO(
         ScoringPolicy,

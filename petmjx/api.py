@@ -1,6 +1,7 @@
-"""Scoring and sweeping from Python: ``petmjx.score`` and ``petmjx.sweep``. Both call ``petmjx.runs.simulate``.
+"""The functions that simulate plans: ``petmjx.score`` and ``petmjx.sweep``. Both call ``petmjx.runs.simulate``.
 
-Modules that only some runs need are imported on first use, so a plain score does not load the code of sweeps.
+Modules that only some runs need are imported on first use. So a plain score does not load the code of sweeps, which
+simulate many variants of each plan.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Function]:
-    """Give a function with ``**options`` a signature and a docstring that list the fields of the records."""
+    """Make a decorator for functions with ``**options``. It adds the fields of the option records to a function's
+    signature and docstring."""
 
     def decorate(function: Function) -> Function:
         signature = inspect.signature(function)
@@ -53,12 +55,12 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
 @contextmanager
 def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """Yield the watcher of a run. A watcher from the caller is used unchanged. Otherwise, a notebook gets a progress
-    bar. Elsewhere, ``progress`` gives a watcher that prints lines on standard error; without ``progress``, there is no
-    watcher (None).
+    """Yield the watcher of a run, which is the object that is told about the run's progress. A watcher from the caller
+    is used unchanged. Without one, a notebook shows a progress bar. A script prints lines on standard error if
+    ``progress`` is set; otherwise, it has no watcher (None).
 
     Raises:
-        InputError: the given object lacks a method of a watcher.
+        InputError: the given watcher lacks a method that watchers must have.
     """
     flag_of(progress, "progress")
     if watcher is not None and not all(callable(getattr(watcher, name, None)) for name in ("begin", "world_done")):
@@ -75,7 +77,8 @@ def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | Non
 
 
 def _intervals(options: RunOptions) -> Intervals | None:
-    """The function that computes intervals of forces; None if the options do not request them.
+    """The function that computes the smallest and the largest possible force on each box; None if the options do not
+    request these intervals.
 
     Raises:
         InputError: SciPy is missing.
@@ -105,7 +108,7 @@ def score(
 
     Args:
         plans: a file, a folder, the folder of a run (whose plans are used), several of these, a data frame with one row
-            per box, a plan, a list of plans or a ``PlanSet``; None: the bundled samples.
+            per box, a plan, a list of plans or a ``PlanSet``. If None, the bundled sample plans are simulated.
         watcher: an object whose methods are called as the run proceeds. Without a watcher, notebooks show a progress
             bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
@@ -113,9 +116,10 @@ def score(
             ``petmjx.RunOptions``, listed below.
 
     Returns:
-        The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames, and ``.info``. With ``confidence``
-        or ``chain`` there is also ``.summary``, and ``.worlds`` has several rows per plan: variant 0 is the world
-        without errors.
+        The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames, and ``.info``. A world is one
+        simulation of one plan, and has one row in ``.worlds``. With ``confidence`` or ``chain``, each plan has several
+        worlds with different errors, and the world without errors has the number 0 in the column ``variant``. There is
+        then also ``.summary``, a data frame about plans.
 
     Raises:
         InputError: the plans or options are unusable.
@@ -160,11 +164,12 @@ def sweep(
 
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
-        plans: as for :func:`score`. Plans given here replace the plans that the sweep file names. None: all plans of
-            the file.
+        plans: as for :func:`score`. Plans given here replace the plans that the sweep file names. If None, all plans
+            that the file names are simulated.
         watcher: as for :func:`score`.
         progress: in a script, print the progress of the run on standard error every few seconds.
-        batching: how many states and worlds are held in memory. This option does not affect the results.
+        batching: how many settled states and worlds (simulations of one plan each) are held in memory. This option does
+            not affect the results.
         options: fields of ``petmjx.Simulation``, which replace those of the sweep file, and fields of
             ``petmjx.RunOptions``.
 

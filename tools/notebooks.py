@@ -1,4 +1,4 @@
-"""The notebooks of examples/, executed, and as pages of the documentation site."""
+"""Executes the notebooks of examples/, and converts them to pages of the documentation site."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
 
 TIMEOUT_S = 120
-"""A cell that takes longer is stuck."""
+"""Longest time that a cell may take, s. A cell that takes longer hangs."""
 
 
 @dataclass(frozen=True)
 class NotebookPage:
-    """A notebook as a page.
+    """A notebook as a page of the site.
 
     Attributes:
-        markdown: its text, with a mark in place of each HTML output.
-        outputs: mark → HTML.
-        files: name → bytes of pictures, which the text links to.
+        markdown: text of the page, with a mark in place of each HTML output.
+        outputs: mark → HTML output.
+        files: name → bytes of a picture to which the text links.
     """
 
     markdown: str
@@ -34,22 +34,22 @@ def executed(path: Path, folder: Path) -> Any:
     """A notebook after all its cells have run in a kernel of their own.
 
     Args:
-        folder: where they run: files that they write land there.
+        folder: working folder of the cells, in which they write files.
 
     Raises:
         nbclient.exceptions.CellExecutionError: a cell failed.
     """
     notebook = nbformat.read(path, as_version=4)
     where = {"metadata": {"path": str(folder)}}
-    errors_alone = ["--IPKernelApp.log_level=40"]  # else it warns of its ports, which are this machine's
+    errors_alone = ["--IPKernelApp.log_level=40"]  # otherwise the kernel prints a warning about its ports
     return NotebookClient(notebook, timeout=TIMEOUT_S, resources=where, extra_arguments=errors_alone).execute()
 
 
 def page_of(path: Path) -> NotebookPage:
     """Execute a notebook and convert it to Markdown.
 
-    HTML outputs (tables, stories to play) are taken out: a Markdown parser need not read them, and links in them are
-    not those of the page.
+    HTML outputs (tables, stories to play) are replaced by marks. A Markdown parser need not read these outputs, and
+    their links are not links of the page.
     """
     with tempfile.TemporaryDirectory() as folder:
         notebook = executed(path, Path(folder))
@@ -61,6 +61,6 @@ def page_of(path: Path) -> NotebookPage:
                 mark = f'<div class="notebook-output" id="output-{len(outputs)}"></div>'
                 outputs[mark] = data["text/html"]
                 data["text/html"] = mark
-    notebook.cells[0].source = notebook.cells[0].source.partition("\n")[2]  # the page has a title
+    notebook.cells[0].source = notebook.cells[0].source.partition("\n")[2]  # the page already has a title
     markdown, resources = MarkdownExporter().from_notebook_node(notebook, {"unique_key": path.stem})
     return NotebookPage(markdown, outputs, dict(resources["outputs"]))

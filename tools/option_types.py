@@ -2,8 +2,9 @@
 
     python -m tools.option_types
 
-An option is written once, as a field of a record in ``petmjx/options``. Type checkers do not run code, so they need
-its name and type once more. This program writes them, and a test fails when the program must run again.
+An option is defined once, as a field of a record in ``petmjx/options``. Type checkers do not run code, so they need the
+name and the type of the option in a second place, which this program writes. A test fails if the program has to run
+again.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ INNER: tuple[type[CheckedRecord], ...] = (
     FrictionPair,
     LandingPair,
 )
-"""Records within ``Simulation``, which may also be given as tables."""
+"""Records within ``Simulation``, which a caller may also give as tables (dictionaries)."""
 
 SHORT: dict[type[CheckedRecord], tuple[str, ...]] = {
     Physics: ("PhysicsName",),
@@ -61,7 +62,8 @@ SHORT: dict[type[CheckedRecord], tuple[str, ...]] = {
     Walls: ("tuple[Side | SideName, ...]", "list[Side | SideName]", "str"),
     OwnCarrier: ("str", "PathLike[str]"),
 }
-"""Other values for such a record: its name, or the file that has it."""
+"""Record → types of other values that a caller may give for it: the name of a preset, or the file that contains the
+record."""
 
 OUTER: dict[str, type[CheckedRecord]] = {
     "SimulationOptions": Simulation,
@@ -69,7 +71,7 @@ OUTER: dict[str, type[CheckedRecord]] = {
     "TransportOptions": Transport,
     "RunOptionsGiven": RunOptions,
 }
-"""Name of a typed dictionary → the record whose fields it has."""
+"""Name of a typed dictionary → the record whose fields the dictionary has."""
 
 TAIL = '''
 
@@ -88,17 +90,17 @@ def literal(values: Iterable[str]) -> str:
 
 
 class Written:
-    """Types as text, and the names that the text needs.
+    """Types as text, and the names that the text uses.
 
     Attributes:
-        enums: enumerations that were named; each has an alias for its values as text.
+        enums: the enumerations in the text. For each of them, an alias lists its values as text.
     """
 
     def __init__(self) -> None:
         self.enums: dict[str, type[Enum]] = {}
 
     def members(self, kind: Any) -> Iterator[str]:
-        """The members of the union that a caller may give for a field of this type."""
+        """The members of the union of all types that a caller may give for a field of this type."""
         origin, arguments = get_origin(kind), get_args(kind)
         if origin is Annotated:
             yield from self.members(arguments[0])
@@ -111,7 +113,7 @@ class Written:
             entries = [self.text(entry) for entry in arguments if entry is not Ellipsis]
             yield f"tuple[{', '.join(entries)}{', ...' if Ellipsis in arguments else ''}]"
             yield f"list[{' | '.join(dict.fromkeys(entries))}]"
-        elif origin is dict:  # also as text, such as "x=Pos X"
+        elif origin is dict:  # a caller may also give text, such as "x=Pos X"
             yield from (f"dict[{', '.join(map(self.text, arguments))}]", "str")
         elif kind is type(None):
             yield "None"
@@ -141,7 +143,7 @@ def alias(name: str, values: Iterable[str]) -> str:
 
 
 def option_types() -> str:
-    """The text of the module."""
+    """The text of ``petmjx/runs/option_types.py``."""
     written = Written()
 
     def fields_of(record: type[CheckedRecord]) -> Iterator[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""The reference of options and commands as Markdown, made from the code."""
+"""Makes the reference of options and of commands as Markdown, from the code."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RECORDS: tuple[tuple[str, str, type[CheckedRecord]], ...] = (
     ("How sure it is", "", Confidence),
     ("How it runs", "", RunOptions),
 )
-"""Heading, path of the record for ``--set``, record."""
+"""Heading of the section, prefix of the record's fields for ``--set``, record."""
 
 
 def cell(text: str) -> str:
@@ -63,7 +63,7 @@ def option_rows(prefix: str, record: type[CheckedRecord]) -> Iterator[str]:
 
 
 def options() -> str:
-    """A table for each record of options."""
+    """Markdown of all options: one table for each record."""
     parts = []
     for title, prefix, record in RECORDS:
         rows = "\n".join(option_rows(prefix, record))
@@ -82,7 +82,7 @@ def help_of(name: str, command: Any) -> str:
 
 
 def commands() -> str:
-    """A section for each command."""
+    """Markdown of all commands: one section for each command."""
     group: Any = typer.main.get_command(application())
     parts = []
     for name, command in group.commands.items():

@@ -1,4 +1,5 @@
-"""Hooks of the documentation site (mkdocs.yml): pages made from the code, from files outside docs/, and by petmjx."""
+"""Hooks of the documentation site (mkdocs.yml): pages made from the code, from files outside docs/, and by petmjx
+itself."""
 
 from __future__ import annotations
 
@@ -27,39 +28,41 @@ OUTSIDE = (
     "benchmarks/results/cpu-0.2.md",
     "benchmarks/results/h200-0.2.md",
 )
-"""Documents outside docs/ that are pages too, at the same path."""
+"""Documents outside docs/ that are also pages of the site, at the same path."""
 
 MADE = {"options": reference.options, "commands": reference.commands}
-"""Name in a ``made from the code`` comment → function that writes the text in its place."""
+"""Name in a ``made from the code`` comment of a page → function that makes the text in place of the comment."""
 
 NOTEBOOKS = {path.stem: path for path in sorted((REPOSITORY / "examples").glob("*.ipynb"))}
-"""Name in a ``notebook`` comment → the notebook that is shown there, with its outputs."""
+"""Name in a ``notebook`` comment of a page → path of the notebook that replaces the comment, with its outputs."""
 
 HEIGHTS = {"collapse": 760, "report": 900}
-"""Example → height of its frame, px."""
+"""Name of an example → height of its frame, px."""
 
 _PAGES: dict[str, notebooks.NotebookPage] = {}
-"""The notebooks, after their execution."""
+"""Name of a notebook → its page, after its execution."""
 
 LINK = re.compile(r"\[([^\]]*)\]\(([^)\s#:]+)(#[^)\s]*)?\)")
 CODE = re.compile(r"^```.*?^```$|`[^`\n]+`", flags=re.DOTALL | re.MULTILINE)
 CODE_WITH_PIPE = re.compile(r"`[^`\n]*\\\|[^`\n]*`")
-"""GitHub needs a backslash before a pipe in a table's code, and this site would show it."""
+"""Code with a pipe in a table. GitHub needs a backslash before the pipe, but this site would show the backslash."""
 
 SHIM = re.compile(r'<script src="https://[^"]*/iframe-worker/shim"></script>')
-"""The theme's way to search pages that were opened from a folder; docs/search-offline.js does it without a server."""
+"""A script with which the theme searches pages that are opened from a folder. docs/search-offline.js does this without
+a server."""
 
 ROLE = re.compile(r":(?:func|class|meth|mod|data|attr):<code>~?")
 
 
 def on_config(config: Any) -> Any:
-    """Read the source files of mkdocstrings from the repository, wherever the build was started."""
+    """Change to the repository, so that mkdocstrings finds the source files wherever the build was started."""
     os.chdir(REPOSITORY)
     return config
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the documents outside docs/, the examples, and the pictures of notebooks, which are executed for it."""
+    """Add the documents outside docs/, the examples, and the notebooks' pictures. The notebooks are executed for
+    this."""
     for name in OUTSIDE:
         files.append(File.generated(config, name, content=(REPOSITORY / name).read_text(encoding="utf-8")))
     for name, text in examples().items():
@@ -72,7 +75,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def examples() -> dict[str, str]:
-    """Name → page of a story and of a report, made as docs/examples.md says."""
+    """Name of an example → HTML page of a story or of a report, made by the commands in docs/examples.md."""
     with tempfile.TemporaryDirectory() as folder:
         story, run, report = (str(Path(folder) / name) for name in ("story.html", "results", "report.html"))
         quiet("show", "s0-000016", "--engine", "mujoco", "--no-early-stop", "--html", story)
@@ -80,7 +83,7 @@ def examples() -> dict[str, str]:
         quiet("report", run, "-o", report)
         made = {"collapse": story, "report": report}
         texts = {name: Path(page).read_text(encoding="utf-8") for name, page in made.items()}
-        # where the site was built concerns nobody
+        # remove the paths of the machine on which the site is built
         return {name: text.replace(f"{folder}/", "").replace(f"{REPOSITORY}/", "") for name, text in texts.items()}
 
 
@@ -93,7 +96,8 @@ def quiet(*arguments: str) -> None:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
-    """Fill in the texts made from the code, and lead links out of docs/ to pages or to the repository."""
+    """Insert the texts made from the code. Change links that lead out of docs/ into links to pages of the site or to
+    the repository."""
     for name, make in MADE.items():
         mark = f"<!-- made from the code: {name} -->"
         if mark in markdown:
@@ -109,14 +113,14 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     uri = page.file.src_uri
     source = uri if uri in OUTSIDE else f"docs/{uri}"
     if uri in OUTSIDE:
-        page.meta["search"] = {"boost": 0.3}  # long logs, which have every word
+        page.meta["search"] = {"boost": 0.3}  # long logs contain every word, so they get a low weight in the search
     address = config.extra["social"][0]["link"]
     markdown = CODE_WITH_PIPE.sub(lambda match: match[0].replace("\\|", "|"), markdown)
     return outside_code(markdown, lambda text: LINK.sub(lambda match: relinked(match, source, uri, address), text))
 
 
 def outside_code(markdown: str, change: Any) -> str:
-    """Apply a change to all text that is not code."""
+    """Apply a change to all text outside of code."""
     parts, end = [], 0
     for code in CODE.finditer(markdown):
         parts += [change(markdown[end : code.start()]), code[0]]
@@ -125,12 +129,13 @@ def outside_code(markdown: str, change: Any) -> str:
 
 
 def relinked(match: re.Match[str], source: str, uri: str, address: str) -> str:
-    """A link of the file ``source`` as one of the page ``uri``. A link called by its file gets the page's title."""
+    """A link in the file ``source`` as a link in the page ``uri``. If the text of the link is only a file name, it is
+    replaced by the title of the page."""
     text, target, anchor = match[1], match[2], match[3] or ""
     path = posixpath.normpath(posixpath.join(posixpath.dirname(source), target))
     here = REPOSITORY / path
     if not here.exists():
-        return match[0]  # mkdocs reports it
+        return match[0]  # mkdocs reports the missing file
     if path not in OUTSIDE and not path.startswith("docs/"):
         return f"[{text}]({address}/{'tree' if here.is_dir() else 'blob'}/HEAD/{path}{anchor})"
     if here.suffix == ".md" and text in (target, path):
@@ -140,7 +145,7 @@ def relinked(match: re.Match[str], source: str, uri: str, address: str) -> str:
 
 
 def frame(name: str, height: int) -> str:
-    page = f"examples/{name}.html"  # beside docs/examples.md
+    page = f"examples/{name}.html"  # in a folder beside docs/examples.md
     return (
         f'<iframe class="example" src="{page}" title="{name}" height="{height}" loading="lazy"></iframe>\n\n'
         f"[Open it alone]({page}){{ target=_blank }}"
@@ -148,8 +153,8 @@ def frame(name: str, height: int) -> str:
 
 
 def on_page_content(html: str, page: Any, **_: Any) -> str:
-    """Fill in the outputs of notebooks. Roles in docstrings (:func:`petmjx.score`) are Sphinx's; on this site they are
-    code."""
+    """Insert the outputs of notebooks. Roles in docstrings (:func:`petmjx.score`) are Sphinx markup; this site shows
+    their names as code."""
     html = ROLE.sub("<code>", html)
     made = _PAGES.get(Path(page.file.src_uri).stem) if page.file.src_uri.startswith("notebooks/") else None
     for mark, output in made.outputs.items() if made else ():
@@ -160,11 +165,11 @@ def on_page_content(html: str, page: Any, **_: Any) -> str:
 
 
 def on_post_page(output: str, page: Any, **_: Any) -> str:
-    """No page asks anything of a server."""
+    """Replace a script that the page would load from a server."""
     to = posixpath.relpath("search-offline.js", posixpath.dirname(page.url) or ".")
     return SHIM.sub(f'<script src="{to}"></script>', output)
 
 
 def on_post_template(output_content: str, **_: Any) -> str:
-    """Nor does the page of an address that is none (404.html), which only a server shows."""
+    """Do the same for the page of missing addresses (404.html), which only a server shows."""
     return SHIM.sub("", output_content)

@@ -1,8 +1,8 @@
-"""Curves of trainings, as a figure and a table.
+"""Curves of one or more trainings, as a figure and a table.
 
     python examples/train_packer/figure.py trained [more …] --out curves.png
 
-Needs matplotlib (extra ``show``). Beside the figure a CSV is written, with a column for each number of the curves.
+Needs matplotlib (extra ``show``). A CSV file with one column for each curve is written beside the figure.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PANELS = (
 
 
 def table(folders: list[Path]) -> pd.DataFrame:
-    """The curves of all trainings, in rows."""
+    """The rows of the curves of all trainings, in one table."""
     parts = [pd.read_json(folder / "curves.jsonl", lines=True).assign(training=folder.name) for folder in folders]
     return pd.concat(parts, ignore_index=True)
 

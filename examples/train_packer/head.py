@@ -1,4 +1,5 @@
-"""The stability head, fitted to the labels of physics, and its calibration."""
+"""Fits the stability head to the labels from simulations, and measures its calibration. The stability head is a network
+that estimates the chance that a placed box stands."""
 
 from __future__ import annotations
 
@@ -18,31 +19,31 @@ from petmjx.plans.order_generator import stream
 STREAM = 102
 HIDDEN = 16
 ASIDE = 4
-"""One in this many orders is kept for tests."""
+"""One order in this number is kept for tests."""
 
 DECAY = 1e-4
-"""Of weights, against fitting noise."""
+"""Weight decay, which keeps the network from fitting noise."""
 
 EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 1.0)
-"""Bins of the reliability table."""
+"""Edges of the bins of estimated chances in the reliability table."""
 
 
 def believing() -> Network:
-    """A head that believes that all placements stand, before there are labels."""
+    """A head that estimates that all placements stand, for use before there are labels."""
     f = len(NAMES)
     fresh = Network.fresh(np.zeros(f), np.ones(f), HIDDEN, stream(0, STREAM))
     return replace(fresh, constant=np.array(8.0))
 
 
 def kept_aside(order: Array) -> NDArray[np.bool_]:
-    """(m,) whether placements are kept for tests, by the numbers of their orders: of the first orders of pallets
-    equally many as of later ones, since most placements are in the first."""
+    """(m,) whether a placement is kept for tests, which depends on the number of its order. Most placements are in the
+    first order of a pallet, so first orders and later orders are divided separately, in the same ratio."""
     pallet, later = np.divmod(order, ORDERS)
     return np.asarray((pallet + later) % ASIDE == 0)
 
 
 def fit(labels: Labels, seed: int, steps: int) -> tuple[Network, dict[str, Any]]:
-    """The head, and its calibration on test orders."""
+    """The fitted head, and its calibration on the orders kept for tests."""
     aside = kept_aside(labels.order)
     mean, scale = labels.features.mean(axis=0), labels.features.std(axis=0)
     fresh = Network.fresh(mean, np.where(scale > 1e-6, scale, 1.0), HIDDEN, stream(seed, STREAM))
@@ -56,10 +57,10 @@ def fit(labels: Labels, seed: int, steps: int) -> tuple[Network, dict[str, Any]]
 
 
 def _descended(head: Network, features: Array, stands: Array, seed: int, steps: int) -> Network:
-    """The maximum of the likelihood, by Adam over all placements at a time."""
+    """The head with the largest likelihood, found by Adam. Each step uses all placements."""
     values = head.learned
     values[-1] = np.log((stands.sum() + 1) / (len(stands) - stands.sum() + 1))
-    # hidden units with zero weights would learn nothing; so a little of each
+    # hidden units with zero weights would learn nothing, so their weights begin as small random numbers
     values[-1 - HIDDEN : -1] = 0.1 * stream(seed, STREAM, 1).standard_normal(HIDDEN)
     adam = Adam.fresh(values.size)
     for step in range(steps):
@@ -71,11 +72,11 @@ def _descended(head: Network, features: Array, stands: Array, seed: int, steps: 
 
 
 def calibration(chances: Array, stands: Array, base: float) -> dict[str, Any]:
-    """How far chances can be trusted: reliability by bins, Brier's score, expected calibration error.
+    """How far estimated chances can be trusted: reliability by bins, Brier score, expected calibration error.
 
     Args:
-        chances, stands: (m,) of test placements.
-        base: the share of the training placements that stand: the prediction of a constant.
+        chances, stands: (m,) estimates and results of the test placements.
+        base: share of the training placements that stand. A constant prediction of this share is the reference.
     """
     table = []
     bins = np.clip(np.searchsorted(EDGES, chances, side="right") - 1, 0, len(EDGES) - 2)
@@ -96,7 +97,8 @@ def calibration(chances: Array, stands: Array, base: float) -> dict[str, Any]:
 
 
 def _auc(chances: Array, stands: Array) -> float | None:
-    """Probability that a standing placement has a larger chance than a falling one; ties count half."""
+    """Area under the ROC curve: the probability that a standing placement has a larger estimated chance than a falling
+    one. A tie counts as one half."""
     good, bad = np.sort(chances[stands > 0]), chances[stands == 0]
     if not len(good) or not len(bad):
         return None

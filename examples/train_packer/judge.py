@@ -1,4 +1,4 @@
-"""The policy's plans judged by physics, on orders outside its training."""
+"""Simulates the policy's plans for orders that are not used for training."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ORDERS, WORLDS = 24, 4
 
 
 def judged(policy: Policy, engine: Any) -> dict[str, float]:
-    """The share of plans that stand placed exactly, and of worlds with errors."""
+    """The share of plans that stand when placed exactly, and the share of worlds with errors that stand."""
     plans = []
     for number in range(ORDERS):
         order = draw_order(CATALOGUE, number)

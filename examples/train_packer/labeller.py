@@ -1,4 +1,4 @@
-"""Labels in files, collected by a process of its own while other processes pack."""
+"""Collects labels in a separate process and stores them in files, while other processes pack."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from petmjx.packers.learned_packer import Policy
 
 
 class Labeller:
-    """Rounds of labels, both finished and missing ones.
+    """Rounds of labels. A finished round has a file; missing rounds are collected.
 
     Args:
         out: folder of the files.
-        how: arguments of ``collect`` that are the same for all.
+        how: arguments of ``collect`` that are the same for all rounds.
     """
 
     def __init__(self, out: Path, how: dict[str, Any]) -> None:
@@ -28,9 +28,9 @@ class Labeller:
         self._coming: dict[int, Future[None]] = {}
 
     def begin(self, round_: int, policy: Policy) -> None:
-        """Collect a round in the background, if it is missing.
+        """Begin to collect the labels of a round in the background, if the round is missing.
 
-        The policy of the round is stored, so that a continued training uses the same one.
+        The policy of the round is stored, so that a resumed training uses the same policy.
         """
         kept = self._out / f"policy-{round_}.npz"
         if not kept.exists():
@@ -43,10 +43,10 @@ class Labeller:
         self._coming[round_] = self._process.submit(_write, *job)
 
     def labels(self, rounds: int, most_s: float) -> Labels:
-        """All labels of the first rounds, once they exist.
+        """All labels of the first ``rounds`` rounds. The call waits until they exist.
 
         Raises:
-            TimeoutError: they do not exist after this time.
+            TimeoutError: the labels do not exist after ``most_s`` seconds.
         """
         end = time.monotonic() + most_s
         parts = []
@@ -58,7 +58,7 @@ class Labeller:
         return Labels.joined(parts)
 
     def close(self) -> None:
-        """Stop the rounds in progress."""
+        """Stop the rounds that are being collected."""
         if self._process is not None:
             for process in list((self._process._processes or {}).values()):
                 process.terminate()

@@ -1,8 +1,9 @@
-"""Labels of placements by physics.
+"""Labels of placements, from simulations.
 
-Many pallets are packed side by side in ``petmjx.Pallets``, by rules and partly at random, and a hand places each box as
-inexactly as a robot does: its place, its size and its mass are in error. So each box stands among others with errors of
-their own. A label is whether the pallet stands when the box has been placed; one that does not begins anew.
+Many pallets are packed side by side in ``petmjx.Pallets``, by rules and partly at random. A hand places each box as
+inexactly as a robot does: with errors of place, size and mass. So the boxes under a new box have errors, too. The label
+of a placement is whether the pallet stands with the new box on it. A pallet that does not stand is emptied, and the
+next order begins.
 """
 
 from __future__ import annotations
@@ -25,37 +26,39 @@ TARGET = "euro-pallet"
 
 CLEARANCES_MM = (0.0, 2.0, CLEARANCE_MM, CLEARANCE_MM, 6.0, 10.0)
 WANDERS = (0.0, 0.05, 0.2, 0.5)
-"""Free space between boxes, and the share of boxes that are placed at random, in balance or not. Each order has one
-such number."""
+"""``CLEARANCES_MM``: free space between boxes, mm. ``WANDERS``: share of boxes that are placed at random, in balance or
+not. One number of each kind is drawn for each order."""
 
 LEAST_SUPPORT = 0.2
-"""Of a box that is placed at random."""
+"""Smallest supported share of the base of a box that is placed at random."""
 
 PLACE_MM, SIZE_MM, MASS = 2.7, 1.0, 0.02
-"""Errors, as standard deviations: of the ready-made sweep ``confidence``; that of places also stands for turns of 0.5°,
-which are 1.8 mm at the ends of a carton of 400 mm."""
+"""Standard deviations of the errors: place in mm, size in mm, and mass as a share. They are those of the ready-made
+sweep ``confidence``, but the error of places also stands for turns of 0.5°, which move the ends of a carton of 400 mm
+by 1.8 mm."""
 
 CATALOGUES = 3_000_000
-"""Seeds of orders begin here: no other set of petmjx's has these."""
+"""First seed of the orders. No other set of petmjx uses seeds from this number on."""
 
 ORDERS = 100
-"""Most orders of a pallet: the orders of pallet p have numbers from ``ORDERS`` · p on."""
+"""Largest number of orders of a pallet. The orders of pallet p have numbers from ``ORDERS`` · p on."""
 
 STREAM = 101
-"""Random numbers of this stage."""
+"""Key of the random numbers of this stage of the training."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Placements with their labels by physics.
+    """Placements with their labels.
 
     Attributes:
-        features: (m, f) ``stability_features``.
+        features: (m, f) the features from ``stability_features``.
         stands: (m,) 1 if the pallet stands with the box on it, else 0.
-        order: (m,) numbers of orders: test sets consist of whole orders.
-        usual: (m,) 1 where the box was placed by the packer and with its free space, 0 where with another or at random.
+        order: (m,) number of the order; test sets consist of whole orders.
+        usual: (m,) 1 if the packer chose the place and kept its own free space; 0 if the place is random or has another
+            free space.
     """
 
     features: Array
@@ -65,21 +68,21 @@ class Labels:
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """The labels in a file."""
+        """The labels as named arrays, for a file."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     @classmethod
     def joined(cls, parts: list[Labels]) -> Labels:
-        """All of several parts."""
+        """The labels of several parts, joined."""
         return cls(**{name: np.concatenate([part.arrays[name] for part in parts]) for name in cls.__dataclass_fields__})
 
 
 def collect(seed: int, round_: int, *, pallets: int, steps: int, engine: Any, policy: Policy) -> Labels:
-    """The labels of one round. Labels depend on the arguments alone.
+    """The labels of one round. They depend only on the arguments.
 
     Args:
-        pallets: number of pallets side by side; ``steps``: boxes placed on each.
-        policy: packs half of the orders, the rule ``lowest_first`` the others.
+        pallets: number of pallets that are packed side by side; ``steps``: number of boxes placed on each pallet.
+        policy: packs half of the orders; the rule ``lowest_first`` packs the other half.
     """
     world = petmjx.Pallets(pallets, engine=engine, carrier=TARGET, placing="hand")
     games = [_Game(seed, round_ * 10_000 + number, policy) for number in range(pallets)]
@@ -104,7 +107,7 @@ def collect(seed: int, round_: int, *, pallets: int, steps: int, engine: Any, po
 
 @dataclass(frozen=True)
 class _Move:
-    """A box at its intended and at its real place."""
+    """A box with its intended place and its real place."""
 
     next: NextCandidate
     features: Array
@@ -115,10 +118,10 @@ class _Move:
 
 
 class _Game:
-    """One pallet, with one order after another.
+    """One pallet, on which orders are packed one after another.
 
     Attributes:
-        number: number of the order; ``is_new``: whether no box of it is on the pallet yet.
+        number: number of the present order; ``is_new``: whether no box of this order is on the pallet yet.
     """
 
     def __init__(self, seed: int, number: int, policy: Policy) -> None:
@@ -142,7 +145,7 @@ class _Game:
         self.is_new = True
 
     def next(self) -> _Move:
-        """The next box with its errors; from the next order if this one is finished."""
+        """The next box with its errors. If the present order is finished, the box is from the next order."""
         while True:
             if not self._boxes.seen:
                 self._begin()
@@ -165,7 +168,7 @@ class _Game:
             return self._move
 
     def placed(self, stands: bool) -> None:
-        """Record whether the pallet stands with the box; if not, the next order begins."""
+        """Record whether the pallet stands with the box. If it does not, the next order begins."""
         assert self._move is not None
         self.is_new = False
         if stands:
@@ -182,7 +185,7 @@ class _Game:
         return places, row, chosen
 
     def _anywhere(self) -> tuple[Places, int, NextCandidate] | None:
-        """A place at random, whether the box keeps the balance there or not."""
+        """A random place for the box, whether the box is in balance there or not."""
         places = self._boxes.places(LEAST_SUPPORT)
         if not len(places):
             return None

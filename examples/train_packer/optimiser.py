@@ -1,4 +1,4 @@
-"""Adam (Kingma, Ba 2015, "Adam: a method for stochastic optimization"), uphill."""
+"""Adam (Kingma, Ba 2015, "Adam: a method for stochastic optimization"), as a method that maximises."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Adam:
-    """Its moments.
+    """State of the optimiser.
 
     Attributes:
-        first, second: (d,); ``count``: steps so far.
+        first, second: (d,) first and second moments of the slopes; ``count``: number of steps so far.
     """
 
     first: Array
@@ -25,11 +25,11 @@ class Adam:
 
     @classmethod
     def fresh(cls, size: int) -> Self:
-        """Before the first step."""
+        """The state before the first step."""
         return cls(np.zeros(size), np.zeros(size), 0)
 
     def stepped(self, values: Array, slope: Array, rate: float) -> tuple[Array, Adam]:
-        """Values after a step uphill, and the new moments."""
+        """The values after a step uphill, and the state after the step."""
         count = self.count + 1
         first, second = 0.9 * self.first + 0.1 * slope, 0.99 * self.second + 0.01 * slope**2
         step = first / (1 - 0.9**count) / (np.sqrt(second / (1 - 0.99**count)) + 1e-8)

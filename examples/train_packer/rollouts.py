@@ -1,4 +1,4 @@
-"""Orders packed by a policy, and the worth of the packings."""
+"""Packs orders by a policy, and computes the worth of the packings."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order, draw_order, st
 
 STREAM = 103
 CATALOGUES, VALIDATION = 1_000_000, 2_000_000
-"""Seeds of orders: no other set of petmjx's has these, and those for validation are not used for training."""
+"""First seeds of the orders for training and for validation. No other set of petmjx uses these seeds, and orders for
+validation are not used for training."""
 
 PER_CATALOGUE = 8
-"""Generations that draw their orders from one catalogue of articles."""
+"""Number of generations that draw their orders from the same catalogue of articles."""
 
 LEFT_OUT = 0.5
-"""Loss of a packing if all volume is left out, as a share of utilisation."""
+"""Loss of a packing whose whole volume is left out, in units of utilisation."""
 
 LEAST_CHANCE, SHORT = 0.9, 2.0
-"""Required mean chance of a policy's plans to stand; loss for each unit below it."""
+"""Required mean chance that a policy's plans stand, and the loss per unit by which the chance is below it."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result for an order.
+    """Result of packing one order.
 
     Attributes:
         worth: utilisation − ``LEFT_OUT`` · share of volume left out.
-        chance: that the plan stands: the product of the placements' chances.
+        chance: estimated chance that the plan stands, which is the product of the chances of its placements.
     """
 
     worth: float
@@ -42,7 +43,7 @@ class Outcome:
 
 
 def drawn(seed: int, generation: int, number: int) -> tuple[Order, list[int], int]:
-    """An order of a generation, the sequence of its boxes, and the number of visible ones."""
+    """An order of a generation, the sequence of its boxes, and the number of boxes that the packer sees."""
     rng = stream(seed, STREAM, generation, number)
     order = draw_order(CATALOGUES + 1000 * seed + generation // PER_CATALOGUE, int(rng.integers(100_000)))
     sequence = list(range(len(order.items)))
@@ -53,24 +54,24 @@ def drawn(seed: int, generation: int, number: int) -> tuple[Order, list[int], in
 
 
 def outcomes(task: tuple[int, int, int], policy: Policy, candidates: Array) -> list[Outcome]:
-    """The candidates' results for one order.
+    """The results of all candidates for one order.
 
     Args:
         task: seed, generation, number of the order.
-        candidates: (n, d) linear weights of the policy's taste.
+        candidates: (n, d) linear weights of the policy's scores.
     """
     order, sequence, look_ahead = drawn(*task)
     return [outcome(policy.with_linear(linear), order, sequence, look_ahead) for linear in candidates]
 
 
 def validated(number: int, policy: Policy, look_ahead: int) -> Outcome:
-    """The packer's result for an order outside its training."""
+    """The packer's result for an order that is not used for training."""
     order = draw_order(VALIDATION, number)
     return outcome(policy, order, list(range(len(order.items))), look_ahead)
 
 
 def outcome(policy: Policy, order: Order, sequence: list[int], look_ahead: int) -> Outcome:
-    """One order packed."""
+    """The result of packing one order by a policy."""
     length, width = TARGET_EXTENT_MM[order.target]
     boxes = FourSidedStream([order.items[i] for i in sequence], (length, width), CLEARANCE_MM, look_ahead)
     log_chance = 0.0
@@ -88,6 +89,7 @@ def outcome(policy: Policy, order: Order, sequence: list[int], look_ahead: int) 
 
 
 def policy_worth(outcomes: Sequence[Outcome]) -> float:
-    """The worth of a policy by these outcomes: density, as long as its plans stand often enough."""
+    """The worth of a policy, from its results: the mean worth of packings, minus a loss if its plans stand too
+    rarely."""
     chance = float(np.mean([outcome.chance for outcome in outcomes]))
     return float(np.mean([outcome.worth for outcome in outcomes])) - SHORT * max(LEAST_CHANCE - chance, 0.0)

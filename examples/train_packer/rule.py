@@ -1,4 +1,5 @@
-"""The rule with which the search begins, so that the search does not begin at random, and the spread of features."""
+"""The rule with which the search for weights begins, so that it does not begin with random weights, and the spread of
+the features."""
 
 from __future__ import annotations
 
@@ -26,12 +27,12 @@ RULE = {
     "log_mass": 80.0,
     "height": 125.0,
 }
-"""The worth of features, in mm of height: low places near an edge, that leave low and level places for other cartons.
-With several visible boxes, large, heavy and tall ones first, as with ``balanced``."""
+"""Worth of each feature, in mm of height. The rule prefers low places near an edge, which leave low and level places
+for other cartons. If several boxes are visible, it prefers large, heavy and tall boxes, like ``balanced``."""
 
 
 def by_rule() -> Policy:
-    """The rule as a policy, with a head that believes that all placements stand."""
+    """The rule as a policy, with a head that estimates that all placements stand."""
     f = len(NAMES)
     linear = np.array([RULE.get(name, 0.0) for name in NAMES])
     taste = Network.fresh(np.zeros(f), np.ones(f), 0, stream(0))
@@ -39,8 +40,8 @@ def by_rule() -> Policy:
 
 
 def spread(number: int, seed: int) -> Array:
-    """(m, f) how far features of candidates are from the means of all candidates of their decisions, in an order that
-    the rule packs. Updates count from 0, so that no update has this number."""
+    """(m, f) differences of the candidates' features from the means over all candidates of the same decision, in an
+    order that the rule packs. No update of the training has the number ``number``, since updates count from 0."""
     order, sequence, look_ahead = drawn(seed, -1 % 2**31, number)
     items = [order.items[i] for i in sequence]
     boxes, policy = FourSidedStream(items, TARGET_EXTENT_MM[order.target], CLEARANCE_MM, look_ahead), by_rule()
@@ -56,7 +57,8 @@ def spread(number: int, seed: int) -> Array:
 
 
 def scaled(rows: Array) -> Network:
-    """The rule's taste, by features whose candidates spread by 1, with scores that spread by 1."""
+    """The scores of the rule as a network. Its inputs are features scaled to a spread of 1, and its scores have a
+    spread of 1."""
     spreads = np.sqrt((rows**2).mean(axis=0))
     scale = np.where(spreads > 1e-6, spreads, 1.0)
     rule = by_rule().taste

@@ -1,4 +1,5 @@
-"""CMA-ES (Hansen, Ostermeier 2001, "Completely derandomized self-adaptation in evolution strategies"), uphill."""
+"""CMA-ES (Hansen, Ostermeier 2001, "Completely derandomized self-adaptation in evolution strategies"), as a method that
+maximises."""
 
 from __future__ import annotations
 
@@ -13,11 +14,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Search:
-    """Where candidates are drawn.
+    """State of the search: the normal distribution from which candidates are drawn.
 
     Attributes:
-        mean: (d,); ``sigma``: (); ``cov``: (d, d); ``path``, ``path_sigma``: (d,).
-        count: generations so far.
+        mean: (d,) mean; ``sigma``: () step size; ``cov``: (d, d) covariance; ``path``, ``path_sigma``: (d,) evolution
+            paths.
+        count: number of generations so far.
     """
 
     mean: Array
@@ -29,19 +31,19 @@ class Search:
 
     @classmethod
     def fresh(cls, mean: Array, sigma: float) -> Self:
-        """Before the first generation."""
+        """The state before the first generation."""
         d = len(mean)
         return cls(mean, np.array(sigma), np.eye(d), np.zeros(d), np.zeros(d), np.array(0))
 
     def drawn(self, n: int, rng: np.random.Generator) -> Array:
-        """(n, d) candidates."""
+        """(n, d) candidates, drawn at random."""
         values, axes = self._axes()
         steps = rng.standard_normal((n, len(self.mean))) * np.sqrt(values) @ axes.T
         weights: Array = self.mean + self.sigma * steps
         return weights
 
     def told(self, candidates: Array, worth: Array) -> Search:
-        """The search after a generation, by the worth of its candidates."""
+        """The state after a generation, from the worth of its candidates."""
         d, n = len(self.mean), len(candidates)
         best = candidates[np.argsort(-worth, kind="stable")[: n // 2]]
         weights = np.log(n / 2 + 0.5) - np.log(np.arange(1, len(best) + 1))
@@ -71,5 +73,5 @@ class Search:
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """The search in a file."""
+        """The state as named arrays, for a file."""
         return {name: np.asarray(getattr(self, name)) for name in self.__dataclass_fields__}

@@ -3,15 +3,16 @@
     python examples/train_packer/train.py --out trained --seed 0 --minutes 20 --engine mjx-warp
 
 1. The policy begins as a rule (rule.py).
-2. The packer improves by itself on drawn orders (rollouts.py): CMA-ES searches its weights (search.py), with a
-   stability head in place of physics. 3. Meanwhile pallets are packed side by side in ``petmjx.Pallets``, by the
-   policy, by rules and at random, as a robot would place the boxes, and the result of each placement is a label
-   (labels.py, labeller.py). 4. After each ``--relabel`` updates the head is fitted to all labels (head.py), and the
-   next round of labels begins.
+2. The packer improves by itself on drawn orders (rollouts.py): CMA-ES searches its weights (search.py). The stability
+   head, a network that estimates whether a placed box stands, takes the place of simulations.
+3. At the same time, pallets are packed side by side in ``petmjx.Pallets``, by the policy, by rules and at random, as a
+   robot would place the boxes. The simulated result of each placement is a label (labels.py, labeller.py).
+4. After every ``--relabel`` updates, the head is fitted to all labels (head.py), and the next round of labels begins.
 
-Everything is kept in ``--out``, and the same command with ``--resume`` continues where it stopped, with the same bits.
-``--minutes`` stops it; result.json has the number of updates. With the same number of ``--updates``, the weights are
-the same, to the bit, on the same machine, whatever ``--workers``. Needs no extra; figure.py draws the curves.
+The folder ``--out`` stores the state of the training. The same command with ``--resume`` continues a stopped training,
+with the same bits. ``--minutes`` limits the time; result.json has the number of updates that were made. With the same
+number of ``--updates``, the weights are the same to the bit on the same machine, whatever ``--workers``. The program
+needs no extra; figure.py draws the curves.
 """
 
 from __future__ import annotations
@@ -41,12 +42,12 @@ from petmjx.packers.policy_network import Network
 from petmjx.plans.order_generator import stream
 
 STREAM = 105
-"""Random numbers of the search."""
+"""Key of the random numbers of the search."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Settings of a training. The weights depend on these values alone."""
+    """Settings of a training. The weights depend only on these values."""
 
     seed: int
     updates: int
@@ -67,11 +68,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class State:
-    """A training after some generations.
+    """State of a training after some generations.
 
     Attributes:
-        taste, head: the networks; of the first one the linear weights are searched.
-        search: where candidates are drawn.
+        taste, head: the networks for scores and for stability; the search changes the linear weights of the first
+            network.
+        search: the distribution from which candidates are drawn.
     """
 
     taste: Network
@@ -80,16 +82,16 @@ class State:
 
     @property
     def update(self) -> int:
-        """Generations so far."""
+        """Number of generations so far."""
         return int(self.search.count)
 
     @property
     def policy(self) -> Policy:
-        """The published weights: the middle of the candidates."""
+        """The policy with the weights that are published: the mean of the candidates' distribution."""
         return Policy(self.taste, self.head).with_linear(self.search.mean)
 
     def save(self, path: Path) -> None:
-        """Write it whole or not at all."""
+        """Write the state to a file, completely or not at all."""
         arrays = {**self.taste.arrays("taste"), **self.head.arrays("head"), **self.search.arrays}
         with path.with_suffix(".part").open("wb") as file:
             np.savez(file, allow_pickle=False, **arrays)
@@ -97,7 +99,7 @@ class State:
 
     @classmethod
     def load(cls, path: Path) -> State:
-        """Read it."""
+        """Read a state from a file."""
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
         search = Search(**{name: arrays[name] for name in Search.__dataclass_fields__})
@@ -105,13 +107,13 @@ class State:
 
 
 class Training:
-    """A training in a folder, with processes that pack."""
+    """A training in a folder. It packs orders in several processes."""
 
     def __init__(self, plan: Plan, out: Path, pool: ProcessPoolExecutor, labeller: Labeller) -> None:
         self.plan, self.out, self._pool, self._labeller = plan, out, pool, labeller
 
     def run(self, deadline: float, save_every: int) -> State:
-        """All stages, except finished ones."""
+        """Run all stages of the training that are not finished."""
         path, plan = self.out / "state.npz", self.plan
         if path.exists():
             state = State.load(path)
@@ -137,7 +139,7 @@ class Training:
         return self._ended(state)
 
     def _ended(self, state: State) -> State:
-        """The head at the end knows all labels, also those that are still coming."""
+        """The final state, whose head is fitted to all labels, including labels that are still being collected."""
         rounds = min(-(-state.update // self.plan.relabel), self.plan.rounds)
         if rounds:
             self._publish(state)
@@ -155,9 +157,9 @@ class Training:
     # ------------------------------------------------------------------ stages
 
     def _head(self, rounds: int, deadline: float) -> Network:
-        """The head, fitted to the labels of the first rounds."""
+        """The head, fitted to the labels of the first ``rounds`` rounds."""
         labels = self._labeller.labels(rounds, deadline - time.monotonic())
-        # in a process with one thread: sums do not depend on the machine's load
+        # in a process with one thread, so that sums do not depend on the load of the machine
         head, calibration = self._pool.submit(fit, labels, self.plan.seed, self.plan.fit_steps).result()
         (self.out / f"calibration-{rounds - 1}.json").write_text(json.dumps(calibration, indent=1))
         for placements, said in calibration.items():
@@ -166,7 +168,7 @@ class Training:
         return head
 
     def _begun(self) -> State:
-        """A policy that acts like the rule, with a head that believes that all placements stand."""
+        """The first state: a policy that acts like the rule, with a head that estimates that all placements stand."""
         row_blocks = list(self._pool.map(partial(spread, seed=self.plan.seed), range(self.plan.measured), chunksize=1))
         taste = self._pool.submit(scaled, np.concatenate(row_blocks)).result()
         return State(taste, believing(), Search.fresh(taste.linear, self.plan.sigma))
@@ -203,7 +205,7 @@ class Training:
             print(json.dumps({name: round(value, 4) for name, value in row.items()}), flush=True)
 
     def _cut_curves(self, update: int) -> None:
-        """Forget rows of updates that are made again."""
+        """Remove the rows of updates that will be made again."""
         path = self.out / "curves.jsonl"
         rows = path.read_text().splitlines() if path.exists() else []
         path.write_text("".join(f"{row}\n" for row in rows if json.loads(row)["update"] <= update))

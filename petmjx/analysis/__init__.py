@@ -1,4 +1,4 @@
-"""Analyses of plans and results: criteria, KPIs, loads, comparisons of runs and of packers, and the story of a
-world."""
+"""Analyses of plans and results: criteria, KPIs, loads, comparisons of runs and of packers, and stories (texts that
+tell how a simulated stack failed)."""
 
 from __future__ import annotations

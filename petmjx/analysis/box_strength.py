@@ -1,13 +1,14 @@
-"""The forces on the tops of a run's boxes, at rest and at their peak, as shares of the boxes' strength:
-``petmjx.loads``.
+"""``petmjx.loads`` compares the forces on the tops of a run's boxes with the boxes' strength. It uses the forces at
+rest and their peaks.
 
-The strength of a box is its strength in a press, times factors for its arrangement in the stack, for moist air and for
-time (petmjx.options.stacking). petmjx/analysis/crushing.py determines which boxes are crushed, surely or possibly.
-Verdicts do not depend on strengths.
+The strength of a box in a stack is the strength measured in a press, multiplied by factors for the box's place in the
+stack, for moist air and for time (petmjx.options.stacking). petmjx/analysis/crushing.py determines which boxes are
+crushed, surely or possibly. Verdicts do not depend on strengths.
 
-A carton bears load through its walls, and mostly at its corners. So ``walls_of`` computes from the plan two shares of a
-box's walls: the share that carries walls of other boxes, and the share that hangs over an edge or over a gap of the
-deck. Interlayer sheets do not count as boxes: a box on a sheet stands on the boxes under the sheet.
+A carton bears load through its walls, and mostly at its corners. So ``walls_of`` computes two shares of a box's walls
+from the plan: the share on which walls of other boxes stand, and the share that has nothing below it, because it is
+beyond an edge or over a gap between the boards of the carrier. Interlayer sheets do not count as boxes: a box on a
+sheet stands on the boxes under the sheet.
 """
 
 from __future__ import annotations
@@ -50,22 +51,23 @@ from petmjx.runs.chain_summary import is_chain
 from petmjx.world.carrier_boards import pallet
 
 MOST_GAP_MM: Final = 5.0
-"""Largest gap below a box across which the box still counts as standing on the body below. A placed box is lowered onto
-the body below."""
+"""If the gap between a box and the body below is at most this length, the box counts as standing on that body. (In the
+simulation, each box is lowered until it touches the body below.)"""
 
 LEAST_SHARED_MM: Final = 1.0
-"""If two boxes overlap by less than this length along an axis, neither stands on the other."""
+"""If two boxes, seen from above, overlap by less than this length along x or y, neither box stands on the other."""
 
 Span = tuple[float, float]
 
 
 class Walls(NamedTuple):
-    """The walls of n boxes, as shares of the length of each box's walls.
+    """How the walls of n boxes are loaded and supported. Each share is a part of the total length of a box's four
+    walls.
 
     Attributes:
-        met: (n,) share on which walls of the boxes above stand; 1 if no box stands on the box.
-        hanging: (n,) unsupported share: the part of the walls beyond the edges of the bodies that bear the box.
-        over_gaps: (n,) share that is over gaps between the boards of the deck.
+        met: (n,) share of each box's walls on which walls of the boxes above stand; 1 if nothing stands on the box.
+        hanging: (n,) share of each box's walls that is beyond the edges of the bodies that bear the box.
+        over_gaps: (n,) share of each box's walls that is over gaps between the boards of the carrier's deck.
         on_deck: (n,) whether a box stands on the carrier, directly or on a sheet.
     """
 
@@ -78,12 +80,12 @@ class Walls(NamedTuple):
 def walls_of(
     plan: Plan, extent_mm: tuple[float, float] | None, deck_mm: FloatArray | None, tolerance_mm: float
 ) -> Walls:
-    """Compute how the walls of a plan's boxes are borne and loaded.
+    """Compute how the walls of a plan's boxes are loaded and supported.
 
     Args:
-        extent_mm: extents of the carrier along x and y, with the carrier's corner at the origin; None: the extents of
-            the plan.
-        deck_mm: (b, 2, 2) lowest and highest corners of the boards of the deck; None: the deck has no gaps.
+        extent_mm: extents of the carrier along x and y; the carrier's corner is at the origin. If None, the carrier is
+            as large as the plan.
+        deck_mm: (b, 2, 2) lowest and highest corners of the b boards of the deck. If None, the deck has no gaps.
         tolerance_mm: largest distance between a wall and the wall or edge that bears it.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
@@ -113,8 +115,8 @@ def walls_of(
 
 
 def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Two arrays: (n, n) whether the row's box stands on the column's box, directly or through sheets; and (n,) whether
-    a box stands on the carrier."""
+    """Which boxes stand on which, directly or with sheets between them. The first array (n, n) tells whether the box of
+    the row stands on the box of the column. The second array (n,) tells whether a box stands on the carrier."""
     beside = (shared_length(low[:, 0], high[:, 0]) > LEAST_SHARED_MM) & (
         shared_length(low[:, 1], high[:, 1]) > LEAST_SHARED_MM
     )
@@ -133,12 +135,12 @@ def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[n
 
 
 class _Wall(NamedTuple):
-    """A wall seen from above: a line along an axis.
+    """A wall of a box, seen from above: a line along x or y.
 
     Attributes:
-        axis: axis along which the wall runs.
-        at: coordinate along the other axis, mm.
-        span: begin and end along ``axis``, mm.
+        axis: axis along which the wall runs: 0 for x, 1 for y.
+        at: the wall's coordinate along the other axis, mm.
+        span: begin and end of the wall along ``axis``, mm.
     """
 
     axis: int
@@ -160,8 +162,8 @@ def _met_length(wall: _Wall, others: list[_Wall], tolerance_mm: float) -> float:
 
 
 def _over(wall: _Wall, areas: list[tuple[FloatArray, FloatArray]], tolerance_mm: float) -> float:
-    """The length of the parts of a wall that lie over some of the areas, mm. Each area is given by its lowest and
-    highest corners."""
+    """The total length of the parts of a wall that lie over at least one of the areas, mm. Each area is given by its
+    lowest and its highest corner."""
     under = []
     for low, high in areas:
         if low[1 - wall.axis] - tolerance_mm <= wall.at <= high[1 - wall.axis] + tolerance_mm:
@@ -170,7 +172,7 @@ def _over(wall: _Wall, areas: list[tuple[FloatArray, FloatArray]], tolerance_mm:
 
 
 def _covered_length(span: Span, parts: list[Span]) -> float:
-    """The length of a span that parts cover, mm. Parts may overlap."""
+    """The length of the part of a span that is covered by other spans, mm. The other spans may overlap each other."""
     reached, total = span[0], 0.0
     for begin, end in sorted(parts):
         begin, end = max(begin, reached), min(end, span[1])
@@ -237,14 +239,15 @@ _SHARES: Final = {
     "rest_top_force_high_n": "load_share_high",
     _PEAK: "peak_share",
 }
-"""Column with a force on a box → column with this force as a share of the box's strength. The second and the third
-entry need a run with intervals of forces."""
+"""Name of a column with a force on a box → name of the column with this force as a share of the box's strength. The
+second and the third entry exist only for runs that computed intervals of possible forces."""
 
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
-"""Column of ``plans`` → the column of ``boxes`` from which it is computed. The column of ``plans`` is true for a world
-if any of its boxes has a share above 1 in the column of ``boxes``."""
+"""Name of a column of the table ``plans`` → name of the column of the table ``boxes`` from which it is computed. The
+column of ``plans`` is true for a world if at least one box of the world has a share above 1 in the column of
+``boxes``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,15 +256,15 @@ class Loads:
 
     Attributes:
         run: the run's folder.
-        boxes: one row per box of each world: ``load_share`` and the values from which it is computed.
-        plans: one row per world: whether a box is ``overloaded`` at rest or ``overloaded_at_peak``, and the boxes with
-            the largest shares. If the run has intervals of forces, there are also the columns ``surely_overloaded`` and
-            ``possibly_overloaded``.
-        notes: lines that warn about an unfinished run, about articles without strength, and about forces at rest after
-            a drive with film.
-        stacking: the losses of strength that were used.
-        ways: for the run of a chain: how likely each plan is to arrive with each remedy, and to arrive without crushed
-            boxes; None: the run is not that of a chain.
+        boxes: one row per box of each world: the box's ``load_share``, and the values from which the share is computed.
+        plans: one row per world (one simulation of one plan): whether any box is ``overloaded`` at rest or
+            ``overloaded_at_peak``, and which boxes have the largest shares. If the run computed intervals of possible
+            forces, there are also the columns ``surely_overloaded`` and ``possibly_overloaded``.
+        notes: warnings, one per line: about an unfinished run, about articles without a known strength, and about
+            forces at rest in stacks that were wrapped in film and then shaken.
+        stacking: how much strength boxes lose by stacking, as used for these results.
+        ways: for the run of a transport chain: how likely each plan is to arrive, and to arrive without crushed boxes,
+            with each remedy (a change to the chain or the load). None if the run is not that of a chain.
     """
 
     run: Path
@@ -275,13 +278,14 @@ class Loads:
         return f"Loads({count_text(len(self.plans), 'world')}, {int(self.plans['overloaded'].sum()):,} overloaded)"
 
     def write(self, folder: str | Path, overwrite: bool = False) -> None:
-        """Write ``box_loads``, ``plan_loads`` and, for a chain, ``way_loads``, as Parquet with units and as CSV.
+        """Write the tables ``box_loads``, ``plan_loads`` and, for the run of a chain, ``way_loads``. Each table is
+        written as Parquet, with units, and as CSV.
 
         Args:
-            overwrite: whether tables that petmjx wrote there before may be replaced.
+            overwrite: whether tables that petmjx wrote into the folder earlier may be replaced.
 
         Raises:
-            InputError: the folder is not writable, or a file of one of these names must not be replaced.
+            InputError: the folder is not writable, or it has a file of one of these names that must not be replaced.
         """
         folder = path_of(folder, "folder")
         check_loads_free(folder, overwrite)
@@ -307,24 +311,24 @@ def loads(
     *,
     stacking: Stacking | Mapping[str, Any] | None = None,
 ) -> Loads:
-    """Compare the forces on boxes with the strength that the boxes have in the stack. The forces are those at rest and
-    their peaks.
+    """Compare the forces on the tops of boxes with the strength that the boxes have in the stack. Forces at rest and
+    peak forces are compared.
 
     ``petmjx.loads("results", "articles.csv", stacking={"interlocked_loss": 0.4})``
 
     Args:
         run: a run's folder, or the result of ``petmjx.score``.
-        articles: a table of strengths (``petmjx.plans.articles.read_articles``). A box without an entry gets the
-            strength from the plan, or else from the run's own table of articles. None: only the plan and the run's
-            table are used.
-        plans: the plans of the run, from which sizes, places and product groups are read; None: the files that the run
-            names.
+        articles: a table of strengths (``petmjx.plans.articles.read_articles``). The strength of a box that has no
+            entry in this table comes from the plan, or else from the table of articles with which the run was made. If
+            None, only the plan and the run's table are used.
+        plans: the plans of the run, which give the sizes, places and product groups of boxes. If None, plans are read
+            from the files that the run names.
         stacking: how much strength boxes lose by stacking, as a ``petmjx.options.stacking.Stacking`` or as a mapping
             that sets some of its fields.
 
     Raises:
-        InputError: there is no run, the table of articles or an option is unusable, no box has a known strength, or a
-            plan differs from the plan in the run.
+        InputError: there is no run in the folder, the table of articles or an option is unusable, no box has a known
+            strength, or a plan differs from the plan that was simulated.
     """
     losses = stacking if isinstance(stacking, Stacking) else Stacking.read(stacking or {})
     results = run if isinstance(run, RunResults) else load_run(run)
@@ -356,7 +360,7 @@ def loads(
 
 
 def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Plan]:
-    """The plans of a run by id.
+    """The plans of a run, as a mapping from ids to plans.
 
     Raises:
         InputError: a plan is missing, or differs from the simulated plan.
@@ -384,8 +388,8 @@ _STRENGTH: Final = ("press_strength_n", *_FACTORS, "strength_n", "time_factor", 
 def _strengths(
     plans: Iterable[Plan], articles: Articles, losses: Stacking, carrier: Carrier | OwnCarrier
 ) -> tuple[pd.DataFrame, Counter[str]]:
-    """Two results: the strength of each box, except sheets; and, for each article without a known strength, its number
-    of boxes."""
+    """Return a table with the strength of each box, without sheets, and the number of boxes of each article that has no
+    known strength."""
     parts: list[pd.DataFrame] = []
     missing: Counter[str] = Counter()
     for plan in plans:
@@ -414,13 +418,13 @@ def _strengths(
 
 
 def _remaining_share(loss: float, factor: float = 1.0) -> float:
-    """The share of a strength that remains after the loss ``factor * loss``."""
+    """The share of a box's strength that remains after the loss ``factor * loss``."""
     return 1.0 - min(factor * loss, 1.0)
 
 
 def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The four ``_FACTORS`` of each box's strength. There are three arrays (4, n): for the nominal, the largest and the
-    smallest losses of strength."""
+    """The four factors (``_FACTORS``) of each box's strength, in three arrays (4, n). The arrays are for the nominal,
+    the largest and the smallest losses of strength."""
     extent, boards = extent_m(carrier), pallet(carrier)
     extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
     walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)
@@ -490,7 +494,7 @@ def _notes(missing: Counter[str]) -> list[str]:
 
 
 def _film_notes(results: RunResults) -> list[str]:
-    """A note about forces at rest, if worlds were shaken while wrapped in film."""
+    """A note about forces at rest, if any stacks of the run were shaken while wrapped in film."""
     wrap = results.info.get("config", {}).get("simulation", {}).get("wrap") or {}
     turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
     if not (turns > 0).any() or "profile" not in results.worlds:

@@ -1,9 +1,9 @@
 """Closed-form criteria of static stability for one plan.
 
-``CRITERIA`` lists the criteria by name, each with its condition and its slack. Tables, columns and docs are generated
-from this list. ``CriterionInputs`` holds the contacts of a plan, and computes each value that several criteria share
-only once. This module has the criteria that depend on a box's base alone: the borne share of the base, and the number
-of borne corners.
+``CRITERIA`` lists all criteria: the name of each criterion, its condition and its slack (the number whose sign gives
+the answer). Tables, columns and docs are generated from this list. ``CriterionInputs`` holds the contacts of a plan.
+Values that several criteria use are computed there only once. The formulas in this module need only a box's base and
+its support, or the load as a whole. Other modules compute force balance and the paths of loads.
 
 docs/extending.md explains how to add a criterion.
 """
@@ -48,12 +48,13 @@ from petmjx.world.history import CARRIER
 
 @dataclass(frozen=True, eq=False)
 class CriterionInputs:
-    """The inputs of criteria for one plan of n boxes.
+    """The inputs of the criteria for one plan of n boxes.
 
     Attributes:
-        friction: coefficients of friction, for force balance.
-        leans: whether force balance is also computed with boxes that may lean on their neighbours.
-        strength_n: (n,) strength of the tops of boxes, N; NaN if unknown. None: no box has a known strength.
+        friction: coefficients of friction, used by force balance.
+        leans: whether force balance is computed a second time, with boxes that may lean on their neighbours.
+        strength_n: (n,) the largest force that each box can bear on its top, N; NaN if unknown. None if no box has a
+            known strength.
     """
 
     contacts: PlanContacts
@@ -63,23 +64,23 @@ class CriterionInputs:
 
     @cached_property
     def share(self) -> FloatArray:
-        """(n,) share of the base that is borne."""
+        """(n,) share of each box's base that is borne."""
         return support_share(self.contacts)
 
     @cached_property
     def corners(self) -> IntArray:
-        """(n,) number of bottom corners that lie on something."""
+        """(n,) number of bottom corners of each box that lie on something."""
         return corners_supported(self.contacts)
 
     @cached_property
     def hulls(self) -> Hulls:
-        """The convex hulls of the contact areas."""
+        """For each box, the convex hull of the areas on which it lies."""
         return contact_hulls(self.contacts)
 
     @cached_property
     def balance(self) -> tuple[FloatArray, FloatArray]:
-        """Slacks of force balance, as two arrays (n,): without leaning and with leaning. The second array is NaN unless
-        ``leans`` is set."""
+        """The slacks of force balance, as two arrays (n,): without leaning, and with leaning. If ``leans`` is not set,
+        the second array is NaN."""
         return balance_slack(self.contacts, self.hulls, self.friction, self.leans)
 
 
@@ -88,21 +89,22 @@ NO: Final = 0
 NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
-"""Unit → rounding error. A negative slack that is closer to 0 than this error counts as 0. Shares of areas in mm² have
-rounding errors of 1e-16."""
+"""Unit of a slack → rounding error of the slack. A negative slack that is closer to 0 than the rounding error counts as
+0. Shares of areas in mm² have rounding errors of 1e-16."""
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """The answers of c criteria for n boxes. Each box is judged at the time when it is placed.
+    """The answers of c criteria for n boxes. Each box is judged at the moment of its placement, when the boxes placed
+    later do not exist yet.
 
     Attributes:
         n_supports: (n,) number of areas on which the box lies (``PlanContacts.n_supports``).
-        share: (n,) share of the base that is borne.
-        corners: (n,) number of bottom corners that lie on something.
-        slack: (n, c) the slacks; NaN if a box has none.
-        stable: (n, c) ``YES``, ``NO`` or ``NOT_ASKED``. Force balance does not evaluate boxes after the first one that
-            fails.
+        share: (n,) share of each box's base that is borne.
+        corners: (n,) number of bottom corners of each box that lie on something.
+        slack: (n, c) the slack of each criterion for each box; NaN if it cannot be computed.
+        stable: (n, c) ``YES``, ``NO`` or ``NOT_ASKED``. Force balance is not evaluated for boxes after the first box
+            that fails.
     """
 
     n_supports: IntArray
@@ -123,7 +125,7 @@ def answer(
     """Evaluate criteria for one plan.
 
     Args:
-        friction: coefficients of friction, for force balance.
+        friction: coefficients of friction, used by force balance.
         tolerance_mm, deck_mm, room: see ``petmjx.analysis.plan_contacts.find_contacts``.
     """
     contacts = find_contacts(plan, tolerance_mm, deck_mm, room)
@@ -138,8 +140,8 @@ def answer(
 
 
 def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
-    """``YES`` or ``NO`` by the sign of the slack; NaN gives ``NO``. If ``Criterion.ends`` is set, boxes after the first
-    failing one get ``NOT_ASKED``."""
+    """(n,) the answer for each box: ``YES`` or ``NO``, depending on the sign of the slack. A slack of NaN gives ``NO``.
+    If ``Criterion.ends`` is set, boxes after the first box that fails get ``NOT_ASKED``."""
     rounding = _ROUNDING[criterion.unit]
     stable = (slack > rounding if criterion.strict else slack >= -rounding).astype(np.int8)
     if criterion.ends:
@@ -148,9 +150,9 @@ def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
 
 
 def support_share(contacts: PlanContacts) -> FloatArray:
-    """(n,) borne area / base area; 0 for a box that lies on nothing.
+    """(n,) share of each box's base that is borne (borne area / base area); 0 for a box that lies on nothing.
 
-    If supports overlap each other, as in invalid plans, their common area is counted only once.
+    If the bodies below a box overlap each other, as in invalid plans, their common area is counted only once.
     """
     area = (contacts.high_mm - contacts.low_mm).prod(axis=1)
     borne = np.bincount(contacts.upper, weights=area, minlength=contacts.n_boxes)
@@ -161,7 +163,7 @@ def support_share(contacts: PlanContacts) -> FloatArray:
 
 
 def _with_overlaps(contacts: PlanContacts) -> IntArray:
-    """Numbers of the boxes whose contact rectangles overlap each other."""
+    """Indices of the boxes that have contact areas overlapping each other."""
     if not (contacts.n_supports > 1).any():
         return np.zeros(0, dtype=np.int64)
     is_overlap = np.equal.outer(contacts.upper, contacts.upper)
@@ -181,8 +183,8 @@ def _union_area(contacts: PlanContacts, box: int) -> float:
 
 
 def corners_supported(contacts: PlanContacts) -> IntArray:
-    """(n,) number of bottom corners, of four, that lie on a support within the tolerance. A corner on the edge of a
-    support counts as lying on it."""
+    """(n,) number of each box's four bottom corners that lie on a support, within the tolerance. A corner on the edge
+    of a support counts as lying on the support."""
     count: IntArray = contacts.borne_corners(np.ones(len(contacts.upper), dtype=bool)).sum(axis=1)
     return count
 
@@ -191,7 +193,7 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
     """(n,) borne share of the base, minus the share that is required for the number of borne corners.
 
     Args:
-        least: shares required for boxes with four borne corners, with three, and with fewer.
+        least: shares of the base that are required with four borne corners, with three, and with fewer.
     """
     four, three, fewer = least
     least_share: FloatArray = np.select([corners >= N_CORNERS, corners == N_CORNERS - 1], [four, three], fewer)
@@ -199,27 +201,28 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
 
 
 SUPPORT_SHARES: Final = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)
-"""Required shares of the base: full support, and the shares from Bortfeldt & Wäscher's survey and from the ADAMS
-study."""
+"""Shares of a box's base that criteria require to be borne: full support, and the shares from Bortfeldt & Wäscher's
+survey and from the ADAMS study."""
 
 LEAST_CORNERS: Final = 3
 
 CORNER_AREA_PAPER: Final = (0.60, 0.80, 0.95)
 CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
-"""Required shares of the base for boxes with four borne corners, with three, and with fewer: first from the paper that
-proposes this criterion, then from its authors' code."""
+"""Shares of a box's base that must be borne if the box has four borne corners, three, or fewer. The first tuple is from
+the paper that proposes this criterion; the second is from the code of the same authors."""
 
 LEAST_TOLERABLE_G: Final = 0.5
-"""Acceleration that a load on the road must withstand sideways and rearward, g. Source: EN 12195-1:2010."""
+"""Acceleration, in g, that a load on a road vehicle must withstand sideways and rearward. Source: EN 12195-1:2010."""
 
 
 def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
-    """(n,) the smallest horizontal acceleration, in g, at which a box or the load placed so far begins to slide or tip.
+    """(n,) the smallest horizontal acceleration, in g, at which the box just placed, or the whole load placed so far,
+    begins to slide or tip.
 
     The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
-    friction. A body tips when the acceleration in g reaches a / h. Here a is the horizontal distance of the centre from
-    the tipping edge, and h the height of the centre above this edge. Both conditions follow from statics, and are also
-    those of EN 12195-1.
+    friction. A body tips when the acceleration in g reaches a / h. Here a is the horizontal distance of the body's
+    centre of mass from the tipping edge, and h is the height of the centre above this edge. Both conditions follow from
+    statics, and are also those of EN 12195-1.
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
     of_box = hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2]) / half_mm
@@ -228,8 +231,8 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
 
 
 def load_tipping_g(contacts: PlanContacts) -> FloatArray:
-    """(n,) the horizontal acceleration at which the load placed so far tips as one rigid body, g. The load stands on
-    the bounding rectangle of its boxes on the carrier."""
+    """(n,) after each placement, the horizontal acceleration, in g, at which the load placed so far tips as one rigid
+    body. The base of this body is the bounding rectangle of the boxes that stand on the carrier."""
     low, high = np.full((contacts.n_boxes, 2), np.inf), np.full((contacts.n_boxes, 2), -np.inf)
     on_carrier = contacts.lower == CARRIER
     np.minimum.at(low, contacts.upper[on_carrier], contacts.low_mm[on_carrier])
@@ -249,26 +252,28 @@ MOST_POINTS: Final = {
     "overhang": 15.0,
     "order": 15.0,
 }
-"""Property of a load → the largest number of points that it can add to a seller's score of 0 to 100. The properties are
-the height of the centre, quadrants, fill, interlock, overhang, and heavy boxes below. The seller publishes these
-numbers and ``LEAST_POINTS`` but no formulas. The formulas of ``load_points`` are assumptions: each is linear between
-the best and the worst possible value."""
+"""Property of a load → the largest number of points that the property can add to the score of 0 to 100 by which a
+seller rates loads. ``load_points`` explains the properties. The seller publishes these numbers and ``LEAST_POINTS`` but
+no formulas. The formulas of ``load_points`` are assumptions: each is linear between the best and the worst possible
+value."""
 
 LEAST_POINTS: Final = 75.0
 """The seller calls a load stable if it has at least this number of points."""
 
 
 def load_points(contacts: PlanContacts) -> dict[str, float]:
-    """The points of a whole load, by the names of ``MOST_POINTS``. Points are given for six properties, each in
-    proportion to a value:
+    """The points of a whole load, as a mapping from the names in ``MOST_POINTS`` to points. Each of the six properties
+    gives points in proportion to a value:
 
-    - height: all points if the centre of mass is at half of the load's height or lower, none if it is at the top;
-    - quadrants: the mass over the lightest quadrant of the footprint, divided by a quarter of the load's mass. A box
-      that lies across a middle line is divided there. A load gets no points if nothing lies on the carrier;
+    - height: all points if the load's centre of mass is at half of the load's height or lower, none if the centre is at
+      the top;
+    - quadrants: the mass over the lightest quadrant of the load's footprint, divided by a quarter of the load's mass.
+      The mass of a box that lies across two quadrants is divided between them. A load gets no points if nothing lies on
+      the carrier;
     - fill: volume of the boxes, divided by the volume of the load's bounding box;
     - interlock: among the boxes above the first layer, the share that lies on two boxes or more; all points if there is
       only one layer;
-    - overhang: the smallest borne share of a base;
+    - overhang: the smallest borne share of any box's base;
     - order: among the contacts between boxes, the share in which the upper box is not heavier than the lower one.
     """
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
@@ -282,7 +287,7 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    # (n, 2) for x and y: the share of each box that is on the lower side of the middle
+    # (n, 2) along x and y: the share of each box at coordinates below the middle of the footprint
     left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
@@ -299,8 +304,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
 
 
 def load_points_slack(contacts: PlanContacts) -> FloatArray:
-    """(n,) points of the whole load minus ``LEAST_POINTS``. Only the last box of a plan has a value, because an
-    unfinished load has no score."""
+    """(n,) points of the whole load minus ``LEAST_POINTS``. The points are computed only for the last box of a plan,
+    because an unfinished load has no score. All earlier boxes get the largest possible slack."""
     slack = np.full(contacts.n_boxes, sum(MOST_POINTS.values()) - LEAST_POINTS)
     slack[-1] = sum(load_points(contacts).values()) - LEAST_POINTS
     return slack
@@ -316,16 +321,17 @@ class Criterion:
     """A criterion of static stability.
 
     Attributes:
-        name: name of the criterion's columns.
+        name: name of the criterion, which is also the name of its column in tables.
         asks: the condition under which a box is stable.
-        slack: definition of the slack. The sign of the slack gives the answer.
+        slack: definition of the slack, in words. The sign of the slack gives the criterion's answer.
         unit: unit of the slack.
-        source: where the criterion comes from.
-        slack_of: function that computes (n,) the slacks of a plan's boxes; NaN if a box has none.
+        source: publication from which the criterion comes.
+        slack_of: function that computes the slacks (n,) of a plan's boxes; NaN for a box without a slack.
         strict: whether a box with a slack of 0 is unstable.
-        number: name of the quantity that is compared with the threshold; "" if the criterion has no threshold.
-        threshold: the value with which the quantity ``number`` is compared. The slack is quantity − threshold.
-        ends: whether boxes after the first one that fails get no answer.
+        number: name of the quantity that the criterion compares with a threshold; "" if the criterion has no threshold.
+        threshold: the threshold with which the quantity ``number`` is compared. The slack is the quantity minus the
+            threshold.
+        ends: whether boxes after the first box that fails get no answer.
         usual: whether the criterion is evaluated by default.
     """
 
@@ -478,10 +484,11 @@ _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.us
 
 
 def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]:
-    """The criteria with these names, in the order of ``CRITERIA``. Without names, the default criteria.
+    """The criteria with these names, in the order of ``CRITERIA``. If no names are given, these are the default
+    criteria.
 
     Raises:
-        InputError: one of the names is not that of a criterion.
+        InputError: there is no criterion with one of the names.
     """
     chosen_names = tuple(names or ()) or _UNNAMED
     for name in chosen_names:

@@ -1,4 +1,4 @@
-"""The options of the criteria (``CriteriaOptions``), which are checked."""
+"""The options of ``petmjx.criteria``, as a record that checks their values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 
 
 class CriteriaOptions(CheckedRecord):
-    """The options of the criteria: inputs and parameters on which the answers depend."""
+    """The options of ``petmjx.criteria``: properties of the load and the carrier, and parameters of the comparison with
+    a run."""
 
     friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
         PHYSICS["pallet"].box_friction[0], description="coefficient of friction where boxes lie, for force balance"

@@ -44,7 +44,8 @@ _PLAN_ID: Final = {"plan_id": (TEXT, "id of the packing plan")}
 
 
 def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """One row per box, in packing order. An answer is null if the criterion was not evaluated."""
+    """The table ``boxes``: one row per box, in packing order. A criterion's answer is null if the criterion was not
+    evaluated for the box."""
     counts = [plan.n_boxes for plan in plans]
     columns: dict[str, object] = {
         "plan_id": np.repeat(np.array([plan.plan_id for plan in plans], dtype=object), counts),
@@ -65,7 +66,8 @@ def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
 
 
 def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """One row per plan: whether all boxes are stable, the first unstable box, and the smallest slack."""
+    """The table ``plans``: one row per plan. For each criterion, the row has whether all boxes are stable, the first
+    unstable box, and the smallest slack."""
     counts = np.array([plan.n_boxes for plan in plans])
     starts = np.r_[0, counts.cumsum()[:-1]]
     columns: dict[str, object] = {
@@ -90,7 +92,7 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
 
 
 def documented_boxes(criteria: Sequence[Criterion]) -> Described:
-    """The columns of the table ``boxes``."""
+    """The units and descriptions of the columns of the table ``boxes``."""
     columns = dict(_PLAN_ID)
     columns["box"] = (DIMENSIONLESS, "index of the box in packing order, from 0")
     columns["item_id"] = (TEXT, "id of the item in the plan")
@@ -108,7 +110,7 @@ def documented_boxes(criteria: Sequence[Criterion]) -> Described:
 
 
 def documented_plans(criteria: Sequence[Criterion]) -> Described:
-    """The columns of the table ``plans``."""
+    """The units and descriptions of the columns of the table ``plans``."""
     columns = dict(_PLAN_ID)
     columns["n_boxes"] = (DIMENSIONLESS, "boxes of the plan")
     columns["support_share"] = (DIMENSIONLESS, "least borne share of a base")
@@ -123,7 +125,7 @@ def documented_plans(criteria: Sequence[Criterion]) -> Described:
 
 
 def criteria_vs_physics_columns() -> Described:
-    """The columns of the table ``judged``."""
+    """The units and descriptions of the columns of the table ``judged``, which compares the criteria with a run."""
     columns = {"criterion": (TEXT, "name of the criterion"), "n_plans": (DIMENSIONLESS, "plans with a valid verdict")}
     for cell in CELLS:
         says, stands = cell.split("_")
@@ -140,7 +142,8 @@ def criteria_vs_physics_columns() -> Described:
 
 
 def documented_thresholds() -> Described:
-    """The columns of the table ``thresholds``. Each row states the unit of its threshold."""
+    """The units and descriptions of the columns of the table ``thresholds``. The unit of a threshold differs between
+    rows, so each row states it."""
     in_row = "as in the column unit"
     columns = {
         "criterion": (TEXT, "name of the criterion"),
@@ -170,7 +173,7 @@ class CriteriaResults:
         boxes: one row per box: for each criterion, its answer and its slack (``<criterion>_slack``).
         plans: one row per plan: for each criterion, whether all boxes are stable, the first unstable box (``_first``),
             and the smallest slack.
-        judged: one row per criterion: its comparison with the verdicts of a run; None without a run.
+        judged: one row per criterion: the comparison of its answers with the verdicts of a run; None without a run.
         thresholds: one row per criterion that has a threshold: the threshold that agrees best with the simulation; None
             without a run.
         info: options, counts, skipped plans and times.
@@ -192,10 +195,10 @@ class CriteriaResults:
         return chosen_criteria(self.info["criteria"])
 
     def units(self, table: str) -> dict[str, str]:
-        """Column → unit of a table: ``""`` for text, ``"1"`` for counts and shares.
+        """The unit of each column of a table: ``""`` for text, ``"1"`` for counts and shares.
 
         Raises:
-            KeyError: there is no such table.
+            KeyError: there is no table with this name.
         """
         columns_by_table = {name: described for name, _, described in self._tables()}
         return {column: unit for column, (unit, _) in columns_by_table[table].items()}
@@ -205,7 +208,8 @@ class CriteriaResults:
         written as JSON.
 
         Raises:
-            InputError: the folder already has such files and ``overwrite`` is not set, or the folder is not writable.
+            InputError: the folder already has files with these names and ``overwrite`` is not set, or the folder is not
+                writable.
         """
         folder = Path(folder)
         check_criteria_free(folder, overwrite, judged=self.judged is not None)
@@ -223,8 +227,8 @@ class CriteriaResults:
 
 
 def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that the files of criteria may be written into a folder. This check is made before the criteria are
-    computed, which may take minutes.
+    """Check that the files of the results may be written into a folder. This check is made first, because computing the
+    criteria may take minutes.
 
     Args:
         judged: whether the criteria are compared with a run.
@@ -239,7 +243,7 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
 
 
 CHUNK: Final = 16
-"""Number of plans that a process receives at a time. Their force balance takes half a second."""
+"""Number of plans that a process receives at a time. The force balance of this number of plans takes half a second."""
 
 
 def criteria(
@@ -260,16 +264,18 @@ def criteria(
     ``petmjx.criteria("plans.json", run="results", only=("support_75", "equilibrium")).judged``
 
     Args:
-        plans: as for ``petmjx.score``. None: the plans of the run; without a run, the bundled samples.
-        run: a run of the same plans, or its folder. The criteria are compared with the verdicts of this run. If a plan
-            has several worlds, the verdict of its nominal world is used. In the run of a chain, a plan counts as
-            standing if it arrives often enough (``p_arrives``).
+        plans: as for ``petmjx.score``. If None, the plans of the run are used, or, without a run, the bundled sample
+            plans.
+        run: a run of the same plans, or its folder. The criteria are compared with the verdicts of this run. If the run
+            simulated a plan several times, with different errors, the verdict of the simulation without errors is used.
+            In the run of a transport chain, a plan counts as standing if at least the share ``p_arrives`` of its
+            simulations reach the end of the chain.
         out: a folder for the tables, as Parquet and CSV.
         overwrite: whether existing tables may be replaced.
         limit: largest number of plans to evaluate.
-        strict: whether to raise at the first plan that would otherwise be skipped.
+        strict: whether a plan that cannot be used raises an error instead of being skipped.
         units: the units of files and data frames, as for ``petmjx.load_plans``.
-        anchor: as for ``petmjx.load_plans``.
+        anchor: which point of a box its coordinates refer to, as for ``petmjx.load_plans``.
         progress: function that is called with the number of finished plans and the number of all plans.
         options: fields of ``petmjx.analysis.criteria_options.CriteriaOptions``: ``friction``, ``side_friction``,
             ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``p_arrives``, ``seed``. A
@@ -328,7 +334,7 @@ def criteria(
 
 
 def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
-    """A note if the criteria assume another carrier than the run."""
+    """A note, if the criteria assume a different carrier than the run."""
     if carrier == run.carrier:
         return []
     own_carrier, run_carrier = (
@@ -384,8 +390,9 @@ def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
 
 
 def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) -> pd.DataFrame:
-    """One row for each plan of the run, for its nominal world. In the run of a chain, the verdict states whether the
-    plan arrives often enough, the reason is the weakest leg, and the margin is the share that arrives minus the
+    """One row for each plan of the run, about its nominal world (the simulation without errors). In the run of a chain,
+    the row is about all worlds of the plan. Its verdict states whether a sufficient share of them arrives, its reason
+    is the leg (stage of the transport) in which most of them fail, and its margin is the share that arrives minus the
     required share.
 
     Raises:
@@ -403,10 +410,10 @@ def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) ->
 
 
 def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]) -> pd.DataFrame:
-    """The nominal worlds of the run, one for each plan, if these plans were simulated.
+    """Check that the run simulated these plans, and return its worlds, one for each plan.
 
     Raises:
-        InputError: the run has none of these plans, or a plan does not have the same number of boxes in the run.
+        InputError: the run has none of these plans, or a plan has a different number of boxes in the run.
     """
     counts = {plan.plan_id: plan.n_boxes for plan in plans}
     common = worlds[worlds["plan_id"].isin(list(counts))]

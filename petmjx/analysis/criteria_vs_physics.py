@@ -1,9 +1,10 @@
-"""Compares criteria with a simulation: which plans both accept, and with which threshold a criterion agrees best.
+"""Compares the answers of criteria with the verdicts of a simulation, and finds the threshold with which a criterion
+agrees best with the simulation.
 
 A criterion accepts a plan if all boxes of the plan are stable. *Precision* is the share of accepted plans that stand.
 *Recall* is the share of standing plans that are accepted. Matthews' correlation coefficient (MCC; Matthews 1975,
-Biochimica et Biophysica Acta 405, 442-451) takes both kinds of error into account: at 1 all answers are right, at 0
-they are no better than chance.
+Biochimica et Biophysica Acta 405, 442-451) takes both kinds of error into account. If it is 1, all answers are right;
+if it is 0, the answers are no better than chance.
 """
 
 from __future__ import annotations
@@ -22,33 +23,35 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 
 N_BOOTSTRAP: Final = 4000
-"""Number of bootstrap samples of the plans. With this number, the bounds of an interval vary by about 1 % of its
-width."""
+"""Number of bootstrap samples of the plans. If the bootstrap is repeated with this number, the bounds of an interval
+vary by about 1 % of the interval's width."""
 
 CELLS: Final = ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")
-"""The cells of the confusion matrix. A name states first the answer of the criterion, then the answer of physics."""
+"""The cells of the confusion matrix. Each name states first the answer of the criterion, then the verdict of the
+simulation."""
 
 SCORES: Final = ("precision", "recall", "mcc")
 
 ARRIVES: Final = ("arrives_accepted", "arrives_refused")
-"""Columns for the run of a chain: the mean P(arrives) of the plans that a criterion accepts, and of the plans that it
-refuses."""
+"""Names of two columns for the run of a transport chain: the mean probability of arrival of the plans that a criterion
+accepts, and of the plans that the criterion refuses."""
 
 
 def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0) -> pd.DataFrame:
-    """Compare every criterion with physics.
+    """Compare every criterion with a simulation.
 
     Args:
         plans: one row per plan, in the form of ``CriteriaResults.plans``.
-        worlds: one row per plan of a run: ``verdict`` and ``culprit`` by ``plan_id``. Plans with invalid worlds are
-            left out.
+        worlds: one row per plan of a run, with the columns ``plan_id``, ``verdict`` and ``culprit`` (the first box that
+            fails). Plans whose verdict is invalid are left out.
         seed: seed of the bootstrap.
 
     Returns:
-        One row per criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, and each of ``SCORES`` with ``_low``
-        and ``_high`` (95 % bootstrap over plans). ``same_first_box`` is the number of refused falling plans for which
-        the criterion and physics name the same first box. If ``worlds`` has the column ``share`` (in the run of a
-        chain), each row also has the means ``ARRIVES`` of this share.
+        One row per criterion: ``criterion``, ``n_plans``, the counts named in ``CELLS``, and the scores named in
+        ``SCORES``. Each score has two more columns, ``_low`` and ``_high``, with the bounds of its 95 % bootstrap
+        interval over plans. ``same_first_box`` counts the plans that the criterion refuses and that fall in the
+        simulation, with the same first box according to both. If ``worlds`` has the column ``share`` (in the run of a
+        chain), each row also has the means of this share that ``ARRIVES`` names.
     """
     judged = with_physics(plans, worlds)
     stands = judged["stands"].to_numpy(dtype=bool)
@@ -67,8 +70,9 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
 
 
 def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """The plans for which the run has a verdict, with the columns ``stands``, ``culprit``, ``reason`` and ``margin``
-    from physics. For a chain there is also the ``share`` of worlds in which the plan arrives."""
+    """The plans for which the run has a valid verdict, with the columns ``stands``, ``culprit``, ``reason`` and
+    ``margin`` from the simulation. For the run of a chain, there is also the ``share`` of simulations in which the plan
+    arrives."""
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     of_chain = ["share"] if "share" in judged else []
     physics = judged[["plan_id", "culprit", "reason", "margin", *of_chain]].assign(
@@ -80,8 +84,8 @@ def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: int) -> dict[str, float]:
     """The counts of the confusion matrix, and the scores with their intervals.
 
-    The bootstrap draws plans with replacement. Since only the four counts matter, they are drawn directly from a
-    multinomial distribution.
+    The bootstrap draws plans with replacement. Only the four counts of a sample matter, so the counts are drawn
+    directly from a multinomial distribution.
     """
     cells = confusion(accepted, stands)
     row: dict[str, float] = {name: int(count) for name, count in zip(CELLS, cells, strict=True)}
@@ -105,13 +109,14 @@ def confusion(accepted: NDArray[np.bool_], stands: NDArray[np.bool_]) -> NDArray
 def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Precision, recall and MCC for counts of shape (…, 4).
 
-    A share of zero plans is NaN. If a criterion gives the same answer for all plans, MCC is 0, because the criterion is
-    useless. If physics gives the same verdict for all plans, MCC is undefined, so it is NaN.
+    Precision is NaN if no plan is accepted, and recall is NaN if no plan stands. MCC is 0 if the criterion gives the
+    same answer for all plans, because such a criterion is useless. MCC is NaN if the simulation gives the same verdict
+    for all plans, because MCC is then undefined.
     """
     hit, false, miss, right = np.moveaxis(np.asarray(cells, dtype=np.float64), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         precision, recall = hit / (hit + false), hit / (hit + miss)
-        # two square roots, since float64 cannot hold the product of all four sums exactly
+        # two square roots, because float64 cannot represent the product of all four sums exactly
         below = np.sqrt((hit + false) * (hit + miss)) * np.sqrt((right + false) * (right + miss))
         mcc = np.where(below > 0, (hit * right - false * miss) / np.where(below > 0, below, 1.0), 0.0)
     mcc = np.where((hit + miss == 0) | (false + right == 0), np.nan, mcc)
@@ -121,15 +126,16 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
 def best_thresholds(
     plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0
 ) -> pd.DataFrame:
-    """For each criterion that has a threshold, the threshold that agrees best with physics. Each threshold is fitted on
-    one half of the plans and tested on the other half.
+    """For each criterion that has a threshold, the threshold that agrees best with the simulation. Each threshold is
+    fitted on one half of the plans and tested on the other half.
 
-    The half to which a plan belongs depends only on its id and the seed.
+    The half to which a plan belongs depends only on the plan's id and the seed.
 
     Returns:
         One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (a lower limit), ``published`` (the
-        published threshold), ``n_found_on`` and ``mcc_found_on``. The other columns are as in ``judge``, for the half
-        on which the threshold is tested, plus ``mcc_published``.
+        published threshold), ``n_found_on`` and ``mcc_found_on``. The other columns are those of ``judge``, computed on
+        the half on which the threshold is tested, and ``mcc_published`` (the MCC of the published threshold on this
+        half).
     """
     joined_plans = with_physics(plans, worlds)
     stands = joined_plans["stands"].to_numpy(dtype=bool)
@@ -153,8 +159,8 @@ def best_thresholds(
 
 
 def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
-    """(n,) whether each plan belongs to the first half. A hash of the plan's id and the seed decides to which half it
-    belongs, like a fair coin."""
+    """(n,) whether each plan belongs to the first half. This is decided by a hash of the plan's id and the seed, which
+    acts as a fair coin."""
     key = seed.to_bytes(8, "little")
     coins = [hashlib.blake2b(name.encode(), digest_size=1, key=key).digest()[0] & 1 for name in plan_ids]
     return np.array(coins, dtype=bool)
@@ -174,12 +180,12 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
         return float("nan"), 0.0
     standing = np.bincount(owner, weights=stands[has_number], minlength=len(values))
     falling = np.bincount(owner, minlength=len(values)) - standing
-    # each threshold tried lies between two values, and accepts all values above it
+    # each threshold that is tried lies between two values, and accepts all values above the threshold
     hit, false = (counts[::-1].cumsum()[::-1][1:] for counts in (standing, falling))
     n_standing = int(stands.sum())
     cells = np.stack([hit, false, n_standing - hit, len(stands) - n_standing - false], axis=-1)
     mcc = scores(cells.astype(np.int64))[2]
-    if not mcc.max() > 0:  # "not >" instead of "<=", so that NaN also returns here
+    if not mcc.max() > 0:  # "not >" instead of "<=", so that the function also returns here if the MCC is NaN
         return float("nan"), 0.0
     best = np.flatnonzero(mcc >= mcc.max() - 1e-12)
     cut = int(best[len(best) // 2])

@@ -1,10 +1,10 @@
-"""Which boxes are crushed, by the force on their top at rest or by its peak: surely, possibly, or not. Also computes
-the share of pallets that arrive without crushed boxes.
+"""Determines which boxes are crushed by the force on their top: surely, possibly, or not. Both the force at rest and
+the peak force are considered. This module also computes the share of pallets that arrive without crushed boxes.
 
 Strengths are not exact: the losses through stacking, moisture and time have a spread. Forces at rest are not exact
-either if a box has several supports. So a box is *surely* overloaded if the smallest possible force exceeds the largest
-possible strength. A box is *possibly* overloaded if the largest possible force exceeds the smallest possible strength.
-docs/loads.md explains crushing to users.
+either: if a box has several supports, statics does not determine how they share the load. So a box is *surely*
+overloaded if the smallest possible force exceeds the largest possible strength. A box is *possibly* overloaded if the
+largest possible force exceeds the smallest possible strength. docs/loads.md explains crushing to users.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ WAY_UNITS: Final = {
 }
 
 SUSTAINED: Final = "sustained_top_force_n"
-"""Column of boxes in a chain: the largest force at rest after any leg."""
+"""Name of a column of the table of boxes, in the run of a transport chain: the largest force at rest on top of the box
+after any leg (stage of the transport)."""
 
 _KEY: Final = ["plan_id", "variant"]
 
@@ -60,9 +61,10 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
     """Add the columns ``crush_share_low`` and ``crush_share_high`` to the boxes.
 
     Args:
-        boxes: the forces on boxes (the smallest and the largest at rest, and ``SUSTAINED``, if known), and the
-            strengths of ``BOX_UNITS``.
-        time_factors: smallest and largest share of its strength that a box keeps over time under forces at rest.
+        boxes: one row per box, with forces and strengths. The forces are those at rest and their peak, the smallest and
+            the largest possible force at rest, and ``SUSTAINED``; the last three may be missing. The strengths are the
+            columns that ``BOX_UNITS`` names.
+        time_factors: the smallest and the largest share of the strength that a box keeps if the load lasts for days.
     """
     peak, rest = boxes["max_top_force_n"], boxes["rest_top_force_n"]
     sustained = boxes.get(SUSTAINED, rest)
@@ -81,7 +83,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
 
 
 def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
-    """The columns ``PLAN_UNITS``, with one row per world."""
+    """The table with one row per world (one simulation of one plan) and the columns that ``PLAN_UNITS`` names."""
     marked = boxes[_KEY].assign(
         surely=boxes["crush_share_low"] > 1,
         possibly=boxes["crush_share_high"] > 1,
@@ -98,8 +100,8 @@ def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
 
 
 def ways_of(worlds: pd.DataFrame, plans: pd.DataFrame) -> pd.DataFrame:
-    """For each plan and remedy of a chain, the share of pallets that arrive at its end, and the share that arrive
-    without crushed boxes.
+    """For each plan and remedy (a change to a transport chain), the share of pallets that arrive at the end of the
+    chain, and the share that arrive without crushed boxes.
 
     Args:
         worlds: the worlds of the run of a chain.

@@ -1,33 +1,35 @@
-"""Force balance: whether forces exist that hold a stack in balance, and with how much slack.
+"""Force balance: determines whether forces between the boxes can hold a stack in balance, and with how much slack.
 
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
-Transactions on Graphics 28(5). At each corner of each contact area, a pressing force acts, and friction of at most μ
-times that force. A stack is balanced if there are such forces whose sum and moment are zero on every box.
+Transactions on Graphics 28(5). At each corner of each contact area, the bodies may press on each other, with friction
+of at most μ times the pressing force. A stack is balanced if there are such forces that, together with the weights,
+have zero sum and zero moment on every box.
 
-The slack is dimensionless. If a box is supported at n corners of its contact areas, each corner must carry at least s /
-n of the box's own weight. The slack is the largest s for which the stack is balanced. At 1, every box rests evenly on
-all its corners. At 0, some box is about to tip. Below 0, a box would have to be glued to its support; the glue needs
-more strength the further s is below 0. For a box with a free top there is a closed form: take the ray from the middle
-of the box's corners through the box's centre to the edge of their hull. The slack is 1 minus the position of the centre
-on this ray, where 0 is the middle and 1 the edge.
+The slack is dimensionless. If the contact areas of a box have n corners in all, each corner must carry at least s / n
+of the box's own weight. The slack is the largest s for which the stack is balanced. At s = 1, every box rests evenly on
+all its corners. At s = 0, some box is about to tip. At s < 0, a box would have to be glued to its support, with the
+stronger glue the smaller s is. For a box with a free top there is a closed form: take the ray that starts in the middle
+of the corners of the box's contact areas, passes through the box's centre of mass and ends at the edge of the corners'
+convex hull. The position of the centre on this ray is 0 in the middle and 1 at the edge. The slack is 1 minus this
+position.
 
-A placement only affects the structure of the new box: the boxes that are connected to it by contacts. Three shortcuts,
-which do not change the result, save time:
+Placing a box only affects the structure of this box, which is the group of boxes that contacts connect with it. Three
+shortcuts save time and do not change the result:
 
-- A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces from
-  below can always balance the load. Such a box is treated as part of the carrier, so structures end at it.
-- If vertical forces alone balance the boxes, a solution is found. Friction, horizontal forces and heights are
-  considered only if no vertical forces balance the boxes. Friction can help, for example when another box lies across a
-  box and its neighbour, and so holds the box. The slack is then the larger one of the slacks without and with friction.
+- A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
+  balance the load with vertical forces. Such a box is treated as part of the carrier, so structures end at it.
+- Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes.
+  Friction can help, for example if a box is held by another box that lies across it and its neighbour. The slack is
+  then the larger one of two: the slack without friction and the slack with friction.
 - For a structure of one box, the closed form above gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
-friction. ``lean`` is off by default: a force between sides that could hold a box does not always arise. With friction
-at its sides, any box could hang between two neighbours that press on it, even if nothing makes the neighbours press.
+friction. ``lean`` is off by default, because the criterion only asks whether forces are possible, and a possible force
+between two sides need not arise. With friction at the sides, for example, any box could hang between two neighbours
+that press on it, even if nothing makes the neighbours press.
 
-petmjx.analysis.force_intervals uses the linear programmes of this module, and ``wrenches``, which computes forces and
-moments on bodies from forces at points.
+petmjx.analysis.force_intervals also uses the linear programmes of this module, and the function ``wrenches``.
 """
 
 from __future__ import annotations
@@ -43,20 +45,24 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.world.history import CARRIER
 
 WRENCH: Final = 6
-"""Number of rows of a body: three for its force and three for its moment about its centre."""
+"""Number of equations of balance for each body: three for the force on the body, and three for the moment about the
+body's centre."""
 
 
 def wrenches(
     first: IntArray, second: IntArray, position_m: FloatArray, direction: FloatArray, centre_m: FloatArray
 ) -> Entries:
-    """(6 b, p k): the force on each body and its moment about the body's centre, from k unit forces at each of p
-    points.
+    """The matrix (6 b, p k) that turns forces at contact points into forces and moments on bodies. It has 6 rows for
+    each of b bodies: the force on the body, and the moment about the body's centre. It has a column for each of k unit
+    forces at each of p points.
 
     Args:
-        first, second: (p,) the two bodies that touch, from 0 to b - 1; negative: a body that does not move.
-        position_m: (p, 3) the positions of the points.
-        direction: (p, k, 3) directions of the forces on ``second``. The forces on ``first`` are opposite.
-        centre_m: (b, 3) the centres of the bodies.
+        first, second: (p,) the two bodies that touch at each point, from 0 to b - 1. A negative number stands for a
+            body that does not move.
+        position_m: (p, 3) the positions of the points, m.
+        direction: (p, k, 3) directions of the k forces on the body ``second``. The forces on the body ``first`` are
+            opposite.
+        centre_m: (b, 3) the centres of the bodies, m.
     """
     n_points, n_forces, _ = direction.shape
     column_of = np.arange(n_points * n_forces).reshape(n_points, n_forces)
@@ -74,14 +80,14 @@ def wrenches(
 
 
 _INFEASIBLE: Final = 2
-"""Status that SciPy returns for a programme without a solution."""
+"""Status that SciPy returns for a linear programme without a solution."""
 
 EVEN: Final = 1.0
 """The largest possible slack: all corners carry the same force."""
 
 
 class Entries(NamedTuple):
-    """The k entries of a sparse matrix that are not 0. Each field of this record has the shape (k,)."""
+    """The k nonzero entries of a sparse matrix. Each field of this record has the shape (k,)."""
 
     value: FloatArray
     row: IntArray
@@ -89,8 +95,8 @@ class Entries(NamedTuple):
 
 
 def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
-    """(c,) force that each corner of a contact must carry per unit of slack: the weight of the box above, divided by
-    the number of corners under it."""
+    """(c,) for each contact area, the force that each of its four corners must carry per unit of slack: the weight of
+    the upper box, divided by the number of corners of all contact areas under this box."""
     share: FloatArray = weight[contacts.upper] / (4 * contacts.n_supports[contacts.upper])
     return share
 
@@ -99,21 +105,21 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
     """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = row_sums``, with g ≥ 0 and ``limits @ g ≤ 0``.
 
     Args:
-        forces: (r, f) contribution of each of f forces to each of r rows. A row is one equation of balance.
-        share: (f,) force that must be carried per unit of slack.
-        row_sums: (r,) the value that each row must have.
-        limits: (q, f); None: no limits.
+        forces: (r, f) contribution of each of f forces to each of r rows. Each row is one equation of balance.
+        share: (f,) value that each force must have per unit of slack.
+        row_sums: (r,) value that each row must have.
+        limits: (q, f) the matrix in ``limits @ g ≤ 0``. If None, there are no such conditions.
 
     Returns:
-        The slack s; −inf if no s, however far below 0, fulfils the conditions.
+        The slack s; −inf if no s fulfils the conditions, not even an arbitrarily negative s.
 
     Raises:
-        PetmjxError: HiGHS found no answer.
+        PetmjxError: the solver HiGHS found no answer.
     """
     rows, n_forces = len(row_sums), len(share)
     by_slack = np.zeros(rows)
     np.add.at(by_slack, forces.row, forces.value * share[forces.column])
-    # s is the last column
+    # The slack s is the last column.
     parts = [forces, Entries(by_slack, np.arange(rows), np.full(rows, n_forces))]
     n_limits = 0
     if limits is not None:
@@ -131,19 +137,19 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
 
 
 def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> FloatArray | None:
-    """The smallest and the largest possible value of several sums of forces. All forces g ≥ 0 with ``forces @ g =
+    """The smallest and the largest possible value of each of m sums of forces. All forces g ≥ 0 with ``forces @ g =
     row_sums`` are possible.
 
     Args:
         sums: (m, f) factors of the forces in each sum.
-        forces: (r, f) contribution of each of f forces to each of r rows. A row is one equation of balance.
-        row_sums: (r,) the value that each row must have.
+        forces: (r, f) contribution of each of f forces to each of r rows. Each row is one equation of balance.
+        row_sums: (r,) value that each row must have.
 
     Returns:
-        (m, 2) smallest and largest value of each sum; None if no forces balance.
+        (m, 2) smallest and largest value of each sum; None if no possible forces exist.
 
     Raises:
-        PetmjxError: HiGHS found no answer, or a sum is unbounded.
+        PetmjxError: the solver HiGHS found no answer, or a sum is unbounded.
     """
     bounds = (np.zeros(sums.shape[1]), np.full(sums.shape[1], np.inf))
     extremes = np.empty((len(sums), 2))
@@ -159,11 +165,11 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 def _least_cost_solution(
     costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
 ) -> FloatArray | None:
-    """The x with the smallest ``costs @ x`` among all x within the bounds of rows and values; None if there is no such
-    x.
+    """The vector x with the smallest ``costs @ x`` among all x that satisfy two kinds of bounds: those on the rows of
+    the matrix times x, and those on the elements of x. None if no x satisfies the bounds.
 
-    HiGHS solves the programme. HiGHS is called through SciPy's ``milp`` without integer variables, which has half the
-    overhead of ``linprog``.
+    The solver is HiGHS. It is called through SciPy's ``milp`` without integer variables, because this function has half
+    the overhead of ``linprog``.
 
     Raises:
         PetmjxError: HiGHS found no answer.
@@ -182,23 +188,24 @@ def _least_cost_solution(
 
 
 NO_SLACK: Final = -1e-6
-"""A stack with at least this slack is balanced. The solver's own tolerance is 1e-7 of the mean weight."""
+"""A stack whose slack is at least this value counts as balanced. The solver's own tolerance is 1e-7 of the mean weight
+of a box."""
 
 
 def balance_slack(
     contacts: PlanContacts, hulls: Hulls, friction: Friction, lean: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """The slack of each box's structure just after the box has been placed, as two arrays (n,): without and with
-    leaning on neighbours.
+    """The slack of each box's structure (the group of boxes that contacts connect with it) just after the box has been
+    placed. There are two arrays (n,): without leaning on neighbours, and with leaning.
 
-    Each array ends with the first box after which the stack is not balanced; later boxes are NaN. A box without support
-    gets NaN as well. Such a box counts as not balanced, although friction at its sides could hold it if its neighbours
-    pressed on it.
+    After the first box with which the stack is not balanced, the slack of all later boxes is NaN. The slack of a box
+    without support is also NaN. Such a box counts as not balanced, although its neighbours could hold it by pressing on
+    its sides.
 
     Args:
         friction: coefficients of friction.
-        lean: whether boxes may press on neighbours that they touch side by side. If they may not, the second array is
-            NaN.
+        lean: whether the slack with leaning is computed, for which boxes may press on neighbours that they touch side
+            by side. If not, the second array is NaN.
     """
     without = _Stack(contacts, friction)
     ways = [without, _Stack(contacts, friction, find_sides(contacts))] if lean else [without]
@@ -214,8 +221,8 @@ def balance_slack(
 
 
 class _Stack:
-    """A stack that is built box by box. One rule of balance, with or without leaning, is applied after each placement,
-    until the stack fails."""
+    """A stack that is built box by box, and is checked for balance after each placement until it is not balanced. The
+    check is either with or without leaning."""
 
     def __init__(self, contacts: PlanContacts, friction: Friction, sides: Sides | None = None) -> None:
         self.slack = np.full(contacts.n_boxes, np.nan)
@@ -223,7 +230,8 @@ class _Stack:
         self._contacts, self._friction, self._sides = contacts, friction, sides
 
     def place(self, box: int, vertical: float, structures: _Structures) -> None:
-        """Place a box. ``vertical`` is the slack of the box's structure with vertical forces alone."""
+        """Place a box and compute its slack. ``vertical`` is the slack of the box's structure for vertical forces
+        alone."""
         slack = vertical
         if slack < NO_SLACK:
             structure = structures.of(box)
@@ -245,12 +253,12 @@ class _Structures:
         self._system = _VerticalSystem(contacts)
 
     def of(self, box: int) -> NDArray[np.bool_]:
-        """(n,) whether each box is connected to this box by contacts."""
+        """(n,) whether each box belongs to the structure of the given box."""
         joined: NDArray[np.bool_] = self._joined == self._joined[box]
         return joined
 
     def with_box(self, box: int) -> float:
-        """Add a box, and return the slack of its structure with vertical forces alone."""
+        """Add a box, and return the slack of the box's structure for vertical forces alone."""
         if self._grounded[box]:
             return 1.0
         supports = self._contacts.lower[self._starts[box] : self._starts[box + 1]]
@@ -263,7 +271,7 @@ class _Structures:
 
 
 def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) slack of each box when nothing lies on its top."""
+    """(n,) slack of each box if nothing lies on its top, for vertical forces alone."""
     n = contacts.n_boxes
     middle = np.full((n, 2), np.nan)
     count = np.maximum(contacts.n_supports, 1)
@@ -274,18 +282,20 @@ def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 
 
 class _VerticalSystem:
-    """Force and moments on every box from the vertical forces at corners. Each structure uses a part of this system.
+    """The equations of balance for vertical forces at the corners of contact areas. A structure of boxes uses the
+    equations of its own boxes.
 
-    Each corner of a contact presses the box above upwards and the body below downwards. A box has three rows: its
-    vertical force and its two moments about its own centre. The force is in units of the mean weight, and the moments
-    in mean weight times metre.
+    The force at a corner presses the upper box upwards and the lower body downwards. Each box has three equations
+    (rows): one for the vertical force, and two for the moments about the box's centre along x and y. Forces are in
+    units of the mean weight of a box, and moments in mean weight times metre.
     """
 
     def __init__(self, contacts: PlanContacts) -> None:
         self._upper = contacts.upper
         self._weight = contacts.mass_kg / contacts.mass_kg.mean()
         self._share = even_share(contacts, self._weight)
-        # (2, c) the bodies that must balance: neither the carrier nor fixed boxes
+        # (2, c) the upper and the lower body of each contact; CARRIER for bodies that need no equations: the carrier
+        # itself, and boxes grounded on it
         body = np.stack([contacts.upper, contacts.lower])
         self._body = np.where((body == CARRIER) | contacts.grounded[body], CARRIER, body)
         arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
@@ -294,7 +304,7 @@ class _VerticalSystem:
         self._value[1] *= -1
 
     def slack(self, boxes: IntArray) -> float:
-        """The largest slack of a structure of two or more placed boxes."""
+        """The slack of a structure of two or more placed boxes."""
         place = np.full(len(self._weight), -1)
         place[boxes] = np.arange(len(boxes))
         chosen = np.flatnonzero(place[self._upper] >= 0)
@@ -311,16 +321,16 @@ class _VerticalSystem:
 
 
 _DIRECTIONS = 5
-"""Number of forces at a point: one of pressure, and four of friction, in both directions along each of the two other
-axes."""
+"""Number of unknown forces at a contact point: one of pressure, and four of friction, in both directions along the two
+axes across the pressure."""
 
 
 class Friction(NamedTuple):
     """Coefficients of friction.
 
     Attributes:
-        flat: coefficient for a box that lies on another box or on the carrier.
-        sides: coefficient for boxes that touch side by side.
+        flat: coefficient of friction between a box and the box or carrier on which it lies.
+        sides: coefficient of friction between boxes that touch side by side.
     """
 
     flat: float
@@ -328,10 +338,10 @@ class Friction(NamedTuple):
 
 
 class _Points(NamedTuple):
-    """Points at which bodies touch: p rows.
+    """The p points at which bodies touch. Each field has one row per point.
 
-    The force on ``second`` presses along ``axis``; the force on ``first`` is opposite. ``share`` is the force that a
-    point must carry per unit of slack, in mean weights.
+    At each point, the pressure on the body ``second`` acts along ``axis``; the pressure on the body ``first`` is
+    opposite. ``share`` is the force that a point must carry per unit of slack, in units of the mean weight of a box.
     """
 
     first: IntArray
@@ -345,16 +355,17 @@ class _Points(NamedTuple):
 def friction_slack(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, friction: Friction, sides: Sides | None = None
 ) -> float:
-    """Slack of a structure with friction. All bodies that touch the structure must also be in balance.
+    """The slack of a structure (a group of boxes connected by contacts) if friction may act. All boxes that touch the
+    structure must also be in balance.
 
-    Friction must lie in the pyramid |fx| + |fy| ≤ μ f, which is inside the cone. So a stack that is balanced here is
-    also balanced with the cone. Friction is limited to μ times the part of a corner's force that exceeds the corner's
-    required share. This limit does not affect the sign of the slack.
+    Friction must lie in the pyramid |fx| + |fy| ≤ μ f, which is inside the friction cone. So a stack that is balanced
+    with the pyramid is also balanced with the cone. The force f here is only the part of the pressure that exceeds the
+    share required from the corner. This restriction does not affect the sign of the slack.
 
     Args:
         structure: (n,) boxes whose corners must carry the required share.
         newest: the box placed last.
-        sides: the places at which boxes lean on each other; None: there are none.
+        sides: the places at which boxes may lean on each other or on walls. If None, boxes may not lean.
     """
     boxes = _hanging_together(contacts, structure, newest, sides)
     points = _points(contacts, boxes, structure, friction, sides)
@@ -366,7 +377,7 @@ def friction_slack(
     possible = np.repeat(points.friction[:, None] > 0, _DIRECTIONS, axis=1)
     possible[:, 0] = True
     chosen = np.flatnonzero(possible)
-    row_of = np.append(np.cumsum(boxes) - 1, CARRIER)  # the carrier, which is last, does not move
+    row_of = np.append(np.cumsum(boxes) - 1, CARRIER)  # the last entry is the carrier, which does not move
     first, second = row_of[points.first], row_of[points.second]
     centre_m = contacts.centre_mm[boxes] / MM_PER_M
     forces = _columns(
@@ -377,8 +388,8 @@ def friction_slack(
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
-    """The entries that lie in the chosen columns of a sparse matrix with n columns. The chosen columns are
-    renumbered."""
+    """The entries of a sparse matrix with n columns that lie in the chosen columns. The chosen columns are renumbered
+    from 0."""
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))
     column = position[entries.column]
@@ -389,7 +400,7 @@ def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
 def _hanging_together(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, sides: Sides | None
 ) -> NDArray[np.bool_]:
-    """(n,) whether each placed box is connected with the structure by contacts."""
+    """(n,) whether each box is one of the placed boxes that contacts connect with the structure."""
     pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
     pair = np.concatenate(pairs)
     pair = pair[(pair != CARRIER).all(axis=1) & (pair.max(axis=1) <= newest)]
@@ -408,7 +419,7 @@ def _points(
     friction: Friction,
     sides: Sides | None,
 ) -> _Points:
-    """The corners of all contact areas of these boxes, as points."""
+    """The corners of all contact areas of the given boxes, as points."""
     indices = np.flatnonzero(boxes[contacts.upper])
     upper = contacts.upper[indices]
     height = np.broadcast_to(contacts.corner_mm[upper, None, None, 2], (len(indices), 4, 1))
@@ -425,7 +436,7 @@ def _points(
         )
     ]
     if sides is not None:
-        stands = np.append(boxes, True)  # CARRIER, the last entry, stands for the walls
+        stands = np.append(boxes, True)  # the last entry, CARRIER, stands for the walls
         indices = np.flatnonzero(stands[sides.first] & stands[sides.second])
         ends = (sides.first[indices], sides.second[indices], sides.axis[indices], _side_corners(sides, indices))
         parts.append((*ends, np.zeros(len(indices)), np.full(len(indices), friction.sides)))
@@ -435,7 +446,7 @@ def _points(
 
 
 def _side_corners(sides: Sides, indices: IntArray) -> FloatArray:
-    """(s, 4, 3) corners of vertical rectangles."""
+    """(s, 4, 3) corners of the vertical rectangles at which boxes touch side by side."""
     corners = np.repeat(sides.low_mm[indices][:, None, :], 4, axis=1)
     far, across = sides.high_mm[indices], 1 - sides.axis[indices]
     rows = np.arange(len(indices))[:, None]
@@ -445,14 +456,15 @@ def _side_corners(sides: Sides, indices: IntArray) -> FloatArray:
 
 
 def _directions(axis: IntArray) -> FloatArray:
-    """(p, 5, 3) unit vectors: one along the axis, then both directions along each of the two other axes."""
+    """(p, 5, 3) directions of the unknown forces at each point: along the point's axis, then both directions along each
+    of the two other axes."""
     unit = np.eye(3)
     along, one, other = unit[axis], unit[(axis + 1) % 3], unit[(axis + 2) % 3]
     return np.stack([along, one, -one, other, -other], axis=1)
 
 
 def _pyramids(friction: FloatArray) -> Entries:
-    """(p, 5 p): at each point, friction minus μ times pressure."""
+    """The matrix (p, 5 p) that computes, from all unknown forces, friction minus μ times pressure at each point."""
     values = np.ones((len(friction), _DIRECTIONS))
     values[:, 0] = -friction
     return Entries(values.ravel(), np.repeat(np.arange(len(friction)), _DIRECTIONS), np.arange(values.size))

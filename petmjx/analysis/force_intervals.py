@@ -1,13 +1,14 @@
-"""The smallest and the largest force on the top of a box at rest that balance and friction allow.
+"""Computes the smallest and the largest force on the top of a box at rest that are possible with balance and friction.
 
 Statics does not determine how three supports share a load, and a simulation's answer depends on the stiffness of its
-contacts. Here the forces at all points at which boxes touch (petmjx.analysis.plan_contacts) are unknowns. Contact
-forces press, friction is at most μ times the pressure, and the force and the moment on every box are zero. Two linear
-programmes per box give the smallest and the largest force on its top. No programme is needed for a box on which statics
-determines the force.
+contacts. In this module, the forces at all points at which boxes touch (petmjx.analysis.plan_contacts) are unknowns.
+Contact forces press, friction is at most μ times the pressure, and the force and the moment on every box are zero. Two
+linear programmes for each box give the smallest and the largest force on its top. If statics alone determines the force
+on a box, no programme is needed.
 
 Friction is limited by the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval contains all forces that the
-cone allows. (The criteria, which determine whether balancing forces exist, use the pyramid inside the cone.)
+cone allows. (The criteria of petmjx.analysis.force_balance use the pyramid inside the cone, so that they never call a
+stack balanced by mistake.)
 """
 
 from __future__ import annotations
@@ -26,11 +27,13 @@ from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
 
 _EDGES: Final = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
-"""Signs of the two tangents along the four edges of the pyramid around a friction cone."""
+"""The four edges of the pyramid around a friction cone: for each edge, the signs of the components along the two
+tangents."""
 
 
 def need_scipy() -> None:
-    """Check that force intervals can be computed, before a run starts that needs them.
+    """Check that force intervals can be computed. A run that needs these intervals calls this function before it
+    starts.
 
     Raises:
         InputError: SciPy is missing.
@@ -42,18 +45,19 @@ def need_scipy() -> None:
 
 
 def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> FloatArray | None:
-    """The :func:`force_intervals` of a world in its final poses. None if the world has no forces at rest."""
+    """The :func:`force_intervals` of a simulated stack in its final poses. None if the simulation gave no forces at
+    rest."""
     at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
     return force_intervals(scene, physics, boxes.pos, boxes.quat) if np.isfinite(at_rest).all() else None
 
 
 def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> FloatArray:
-    """(n, 2) smallest and largest force on the top of each box, N. NaN for a box if no forces balance the boxes that
-    are connected to it, or if the solver finds no answer.
+    """(n, 2) smallest and largest possible force on the top of each box, N. The values of a box are NaN if no forces
+    balance the group of boxes to which it is connected, or if the solver finds no answer.
 
     Args:
-        scene: sizes, masses and friction, and the carrier, which is at its planned place.
-        pos, quat: (n, 3) centres, m, and (n, 4) orientations (w, x, y, z) at rest.
+        scene: sizes, masses and friction of the boxes, and the carrier. The carrier is at its planned place.
+        pos, quat: (n, 3) centres of the boxes at rest, m, and (n, 4) their orientations as quaternions (w, x, y, z).
     """
     touching = find_touch_points(scene, physics, pos, quat)
     weight = scene.mass / scene.mass.mean()
@@ -67,8 +71,9 @@ def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: Float
 
 
 def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
-    """(n, 2) intervals that need no linear programme. For a free top, both bounds are 0. If a box alone bears all boxes
-    above it, both bounds are their weight. For all other boxes, the interval is NaN."""
+    """(n, 2) the intervals that need no linear programme, in units of the mean weight of a box. If nothing lies on a
+    box, both bounds are 0. If a box alone bears the boxes above it, both bounds are the weight of these boxes. For all
+    other boxes, the bounds are NaN."""
     n_boxes = len(weight)
     intervals = np.full((n_boxes, 2), np.nan)
     ends = np.stack([touching.first, touching.second])
@@ -76,7 +81,7 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
     for box in range(n_boxes):
         box_contacts = (ends == box).any(axis=0)
         on_top = touching.pressed[box_contacts] == box
-        # groups of boxes that stay connected if this box is removed
+        # groups of boxes that remain connected if this box is removed
         group = _groups(ends[:, ~box_contacts], n_boxes + 1)
         other = group[ends[:, box_contacts].sum(axis=0) - box]
         above = np.unique(other[on_top])
@@ -86,14 +91,15 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
 
 
 def _hanging_together(touching: TouchPoints, n_boxes: int) -> IntArray:
-    """(n,) number of the group to which each box belongs. Boxes that are connected by contacts belong to the same
-    group."""
+    """(n,) the number of the group to which each box belongs. A group has all boxes that are connected by contacts with
+    each other."""
     ends = np.stack([touching.first, touching.second])
     return _groups(ends[:, (ends != CARRIER).all(axis=0)], n_boxes)
 
 
 def _groups(pairs: IntArray, n: int) -> IntArray:
-    """(n,) for each node the number of its connected component, in a graph with edges (2, e)."""
+    """(n,) the number of the connected component to which each node belongs, in a graph of n nodes with the edges
+    ``pairs`` (2, e)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -105,16 +111,16 @@ def _groups(pairs: IntArray, n: int) -> IntArray:
 def _of_part(
     touching: TouchPoints, boxes: IntArray, known: FloatArray, weight: FloatArray, centre_m: FloatArray
 ) -> FloatArray:
-    """(b, 2) smallest and largest force on the top of each of b boxes, in units of the mean weight of all boxes.
-    Contacts connect these b boxes to one group.
+    """(b, 2) smallest and largest possible force on the top of each box of a group, in units of the mean weight of all
+    boxes. Contacts connect the b boxes of the group with each other.
 
     Args:
-        known: (b, 2) the results that need no linear programme; NaN for the other boxes.
+        known: (b, 2) the forces that are already known without a linear programme; NaN for the other boxes.
     """
-    place = np.full(len(weight) + 1, CARRIER)  # index CARRIER is the last entry
+    place = np.full(len(weight) + 1, CARRIER)  # CARRIER is -1, so it refers to the last entry
     place[boxes] = np.arange(len(boxes))
     contacts = touching.some(np.maximum(place[touching.first], place[touching.second]) != CARRIER)
-    # (p, 4, 3) forces along the edges of the pyramids
+    # (p, 4, 3) at each point, a force along each edge of the pyramid
     direction = contacts.frame[:, :1] + np.einsum("ks,ps,psx->pkx", _EDGES, contacts.friction, contacts.frame[:, 1:])
     forces = wrenches(place[contacts.first], place[contacts.second], contacts.position_m, direction, centre_m[boxes])
     loads = np.zeros((len(boxes), WRENCH))
@@ -125,9 +131,9 @@ def _of_part(
     ]
     try:
         bounds = least_and_most(pressing.reshape(int(unknown.sum()), -1), forces, loads.ravel())
-    except PetmjxError:  # better a missing interval than a run that stops
+    except PetmjxError:  # a run should not stop because one interval is missing
         bounds = None
     intervals = known.copy()
     if bounds is not None:
-        intervals[unknown] = np.sort(bounds, axis=1)  # rounding of the solver may swap equal bounds
+        intervals[unknown] = np.sort(bounds, axis=1)  # rounding errors of the solver may swap bounds that are equal
     return intervals

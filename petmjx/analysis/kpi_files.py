@@ -20,7 +20,7 @@ from petmjx.results.documented_tables import check_tables_free, has_keys
 from petmjx.results.run_folder import csv, parquet, text, write_together
 
 _CREATOR: Final = "petmjx"
-"""Creator in the properties of a workbook, which shows that petmjx wrote the workbook."""
+"""Name of the creator in the properties of a workbook. The name shows that petmjx wrote the workbook."""
 _MOST_PROPERTIES: Final = 1 << 16
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
@@ -40,14 +40,14 @@ def check_kpis_free(folder: Path, overwrite: bool, *, xlsx: bool = False, inputs
 def write_kpis(kpis: Kpis, folder: str | Path, *, xlsx: bool = False, overwrite: bool = False) -> None:
     """Write ``kpis.parquet``, ``kpis.csv`` and ``summary.json``, and with ``xlsx`` also ``kpis.xlsx``, into a folder.
 
-    Either all files are written or none. The folder is made if missing.
+    Either all files are written or none. The folder is made if it does not exist.
 
     Args:
-        overwrite: whether files that petmjx wrote there before may be replaced.
+        overwrite: whether files that petmjx wrote into the folder earlier may be replaced.
 
     Raises:
-        InputError: the folder is not writable, a file of one of these names must not be replaced, or openpyxl, which
-            ``xlsx`` needs, is not installed.
+        InputError: the folder is not writable, it has a file of one of these names that must not be replaced, or
+            ``xlsx`` is set and openpyxl is not installed.
     """
     folder = Path(folder)
     check_kpis_free(folder, overwrite, xlsx=xlsx)
@@ -78,7 +78,8 @@ def kpis_table(kpis: Kpis) -> pa.Table:
 
 
 def _workbook(kpis: Kpis) -> bytes:
-    """A workbook with the sheets that BED-BPP's evaluator writes, ``overview`` and ``orderwise``."""
+    """The bytes of an Excel workbook with the sheets ``overview`` and ``orderwise``, as written by the evaluator of
+    BED-BPP (a public benchmark for packing)."""
     try:
         from openpyxl import Workbook
         from openpyxl.cell import WriteOnlyCell
@@ -106,7 +107,7 @@ def _workbook(kpis: Kpis) -> bytes:
     add(orderwise, table.column_names)
     for row in zip(*(column.to_pylist() for column in table.columns), strict=True):
         add(orderwise, row)
-    content = io.BytesIO()  # openpyxl prints an error if it cannot save to a path
+    content = io.BytesIO()  # saved in memory, because openpyxl prints an error if it cannot save to a path
     workbook.save(content)
     return content.getvalue()
 
@@ -115,7 +116,7 @@ def _is_our_workbook(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
-    # These errors mean that the file is no zip file, is encrypted, or uses another compression.
-    # So petmjx did not write the file.
+    # These errors mean that the file is not a zip file, is encrypted, or uses an unknown compression. So petmjx did not
+    # write it.
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
         return False

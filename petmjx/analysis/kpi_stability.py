@@ -1,4 +1,5 @@
-"""Finds out from runs whether plans stand: according to petmjx's verdict, and according to BED-BPP's rule."""
+"""Finds out from the results of runs whether plans stand, according to petmjx's verdict and according to the rule of
+BED-BPP (a public benchmark for packing)."""
 
 from __future__ import annotations
 
@@ -22,18 +23,18 @@ from petmjx.results.run_manifest import plan_digest
 from petmjx.results.run_reader import RunResults, load_run
 
 MOST_SHIFT_Z_M: Final = 0.01
-"""BED-BPP's rule: a plan is unstable if any box has moved by more than this along z, m."""
+"""BED-BPP's rule: a plan is unstable if any box has moved by more than this distance along z, m."""
 
 
 @dataclass(frozen=True)
 class Stability:
-    """Whether plans stand, by plan id. Plans of unknown stability are left out.
+    """Whether plans stand. Each field maps ids of plans to answers; plans whose answer is unknown are missing.
 
     Attributes:
-        verdicts: petmjx's verdict as text.
-        stable: whether that verdict is ``stable``.
+        verdicts: petmjx's verdict on each plan, as text.
+        stable: whether petmjx's verdict is ``stable``; without plans whose verdict is ``invalid``.
         their_rule: whether the plan stands according to BED-BPP's rule.
-        notes: lines about unfinished runs, and about the run that would be needed for a missing answer.
+        notes: lines for the user about unfinished runs, and about the run that is needed to answer what is unknown.
     """
 
     verdicts: Mapping[str, str] = field(default_factory=dict)
@@ -44,21 +45,22 @@ class Stability:
 
     @classmethod
     def assumed(cls) -> Stability:
-        """The stability of plans that are all assumed to stand according to BED-BPP's rule."""
+        """The answers if all plans are assumed to stand according to BED-BPP's rule."""
         return cls(all_stand=True, notes=("stability is taken as 1 for all plans, not simulated",))
 
     def column(self, known: Mapping[str, bool], plan_ids: Iterable[str]) -> pd.Series:
-        """1, 0 or null for each plan, for stable, unstable and unknown."""
+        """A column with one value per plan: 1 if the plan stands, 0 if it does not, null if this is unknown."""
         is_assumed = known is self.their_rule and self.all_stand
         values = [1 if is_assumed else None if plan_id not in known else int(known[plan_id]) for plan_id in plan_ids]
         return pd.Series(values, dtype="Int64")
 
 
 def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stability:
-    """Read the stability of plans from runs.
+    """Read from the results of runs whether plans stand.
 
     Raises:
-        InputError: a folder has no run or has a sweep, or a plan in a run differs from the plan with the same id.
+        InputError: a folder has no run, its run is a sweep, or a plan in a run differs from the given plan with the
+            same id.
     """
     if not folders:
         command = "petmjx score PLANS --check static --out DIR, then --run DIR"
@@ -98,7 +100,7 @@ def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
 
 
 def _verdicts(run: RunResults) -> dict[str, str]:
-    """Verdicts of a run's nominal worlds, by plan id."""
+    """The verdict on each plan of a run, by the plan's id. The verdict is that of the simulation without errors."""
     columns = ("plan_id", "variant", "verdict")
     tables = run.parts.table("worlds", columns)
     worlds = pa.concat_tables(tables).filter(pc.field("variant") == 0) if tables else None
@@ -108,7 +110,8 @@ def _verdicts(run: RunResults) -> dict[str, str]:
 
 
 def _by_their_rule(run: RunResults) -> dict[str, bool]:
-    """Whether the plans of a run with check ``static`` stand according to BED-BPP's rule."""
+    """Whether each plan stands according to BED-BPP's rule. The run must have used the check ``static``, which puts all
+    boxes in place at once."""
     verdicts = _verdicts(run)
     largest: dict[str, float] = {}
     for part in run.parts.table("boxes", ("plan_id", "variant", "shift_z_m")):

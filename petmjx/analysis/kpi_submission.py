@@ -1,6 +1,7 @@
-"""Writes a submission to BED-BPP's leaderboard, after checking its name and its plans.
+"""Checks plans as a submission to the leaderboard of BED-BPP (a public benchmark for packing), and writes the
+submission's file.
 
-The name has the form ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The leaderboard's page
+The file has a name of the form ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The leaderboard's page
 (floriankagerer.github.io/leaderboard) defines the tasks: either all items are known (offline), or items arrive one
 after the other (O3DBP), or p items are known and the packer chooses one of the next s (O3DBP-p-s).
 """
@@ -34,9 +35,9 @@ class Submission:
     """The name of a submission, split into its parts.
 
     Attributes:
-        date: the date in ISO 8601.
-        task: name of the task in the file.
-        choice: number of next items among which the packer may choose; None: all items.
+        date: date of the submission, in ISO 8601.
+        task: name of the task, as in the file's name.
+        choice: number of next items among which the packer may choose; None if it may choose among all items.
     """
 
     date: str
@@ -47,12 +48,12 @@ class Submission:
 
     @property
     def file_name(self) -> str:
-        """The name of the file, such as "2026-11-22_doe_layers_offline3dbp.json"."""
+        """The name of the submission's file, such as "2026-11-22_doe_layers_offline3dbp.json"."""
         return f"{self.date}_{self.surname}_{self.algorithm}_{self.task}.json"
 
 
 def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.today) -> Submission:
-    """Parse a submission's name, ``SURNAME_ALGORITHM_TASK``. A date before it and ``.json`` after it are optional.
+    """Parse a submission's name, ``SURNAME_ALGORITHM_TASK``. The name may begin with a date and end with ``.json``.
 
     Raises:
         InputError: the name lacks one of these parts, or a part is invalid.
@@ -93,19 +94,20 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
 def write_submission(
     name: str, folder: Path, plans: Mapping[str, Plan], orders: Mapping[str, Order], unusable: int = 0
 ) -> Path:
-    """Check that plans are a valid submission, and write them. Items are written with the same fields as in the orders.
+    """Check that plans are a valid submission, and write the plans to a file. The id, product group and number of each
+    item are those of the order.
 
     Args:
-        name: see :func:`parse_name`.
-        plans, orders: by id.
-        unusable: lines about plans or orders that could not be read.
+        name: name of the submission (see :func:`parse_name`).
+        plans, orders: the plans and the orders, by id.
+        unusable: number of plans and orders that could not be read.
 
     Returns:
-        Path of the file.
+        Path of the submission's file.
 
     Raises:
         InputError: the name is invalid; a plan, an order or an item is missing or superfluous; or the file cannot be
-            written. After an error, no file has been written.
+            written. If there is an error, no file is written.
     """
     submission = parse_name(name)
     faults = [f"{count_text(unusable, 'plan or order', 'plans or orders')} cannot be used"] if unusable else []
@@ -135,8 +137,8 @@ def write_submission(
 
 
 def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: int | None) -> Iterator[str]:
-    """Yield the faults because of which a plan cannot be submitted. As a side effect, each placement gets its item of
-    the order."""
+    """Yield the faults because of which a plan cannot be submitted. Also writes the id, product group and number of the
+    ordered item into each placement."""
     _name(plan, placements, order)
     has_ids = any(plan.item_ids)
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -175,7 +177,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
 
 
 def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
-    """Give each box that has neither id nor article the name of an item that has the same size and mass."""
+    """Give each box that has neither an id nor an article those of an ordered item with the same size and mass."""
     unnamed = [box for box, names in enumerate(zip(plan.item_ids, plan.articles, strict=True)) if not any(names)]
     if not unnamed:
         return
@@ -188,8 +190,8 @@ def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
 
 
 def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:
-    """Yield faults in the sequence of an online packer, which chooses among the next ``choice`` items. Items that the
-    packer leaves out do not count as next items."""
+    """Yield the fault in the sequence of an online packer, if there is one. The packer must place one of the next
+    ``choice`` waiting items each time. Items that the packer leaves out are not counted."""
     if len(indices) < n_boxes:
         return
     waiting = sorted(indices)

@@ -1,16 +1,18 @@
-"""BED-BPP's KPIs of plans, and the leaderboard's rating: ``petmjx.kpis``.
+"""Computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing, and the rating on its
+leaderboard: ``petmjx.kpis``.
 
-The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md lists them
-together with the columns that petmjx adds. ``COLUMNS`` lists the columns of the table.
+The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md lists these
+KPIs and the columns that petmjx adds. ``COLUMNS`` lists the columns of the table.
 
-``direct_support`` determines support by the same method as BED-BPP's evaluator (bed-bpp-env e7459bf,
-``environment/space_3d.py`` and ``environment/cuboid.py``). For each square millimetre of the target, the evaluator
-stores which box was placed there last and how high its top is. The upper box lies on every box that is stored somewhere
-under it, unless that box's top is more than 5 mm below the bottom of the upper box. The support of the upper box is the
-sum of its common areas with these boxes, as a share of its base. A box that lies on no other box counts as standing on
-the target, with support 1. BED-BPP's method has three consequences: if two supporting boxes overlap, their common area
-is counted twice; a box that is pushed in under another box supports it; and a floating box counts as standing on the
-target. In plans without overlapping and floating boxes, the support is the share of the base that lies on something.
+``direct_support`` determines on what a box lies, by the same method as BED-BPP's evaluator (bed-bpp-env e7459bf,
+``environment/space_3d.py`` and ``environment/cuboid.py``). For each square millimetre of the target (the pallet or roll
+container), the evaluator stores which box was placed there last and the height of this box's top. A new box lies on
+every box that is stored somewhere under it, except boxes whose top is more than 5 mm below the bottom of the new box.
+The support of the new box is the sum of the areas that it has in common with these boxes, as a share of its base. A box
+that lies on no other box counts as standing on the target, with support 1. BED-BPP's method has three consequences: if
+two supporting boxes overlap, their common area is counted twice; a box that is pushed in under another box supports it;
+and a floating box counts as standing on the target. In plans without overlapping and floating boxes, the support is the
+share of the base that lies on something.
 """
 
 from __future__ import annotations
@@ -44,8 +46,8 @@ from petmjx.results.plan_lookup import plans_in_place
 
 
 class KpiColumn(NamedTuple):
-    """One column of the table. ``pandas`` is its type in a data frame. ``missing`` tells whether the column may have
-    nulls."""
+    """One column of the table. ``pandas`` is the column's type in a data frame. ``mean`` tells whether the mean of the
+    column is shown."""
 
     name: str
     pandas: str
@@ -98,22 +100,23 @@ COLUMNS: Final = (
     KpiColumn("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
     KpiColumn("n_stable_pal_items", "Int64", "1", "stable × ordered boxes that begin at or below 2.0 m"),
 )
-"""The columns: first BED-BPP's columns, then the columns that petmjx adds."""
+"""The columns of the table of KPIs."""
 
 MEANS: Final = tuple(column.name for column in COLUMNS if column.mean)
-"""Columns whose means are printed."""
+"""Names of the columns whose means are shown."""
 
 
 HEIGHT_TOLERANCE_MM: Final = 5.0
-"""Largest gap below a box across which the top of another box still supports it."""
+"""If the gap between the top of a box and the bottom of a new box is at most this length, the new box counts as
+supported."""
 
 
 class Support(NamedTuple):
     """The direct support of n boxes.
 
     Attributes:
-        share: (n,) supported share of the base; 1 on the target.
-        n_below: (n,) number of boxes on which a box lies; 0 on the target.
+        share: (n,) supported share of each box's base; 1 for a box on the target.
+        n_below: (n,) number of boxes on which each box lies; 0 for a box on the target.
     """
 
     share: FloatArray
@@ -123,13 +126,13 @@ class Support(NamedTuple):
 def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[float, float]) -> Support:
     """The direct support of the boxes of one plan.
 
-    BED-BPP's map has a cell for each square millimetre. Here, cells extend from one edge of a box to the next, so that
-    all points of a cell are under the same boxes.
+    BED-BPP's evaluator stores a map with a cell for each square millimetre. This function uses larger cells, which
+    extend from one edge of a box to the next edge, so that all points of a cell are under the same boxes.
 
     Args:
         corner_mm, size_mm: (n, 3) corners and sizes of the boxes as placed, mm, in packing order.
-        extent_mm: extents of the target along x and y, with its corner at the origin. Parts of boxes outside the target
-            support nothing.
+        extent_mm: extents of the target along x and y; the target's corner is at the origin. Parts of boxes outside the
+            target support nothing.
     """
     low, high = corner_mm[:, :2], corner_mm[:, :2] + size_mm[:, :2]
     x, y = (_cells(low[:, axis], high[:, axis], extent_mm[axis]) for axis in (0, 1))
@@ -152,8 +155,7 @@ def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[
 
 
 class _Cells(NamedTuple):
-    """The cells of the target along one axis: the number of cells, and for each box the range of cells that it
-    covers."""
+    """The cells of the target along one axis: the number of cells, and the range of cells that each box covers."""
 
     number: int
     first: NDArray[np.int64]
@@ -170,8 +172,8 @@ SCORED_HEIGHT_MM: Final = 2_000.0
 """The leaderboard ignores boxes whose bottom is above this height."""
 
 _EDGE_MM: Final = 1.0
-"""In BED-BPP's evaluator, a pile is lower than its real height by this length, because the evaluator uses the last
-whole millimetre inside a box."""
+"""BED-BPP's evaluator computes heights that are too small by this length, because it uses the last whole millimetre
+inside a box."""
 
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 
@@ -182,11 +184,12 @@ class Kpis:
 
     Attributes:
         plans: one row per plan, with the columns of ``petmjx.analysis.kpis.COLUMNS``. Missing values are null.
-        summary: values over all plans: ``plans``, ``orders``, ``ordered_boxes``, the ``means`` of the columns, and the
-            leaderboard's rating: ``rating`` (by ``kpi_6``), ``rating_by_verdict`` and ``rating_if_all_stood``. A rating
-            is None if the stability is unknown.
-        notes: lines about missing and unknown values.
-        skipped: lines about unusable plans and orders.
+        summary: values about all plans: the numbers of ``plans``, ``orders`` and ``ordered_boxes``, the ``means`` of
+            the columns, and the leaderboard's rating in three forms. ``rating`` uses ``kpi_6`` to decide which plans
+            stand, ``rating_by_verdict`` uses petmjx's verdict, and ``rating_if_all_stood`` assumes that all plans
+            stand. A rating is None if it is unknown which plans stand.
+        notes: lines for the user about missing and unknown values.
+        skipped: lines for the user about unusable plans and orders.
         plans_by_id: the plans, by id.
         orders: the orders, by id.
     """
@@ -200,7 +203,7 @@ class Kpis:
 
     @property
     def found(self) -> Mapping[str, Plan]:
-        """The old name of ``plans_by_id``, from version 0.2."""
+        """Old name of ``plans_by_id``, from version 0.2."""
         warnings.warn("Kpis.found is now Kpis.plans_by_id", DeprecationWarning, stacklevel=2)
         return self.plans_by_id
 
@@ -218,20 +221,21 @@ def kpis(
     assume_stable: bool = False,
     strict: bool = False,
 ) -> Kpis:
-    """BED-BPP's KPIs of each plan, their means, and the leaderboard's rating.
+    """Compute BED-BPP's KPIs of each plan, the means of the KPIs, and the leaderboard's rating.
 
     ``petmjx.kpis("plans.json", "orders.json", run=["static-run", "run"]).plans``
 
     Args:
         plans: as for ``petmjx.score``.
-        orders: file of orders, in BED-BPP's form or any other. An order belongs to the plan with the same id.
+        orders: file of orders, in BED-BPP's form or in any other form that petmjx reads. An order belongs to the plan
+            with the same id.
         run: folders of runs in which these plans were simulated. The verdicts come from the first run. ``kpi_6`` comes
             from BED-BPP's rule, applied to the first run with check ``static``.
-        assume_stable: whether all plans count as stable, so that ``kpi_6`` is 1. Allowed only without runs.
-        strict: whether to raise at the first unusable plan or order, instead of leaving it out.
+        assume_stable: whether all plans count as stable, so that ``kpi_6`` is 1. This is allowed only without runs.
+        strict: whether an unusable plan or order raises an error instead of being left out.
 
     Raises:
-        InputError: there is no usable plan or order, or a run has other plans.
+        InputError: there is no usable plan or order, or a plan in a run differs from the given plan with the same id.
     """
     flag_of(strict, "strict")
     flag_of(assume_stable, "assume_stable")
@@ -262,7 +266,7 @@ def kpis(
 
 
 def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[str, Any]:
-    """The values of one plan in all columns, except columns that depend on its stability.
+    """The values of one plan in all columns, except the columns that depend on whether the plan stands.
 
     Args:
         matching: how the plan's boxes match the order, if already known.
@@ -297,8 +301,9 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
 
 
 def _interlocked_share(plan: Plan, n_below: np.ndarray[Any, np.dtype[np.int64]]) -> float | None:
-    """Among the boxes above the target, the share that lies on several boxes, or on one box and has another orientation
-    than the first box of the plan. None if all boxes stand on the target."""
+    """Among the boxes that lie on other boxes, the share that holds the pile together: boxes that lie on several boxes,
+    and boxes that lie on one box and are turned differently from the plan's first box. None if all boxes stand on the
+    target."""
     turned = plan.turned != plan.turned[0]
     n_above = int(np.count_nonzero(n_below))
     held = (n_below > 1) | ((n_below == 1) & turned)
@@ -366,8 +371,8 @@ def _notes(plans: Mapping[str, Plan], orders: Mapping[str, Order]) -> list[str]:
 def _odd_boxes(
     plans: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching]
 ) -> Iterator[str]:
-    """Up to two lines: one on boxes that were not ordered, which names the first plan that has any; and one on boxes
-    that were matched by size alone."""
+    """Up to two lines for the user: one about boxes that were not ordered, with the first plan that has such boxes, and
+    one about boxes that were matched with ordered items by size alone."""
     odd = OddBoxes()
     for name, matching in matchings.items():
         odd.add(plans[name], orders[name], matching)
@@ -375,7 +380,8 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines about plans of unknown stability, if the stability of other plans is known from a run."""
+    """Lines for the user about plans for which it is unknown whether they stand, if a run answers this for other
+    plans."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()

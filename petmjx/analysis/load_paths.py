@@ -1,33 +1,35 @@
-"""Criteria that pass loads down a stack, and polygons in which the top of a box can be loaded.
+"""The criteria that need the loads on boxes, and the polygons in which the top of a box can be loaded.
 
-**Polygons** (load-bearable convex polygons) are the areas in which the top of a box can be loaded without making a box
-below fall. Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable
-Rearrangement Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere on its top. The polygon of any
-other box is the hull of its contact areas, limited to the polygons of the boxes below. The box stands if its centre is
-in its own polygon. In this case no later box can tip the box, so loads need not be considered. The paper also allows
-for an uncertain centre of mass; here the density of boxes is uniform.
+**Polygons** (load-bearable convex polygons): the polygon of a box is the area in which its top can be loaded without
+making this box or a box below it fall. Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast
+Stability Validation and Stable Rearrangement Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere
+on its top. The polygon of any other box is the convex hull of those parts of its contact areas that lie in the polygons
+of the boxes below. The box stands if its centre of mass is in its own polygon. Later boxes may press only inside the
+polygons, where they cannot tip any box. So loads need not be computed. The paper also allows for an uncertain centre of
+mass; petmjx takes the centre of mass as exact.
 
-**Criteria that pass loads down** determine whether the resultant of a box's weight and of the loads above it stays over
-its supports. Each box is checked when it is placed, and all boxes below it are checked again. The two criteria differ
-in how a box distributes its load over its supports:
+**Criteria that pass loads down** determine whether the resultant of a box's weight and of the loads on the box acts
+over the box's supports. Each box is checked when it is placed, and all boxes below it are checked again. The two
+criteria differ in how a box distributes its weight and its load over its supports:
 
-- **lever rule** (the stacking tree): each support gets a force at the middle of its contact area. Between two supports,
-  the load is distributed by the lever rule. More than two supports get the least-squares forces that balance force and
-  moments. Source: Zhao, Zhu, Xu, Huang, Xu (2022), "Learning practically feasible policies for online 3D bin packing",
-  Science China Information Sciences 65, arXiv 2108.13680. As on a lever, a load beyond the middle of the last support
-  lifts the other supports.
-- **even bedding** (mechanical equilibrium): the pressure on the contact areas varies linearly. The linear pressure
-  balances force and moments exactly, and gives a single answer for any number of supports. Source of the criterion:
-  Ramos, Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability
-  constraints", Transportation Research Part B 91, 565-581. Force and moment balance alone do not determine how three or
-  more supports share the load; the bedding is petmjx's choice. (Public re-implementations let each box press with its
-  whole weight on every box directly below, and pass nothing further down.)
+- **lever rule** (the stacking tree): the box presses on each support with a force at the middle of the contact area.
+  Two supports share the load by the lever rule. For more than two supports, the forces are those that balance force and
+  moments with the least sum of squares. Source: Zhao, Zhu, Xu, Huang, Xu (2022), "Learning practically feasible
+  policies for online 3D bin packing", Science China Information Sciences 65, arXiv 2108.13680. As on a lever, a load
+  beyond the middle of the last contact area makes the force on another support negative.
+- **even bedding** (mechanical equilibrium): the pressure on all contact areas of the box is one linear function of x
+  and y. This function is determined by the balance of force and moments, for any number of supports. Source of the
+  criterion: Ramos, Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium
+  stability constraints", Transportation Research Part B 91, 565-581. Balance of force and moments alone does not
+  determine how three or more supports share the load, and the even bedding is petmjx's choice. (Public
+  re-implementations let each box press with its whole weight on every box directly below it, and do not pass loads
+  further down.)
 
-Both rules are linear in the load. So the weight of each box is passed down separately, and the load on a box after any
-placement is a sum over the boxes placed so far. Supports cannot pull, however. If an even bedding would pull, forces
-that only push are used instead: those with the least energy of the supports' springs (petmjx.world.load_sharing). If a
-resultant of the bedding lies beyond an edge, a linear programme determines whether other forces keep all resultants
-inside (petmjx.world.balance_programme).
+In both rules, forces are linear in the load. So the weight of each box is passed down separately, and the load on a box
+after any placement is a sum over the boxes placed so far. However, supports cannot pull. If the pressure of an even
+bedding would be negative somewhere, forces that only push are used instead: those for which the springs of the supports
+store the least energy (petmjx.world.load_sharing). If a resultant of the even bedding lies beyond an edge, a linear
+programme determines whether other balancing forces keep all resultants inside (petmjx.world.balance_programme).
 """
 
 from __future__ import annotations
@@ -46,16 +48,18 @@ from petmjx.world.supports import Bearing, Boxes
 
 
 def load_polygon_slack(contacts: PlanContacts) -> FloatArray:
-    """(n,) distance of each box's centre from the edge of the box's polygon, mm: positive inside, negative outside, NaN
-    if there is no polygon."""
+    """(n,) distance of each box's centre of mass from the edge of the box's polygon, mm: positive inside the polygon,
+    negative outside, NaN if the box has no polygon."""
     polygons = load_polygons(contacts)
     return hulls_of(polygons).distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2])
 
 
 def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
-    """(n,) shapely polygons; empty for a box that has no support with a polygon.
+    """(n,) the polygon of each box, as a shapely polygon. A box has an empty polygon if none of its supports has a
+    polygon.
 
-    Boxes are processed level by level: each level has all boxes whose supports already have polygons.
+    Boxes are processed level by level, so that the polygons of a box's supports are known before the box's own polygon
+    is computed.
     """
     import shapely
 
@@ -72,7 +76,8 @@ def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
 
 
 def _levels(contacts: PlanContacts) -> IntArray:
-    """(n,) level of each box: 0 if it lies only on the carrier, else 1 + the highest level of its supports."""
+    """(n,) level of each box: 0 if the box lies only on the carrier, else 1 + the highest level of the boxes on which
+    it lies."""
     level = np.zeros(contacts.n_boxes, dtype=np.int64)
     for upper, lower in zip(contacts.upper.tolist(), contacts.lower.tolist(), strict=True):
         if lower != CARRIER:
@@ -92,20 +97,22 @@ def _within_polygons(areas: NDArray[np.object_], lower: IntArray, polygons: NDAr
 
 
 Sharing = Callable[[PlanContacts], FloatArray]
-"""Function from contacts to (c, 3, 3) matrices. Each matrix turns the load of the upper box (mass, mass × x, mass × y)
-into the load on the lower body, in kg and kg·mm."""
+"""Function that computes (c, 3, 3) matrices from contacts. The matrix of a contact computes the part of the upper box's
+load that the lower body bears. Each load is a vector (mass, mass × x, mass × y) in kg and kg·mm."""
 
 
 _SAME: Final = 1e-9
-"""Largest relative difference between loads that still counts as rounding."""
+"""Relative differences between loads up to this value count as rounding errors."""
 
 
 def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) ``load_slack`` on an even bedding that can only push, unless another balance keeps all resultants inside.
+    """(n,) the slack of ``load_slack`` for an even bedding whose supports can only push. If this slack is negative, but
+    other balancing forces keep all resultants inside the edges, the slack of these forces is used.
 
-    After a placement, loads may appear to be beyond edges although they depend on how boxes share their loads. In this
-    case, a linear programme searches for balancing forces, and the box passes if such forces exist. The searches end at
-    the first placement without balancing forces. All placements that were not searched keep the values of the bedding.
+    A load may be beyond an edge only because of the assumed bedding. So after each placement with such a load, a linear
+    programme searches for forces that keep all loads inside. The box passes if such forces exist. The search ends at
+    the first placement for which there are no such forces. All placements without a search keep the slack of the
+    bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])
@@ -128,14 +135,15 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 def load_slack(
     contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: BuildingLoads | None = None
 ) -> FloatArray:
-    """(n,) distance of resultants from the edges of the contact hulls after each box's placement, mm; positive inside.
+    """(n,) after each box's placement, the smallest distance of a resultant from the edge of its box's contact hull,
+    mm; positive inside the hull.
 
-    The value is the smallest distance over the box and all boxes that bear part of its weight. The value is NaN if one
-    of these boxes has no support or is lifted.
+    The resultants considered are those of the placed box and of all boxes that bear a part of its weight. The value is
+    NaN if one of these boxes has no support or is lifted.
 
     Args:
-        pushed: the loads if supports can only push. This argument is needed if ``sharing`` would make some supports
-            pull.
+        pushed: the loads computed for supports that can only push. They are needed if ``sharing`` would make some
+            supports pull.
     """
     on_box = _loads_on_boxes(contacts, sharing)
     bears = on_box.any(axis=-1)
@@ -149,17 +157,17 @@ def load_slack(
     distance = hulls.distance(below, point)
     slack = np.full(contacts.n_boxes, np.inf)
     with np.errstate(invalid="ignore"):
-        np.minimum.at(slack, placed, distance)  # one NaN makes the minimum NaN
+        np.minimum.at(slack, placed, distance)  # if one distance is NaN, the minimum is NaN
     return slack
 
 
 def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
-    """(n,) the smallest value of 1 − load / strength after each box's placement. The minimum is taken over the box and
-    all boxes that bear part of its weight. NaN if the box lies on nothing.
+    """(n,) after each box's placement, the smallest value of 1 − load / strength among the placed box and all boxes
+    that bear a part of its weight. NaN if the placed box lies on nothing.
 
     Args:
-        strength_n: (n,) strength of the top of each box, N; NaN if unknown. None: all strengths are unknown. On a box
-            of unknown strength, no load is too large.
+        strength_n: (n,) largest force that the top of each box can bear, N; NaN if unknown. If None, all strengths are
+            unknown. A box of unknown strength can bear any load.
     """
     slack = np.where(contacts.n_supports > 0, 1.0, np.nan)
     if strength_n is None:
@@ -178,15 +186,15 @@ def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharin
 
 
 def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
-    """(n, n, 3): the part of the weight of box m (column) that box j (row) bears, as (kg, kg·mm, kg·mm). A box bears
-    its own weight."""
+    """(n, n, 3): the part of the weight of box m (second index) that box j (first index) bears, as a vector (mass, mass
+    × x, mass × y) in kg and kg·mm. A box also bears its own weight."""
     n = contacts.n_boxes
     on_box = np.zeros((n, n, 3))
     weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
     on_box[np.arange(n), np.arange(n)] = weights
     share = sharing(contacts)
-    # Contacts are sorted by their upper box, and a box is placed after its supports.
-    # So a loop from the last box to the first passes loads down.
+    # Contacts are sorted by their upper box, and each box is placed after its supports. So a loop from the last contact
+    # to the first passes loads down.
     for contact in range(len(contacts.upper) - 1, -1, -1):
         lower = contacts.lower[contact]
         if lower != CARRIER:
@@ -195,7 +203,7 @@ def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
 
 
 def bearing_of(contacts: PlanContacts) -> Bearing:
-    """The contacts of a plan in the form of a scene's contacts, in metres."""
+    """The contacts of a plan, converted to metres and to the form in which petmjx.world.load_sharing needs them."""
     n = contacts.n_boxes
     half = contacts.size_mm / 2
     middle = contacts.corner_mm + half
@@ -213,15 +221,16 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether there is a placement after which a support would have to pull under an even bedding. If so, the loads
-    differ from those with supports that can only push."""
+    """Whether a support would have to pull after any placement, if all beddings were even. If so, the loads of the even
+    bedding differ from ``built``, the loads for supports that can only push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
     return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))
 
 
 def lever_rule(contacts: PlanContacts) -> FloatArray:
-    """(c, 3, 3) matrices of the lever rule: a force at the middle of each contact area."""
+    """(c, 3, 3) matrices of the lever rule, in which a box presses on each support with a force at the middle of the
+    contact area."""
     upper, n = contacts.upper, contacts.n_boxes
     middle = (contacts.low_mm + contacts.high_mm) / 2
     count = np.maximum(contacts.n_supports, 1)
@@ -237,11 +246,11 @@ def lever_rule(contacts: PlanContacts) -> FloatArray:
 
 
 def even_bedding(contacts: PlanContacts) -> FloatArray:
-    """(c, 3, 3) matrices of the even bedding: a pressure that varies linearly over all contact areas of the box
-    above."""
+    """(c, 3, 3) matrices of the even bedding, in which the pressure varies linearly over all contact areas of the upper
+    box."""
     upper = contacts.upper
-    # Places are measured from the upper box's centre, as multiples of the box's lengths.
-    # These units keep the 3 × 3 systems well conditioned.
+    # Positions are measured from the upper box's centre, in units of the box's length and width. These units keep the 3
+    # × 3 systems well conditioned.
     origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
     moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
     total_moments = _sums(moments, upper, contacts.n_boxes)[upper]
@@ -265,7 +274,7 @@ def _area_moments(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _sums(values: FloatArray, owner: IntArray, n: int) -> FloatArray:
-    """(n, …) for each owner, the sum of its values."""
+    """(n, …) for each of n owners, the sum of the values that belong to it."""
     sums = np.zeros((n, *values.shape[1:]))
     np.add.at(sums, owner, values)
     return sums

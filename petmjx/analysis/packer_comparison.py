@@ -1,8 +1,9 @@
-"""Compares packers by runs of their plans: whose plans stand more often, by how much, and with which confidence.
+"""Compares packers (programs that make packing plans) by simulations of their plans: whose plans stand more often, by
+how much, and with which confidence.
 
-Orders are paired, since each order is packed by every packer. Only orders with a valid verdict for every packer are
-compared. Orders without a plan, and orders with an invalid world, are counted separately. ``share_at_worst`` is the
-share of standing plans if each of these orders is counted as a plan that falls.
+The comparison is paired by orders, since every packer packs the same orders. Only orders with a valid verdict on every
+packer's plan are compared. For each packer, orders without a plan and orders with an invalid simulation are counted
+separately. ``share_at_worst`` is the share of standing plans if these orders count as plans that fall.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from petmjx.results.share_intervals import (
 from petmjx.results.to_json import to_json
 
 LEAST_P: Final = 1e-4
-"""Smaller p-values are shown as less than this value."""
+"""A p-value below this value is shown as "p <" this value."""
 
 
 def p_in_words(p: float) -> str:
@@ -47,8 +48,9 @@ def pair_in_words(row: Mapping[str, Any], confidence: float, pairs: int) -> str:
     """One sentence about two packers on the same orders.
 
     Args:
-        row: a row of ``PackerComparison.pairs`` for the size ``all``, with at least one compared order.
-        confidence: confidence of the row's interval. The test is significant if its p-value is at most 1 − confidence.
+        row: a row of ``PackerComparison.pairs`` for orders of all sizes, with at least one compared order.
+        confidence: confidence of the row's interval. The difference is called significant if its p-value is at most 1 −
+            confidence.
         pairs: number of tests for which the p-value is corrected.
     """
     better, worse = (row["b"], row["a"]) if row["difference"] > 0 else (row["a"], row["b"])
@@ -71,7 +73,7 @@ def pair_in_words(row: Mapping[str, Any], confidence: float, pairs: int) -> str:
 
 
 SIZE_BINS: Final = (0, 20, 40, 60, 80)
-"""Bins of orders by their number of boxes: 1 to 20, 21 to 40, …, more than 80."""
+"""Limits of the size classes of orders, as numbers of boxes: 1 to 20, 21 to 40, …, more than 80."""
 
 ALL_SIZES: Final = "all"
 
@@ -94,7 +96,7 @@ SHOWN: Final = (
 
 
 _ARRIVAL_PAIR: Final = ("p_gain", "p_gain_low", "p_gain_high")
-"""Additional columns of the table ``pairs`` for runs of chains."""
+"""Additional columns of the table ``pairs`` for runs of transport chains."""
 
 TABLES: Final = ("packers", "pairs", "reasons", "decided", "plans")
 """Names of the tables of a comparison."""
@@ -107,24 +109,25 @@ class PackerComparison:
     Attributes:
         runs: name of each packer → folder of its run.
         confidence: confidence of all intervals.
-        packers: a row for each packer and size of order (``all`` first). Columns: ``size``; ``packer``; the number
-            ``n`` of compared orders; ``n_stable``; ``share`` with its Wilson interval ``low``, ``high``; the means of
-            ``MEASURES`` over the compared orders and, if orders are given, also of ``KPIS``; the number ``n_orders`` of
-            orders of this size, of which ``n_invalid`` have an invalid world and ``n_missing`` have no plan; and
-            ``share_at_worst``. Chains also have the mean of ``p_arrives``, with its interval ``p_low``, ``p_high`` over
-            orders.
-        pairs: a row for each pair of packers and size. Columns: ``a``, ``b``, ``n``; the numbers of orders that stand
-            for ``both`` packers, ``only_a``, ``only_b`` or ``neither``; ``difference`` (share of b − share of a) with
-            Newcombe's interval ``low``, ``high``; ``p`` of McNemar's exact test; and ``p_holm``, which is corrected for
-            the number of pairs. ``p`` and ``p_holm`` are null except for the size ``all``, because the other sizes are
-            not meant for tests. Chains also have ``p_gain``, the mean over orders of (``p_arrives`` of b −
-            ``p_arrives`` of a), with its interval ``p_gain_low``, ``p_gain_high``.
-        reasons: why a plan of one packer falls although the other packer's plan for the same order stands. A row for
-            each pair ``a``, ``b``, packer ``lost_by`` whose plan falls, and ``reason``, with the number ``n`` of
-            orders.
-        decided: orders whose plan stands for only one packer of a pair: ``plan_id``, ``a``, ``b``, ``won_by``,
-            ``lost_by``, ``reason``, ``order_boxes``.
-        plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`).
+        packers: one row for each packer and size class of orders; the class ``all``, of all orders, comes first.
+            Columns: ``size``; ``packer``; the number ``n`` of compared orders; the number ``n_stable`` of compared
+            orders whose plan stands; ``share`` (n_stable / n) with its Wilson interval ``low``, ``high``; the means of
+            ``MEASURES`` over the compared orders and, if orders are given, the means of ``KPIS``; the number
+            ``n_orders`` of orders in the size class, of which ``n_invalid`` have an invalid simulation and
+            ``n_missing`` have no plan; and ``share_at_worst``. Runs of transport chains also have the mean of
+            ``p_arrives`` (the probability of arrival), with its interval ``p_low``, ``p_high`` over orders.
+        pairs: one row for each pair of packers and size class. Columns: ``a``, ``b``, ``n``; the numbers of orders
+            whose plans stand for ``both`` packers, ``only_a``, ``only_b`` or ``neither``; ``difference`` (share of b −
+            share of a) with Newcombe's interval ``low``, ``high``; ``p`` of McNemar's exact test; and ``p_holm``, which
+            is corrected for the number of pairs. ``p`` and ``p_holm`` are computed only for the class ``all``, because
+            the other classes are not meant for tests. Runs of chains also have ``p_gain``, the mean over orders of
+            (``p_arrives`` of b − ``p_arrives`` of a), with its interval ``p_gain_low``, ``p_gain_high``.
+        reasons: why a plan of one packer falls although the other packer's plan for the same order stands. Columns: the
+            pair ``a``, ``b``; the packer ``lost_by`` whose plans fall; the ``reason``; and the number ``n`` of orders
+            with this reason.
+        decided: one row for each order and pair of packers if only one packer's plan stands. Columns: ``plan_id``,
+            ``a``, ``b``, ``won_by``, ``lost_by``, ``reason``, ``order_boxes``.
+        plans: one row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`).
         notes: reasons to doubt the comparison, one line each.
     """
 
@@ -150,7 +153,7 @@ class PackerComparison:
         return tuple(pair_in_words(row, self.confidence, len(rows)) for row in rows.to_dict("records"))
 
     def _repr_html_(self) -> str:
-        """HTML for notebooks: the sentences, and a table with a row for each packer."""
+        """HTML for notebooks: the sentences about pairs, and a table with a row for each packer."""
         rows = self.packers[self.packers["size"] == ALL_SIZES]
         return block_as_html([repr(self), *self.sentences, *self.notes], [table_as_html(rows, SHOWN, "packers")])
 
@@ -173,11 +176,12 @@ def compare_packers(
     """Compare packers by runs of their plans. Plans are paired by id.
 
     Args:
-        runs: two or more runs or their folders; or a mapping packer → run. Without names, packers are named after the
-            folders.
+        runs: two or more runs or their folders; or a mapping from names of packers to runs. If no names are given,
+            packers are named after the folders.
         confidence: confidence of the intervals.
-        orders: a file with the orders of the plans, in any form. With orders, the plans are read again, boxes are
-            compared with the orders, KPIs are added, and an order without any plan counts as missing for all packers.
+        orders: a file with the orders of the plans, in any form that petmjx reads. If orders are given, the plans are
+            read again, their boxes are compared with the orders, and KPIs are added. An order without any plan then
+            counts as missing for all packers.
 
     Raises:
         InputError: there are fewer than two runs, a folder has no run, a run is a sweep, two runs have the same name,
@@ -191,10 +195,11 @@ def compare_packers(
 def comparison_of(
     runs: Mapping[str, RunResults], confidence: float, orders: Path | None, articles: Path | None = None
 ) -> PackerComparison:
-    """Compare packers by runs that are already open. A single packer has no pairs.
+    """Compare packers by runs that are already loaded. With a single packer, the tables of pairs are empty.
 
     Args:
-        articles: a table of articles, for properties that the orders do not have; None: the table that all runs name.
+        articles: a table of articles, from which properties are read that the orders do not state. If None, the table
+            that all runs name is used.
 
     Raises:
         InputError: orders are unreadable, or SciPy is missing.
@@ -228,7 +233,8 @@ def comparison_of(
 
 
 def _with_kpis(plans: pd.DataFrame, kpis: pd.DataFrame) -> pd.DataFrame:
-    """Add the columns ``KPIS`` to the plans. kpi_2 is relative to the target of the order, if it is known."""
+    """Add the columns ``KPIS`` to the plans. ``kpi_2`` (volume utilisation) refers to the target of the order, such as
+    a pallet, if the target is known."""
     kpis = kpis[["plan_id", "packer", *KPIS]]
     merged = plans.drop(columns="kpi_2").merge(kpis, on=["plan_id", "packer"], how="left", validate="one_to_one")
     return merged.assign(kpi_2=merged["kpi_2"].combine_first(plans["kpi_2"]))
@@ -240,7 +246,7 @@ def _bin_names() -> list[str]:
 
 
 def size_names(boxes: pd.Series) -> pd.Series:
-    """The name of the size bin for each number of boxes."""
+    """For each number of boxes of an order, the name of the order's size class."""
     names = np.array(_bin_names())
     return pd.Series(names[np.searchsorted(SIZE_BINS, boxes.to_numpy(), side="left") - 1], index=boxes.index)
 
@@ -287,9 +293,9 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
 
 
 def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, float]:
-    """The mean of a value over orders, and its Student interval. The spread over orders includes both the differences
-    between orders and the randomness of each value. The interval is NaN for fewer than two orders, and for orders with
-    equal values, which have no spread."""
+    """The mean of a value over orders, and the bounds of its Student interval. The bounds are computed from the spread
+    of the values, which has two sources: differences between orders, and the randomness of each value. The bounds are
+    NaN if there are fewer than two orders, or if all orders have the same value."""
     valid_values = values.dropna()
     mean, n = float(valid_values.mean()), len(valid_values)
     if n < 2 or valid_values.std() == 0:
@@ -301,7 +307,7 @@ def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, 
 
 
 def _standing_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Whether plans stand, in a table with a row for each compared order and a column for each packer."""
+    """A table of whether plans stand, with a row for each compared order and a column for each packer."""
     compared = rows[rows["compared"]]
     stands = compared.assign(stands=compared["verdict"] == Verdict.STABLE.value)
     return stands.pivot(index="plan_id", columns="packer", values="stands").reindex(columns=rows["packer"].unique())

@@ -1,4 +1,5 @@
-"""Compares packers' plans with the orders from which they were packed: which boxes were ordered, and BED-BPP's KPIs."""
+"""Compares packers' plans with the orders for which they were made: which boxes of the plans were ordered, and the KPIs
+(key performance indicators) of BED-BPP, a public benchmark for packing."""
 
 from __future__ import annotations
 
@@ -22,12 +23,12 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 
 KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
-"""KPIs whose means are shown. kpi_3 is left out because it is the height, which needs no orders, and kpi_6 because it
-needs a static check."""
+"""KPIs whose means are shown. Two KPIs are left out: kpi_3 is the height, which is known without orders, and kpi_6
+needs a simulation with the check ``static``."""
 
 GOODS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
-"""Columns that count boxes: the fields of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and the number of boxes
-that are as ordered and on the target."""
+"""Names of columns that count boxes: the fields of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and the number
+of boxes that have the ordered size and mass and lie on the order's target, such as a pallet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +37,10 @@ class OrderComparison:
 
     Attributes:
         sizes: id of each order → number of boxes of the order.
-        rows: a row for each plan that has an order, with the columns ``plan_id``, ``packer``, ``GOODS`` and ``KPIS``
+        rows: one row for each plan that has an order, with the columns ``plan_id``, ``packer``, ``GOODS`` and ``KPIS``
             (float64; null if a KPI has no value).
-        notes: lines about each packer's boxes that were not ordered, plans without an order, plans that were not read
-            again, orders without any plan, and unusable orders.
+        notes: lines for the user about each packer's boxes that were not ordered, plans without an order, plans that
+            could not be read again, orders without any plan, and unusable orders.
     """
 
     sizes: Mapping[str, int]
@@ -52,8 +53,10 @@ def against_orders(runs: Mapping[str, RunResults], file: Path, articles: Path | 
 
     Args:
         runs: name of each packer → its run.
-        file: file of orders, in BED-BPP's form or any other. An order belongs to the plans with the same id.
-        articles: a table of articles, for properties that the orders do not have; None: the table that all runs name.
+        file: file of orders, in BED-BPP's form or in any other form that petmjx reads. An order belongs to the plans
+            with the same id.
+        articles: a table of articles, from which properties are read that the orders do not state. If None, the table
+            that all runs name is used.
 
     Raises:
         InputError: a file cannot be read.
@@ -97,8 +100,8 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
     """Compare plans with orders that are in memory.
 
     Args:
-        plans: name of each packer → its plans by id. Plans without an order are ignored.
-        orders: the orders by id.
+        plans: name of each packer → the packer's plans, by id. Plans without an order are ignored.
+        orders: the orders, by id.
     """
     rows: list[dict[str, object]] = []
     notes: list[str] = []
@@ -125,7 +128,7 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
 
 
 def _articles_of(runs: Mapping[str, RunResults]) -> Articles | None:
-    """The table of articles if all runs used the same one; else None."""
+    """The table of articles, if all runs used the same table; else None."""
     article_files = {how_read(run.info).articles for run in runs.values()}
     file = article_files.pop() if len(article_files) == 1 else None
     return read_articles(file) if file is not None and file.is_file() else None

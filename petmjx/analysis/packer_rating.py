@@ -1,10 +1,10 @@
-"""A rating of packers by physics: the share of all ordered boxes that lie on plans that stand.
+"""A rating of packers by physics: the share of all ordered boxes that are part of a plan that stands.
 
-The rating has the same form as BED-BPP's (docs/kpis.md), but uses the verdict of the simulation. Three things add
-nothing to the rating: a plan that does not stand, an order that has no plan or whose world is invalid, and a box that
-was left out. So neither risky nor overly cautious plans win. A box counts only if it was ordered and has the size and
-mass in the order; each ordered box counts at most once. With orders, the rating of a packer depends only on its own
-plans and on the orders.
+The rating has the same form as that of the benchmark BED-BPP (docs/kpis.md), but uses petmjx's verdict. All boxes of an
+order are lost if the order has no plan, or if the plan falls or has an invalid simulation. Boxes that a plan leaves out
+are lost, too. So neither risky nor overly cautious plans win. A box of a plan counts only if it was ordered and has the
+ordered size and mass, and each ordered box counts at most once. If orders are given, the rating of a packer depends
+only on its own plans and on the orders.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> p
     """The rating of each packer, best first.
 
     Args:
-        plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`). Rows of orders that are
-            not ``listed`` are ignored.
+        plans: one row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`). Rows whose column
+            ``listed`` is false are ignored.
 
     Returns:
-        A row for each packer: ``rank``, from 1, the same for equal ratings; ``packer``; ``rating``, from 0 to 1, with
-        the bounds ``low`` and ``high`` of its interval (:func:`rating_interval`); ``n_orders``, of which ``n_stable``
-        stand, ``n_invalid`` have no verdict and ``n_missing`` have no plan; and ``ordered_boxes``, of which
-        ``standing_boxes`` lie as ordered on plans that stand.
+        One row for each packer: ``rank``, which begins at 1 and is equal for equal ratings; ``packer``; ``rating``,
+        from 0 to 1, with the bounds ``low`` and ``high`` of its interval (:func:`rating_interval`); ``n_orders``, of
+        which ``n_stable`` stand, ``n_invalid`` have no verdict and ``n_missing`` have no plan; and ``ordered_boxes``,
+        of which ``standing_boxes`` lie as ordered on plans that stand.
     """
     listed = plans[plans["listed"]]
     verdicts, as_ordered, boxes = (
@@ -69,19 +69,20 @@ def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> p
 
 
 def rating_interval(rating: FloatArray, ordered: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
-    """Intervals of ratings: Wilson's interval, with the effective number of orders.
+    """Confidence intervals of ratings: Wilson's interval for an effective number of orders.
 
-    A rating is a mean over orders of values from 0 to 1, weighted by their numbers of boxes. Large orders make the
-    rating vary as if there were fewer orders: Kish's effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling",
-    section 11.7). A mean of values from 0 to 1 varies at most as much as a share of yes-or-no values, so the interval
+    A rating is a weighted mean over orders. The value of an order is a share from 0 to 1, and its weight w is its
+    number of boxes. Because of the weights, the rating varies as if there were fewer orders with equal weights: Kish's
+    effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling", section 11.7). Wilson's interval is made for shares
+    of yes-or-no values. Values from 0 to 1 vary at most as much as yes-or-no values with the same mean, so the interval
     is wide enough. Unlike a bootstrap interval, it has a width above 0 even if all plans stand or all fall.
 
     Args:
-        rating: (p,) ratings from 0 to 1.
-        ordered: (o,) the weights: the number of boxes of each order.
+        rating: (p,) ratings of p packers, from 0 to 1.
+        ordered: (o,) number of boxes of each order.
 
     Returns:
-        (p,) lower and (p,) upper bounds.
+        The lower bounds (p,) and the upper bounds (p,).
     """
     effective = float(ordered.sum() ** 2 / np.square(ordered).sum())
     return wilson_interval(np.clip(rating, 0.0, 1.0) * effective, effective, confidence)

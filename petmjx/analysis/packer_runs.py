@@ -22,7 +22,7 @@ LONGEST_NAME: Final = 200
 """Largest number of bytes in a packer's name. File systems allow 255 for the name of a folder."""
 
 MISSING: Final = "missing"
-"""The ``verdict`` for an order of which a packer has no plan."""
+"""The text in the column ``verdict`` for an order for which a packer has no plan."""
 
 MEASURES: Final[Mapping[str, str]] = {
     "boxes": "boxes placed",
@@ -31,23 +31,24 @@ MEASURES: Final[Mapping[str, str]] = {
     "height_m": "height, m",
     "kpi_2": "kpi_2, volume over area × height",
 }
-"""Column of a plan → its heading. Tables show the means of these columns beside the shares. To add a column, add a line
-here and a column in :func:`plans_of`."""
+"""Name of a column with a property of plans → heading of the column. Tables show the means of these columns beside the
+shares of standing plans. To add a column, add a line to this mapping and a column to :func:`plans_of`."""
 
 ARRIVES: Final = "p_arrives"
-"""Column for the runs of chains: the share of its worlds in which a plan arrives at the end of the chain."""
+"""Name of a column for the runs of transport chains: the share of a plan's simulations in which the plan arrives at the
+end of the chain."""
 
 Run = RunResults | str | Path
 
 
 def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
-    """Map the name of each packer to its run. Without names, packers are named after the folders.
+    """The run of each packer, by the packer's name. If no names are given, packers are named after the folders.
 
     Raises:
         InputError: there are fewer than two runs, two runs have the same name, or a folder has no run.
     """
     if isinstance(runs, str | Path | RunResults):
-        runs = [runs]  # a text would pass as a sequence of letters
+        runs = [runs]  # a string must not be taken as a sequence of letters
     runs_by_name = runs if isinstance(runs, Mapping) else None
     sources: list[Any] = (
         list(runs_by_name.values()) if runs_by_name else list_of(runs, "runs", object, "runs or folders")
@@ -82,7 +83,7 @@ def check_names(names: Iterable[str]) -> None:
     """Check that names can be used as names of folders.
 
     Raises:
-        InputError: a name cannot be used.
+        InputError: a name cannot be the name of a folder.
     """
     for name in names:
         if not isinstance(name, str):
@@ -94,20 +95,21 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
-    """A row for each order and packer, sorted. The rows cover the caller's orders, and all orders for which a packer
-    has a plan.
+    """The table with one row for each order and packer, sorted by order. It has the orders that the caller gave, and
+    all orders for which any packer has a plan.
 
     Args:
-        against: the comparison of the plans with the caller's orders. None: the caller has no orders, so those of the
-            runs are used. If no run was compared with orders, an order is assumed to have as many boxes as its largest
-            plan.
+        against: the comparison of the plans with the caller's orders. If None, the caller gave no orders, and the
+            numbers of ordered boxes that the runs state are used. If the runs do not state them either, an order is
+            assumed to have as many boxes as its largest plan.
 
     Returns:
-        ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (possibly ``missing``), ``reason``,
-        ``margin``, ``digest``, and the columns of ``MEASURES``. ``as_ordered`` is the number of boxes of the plan that
-        were ordered, have the size and mass in the order, and are on the order's target. Each ordered box is counted at
-        most once. Null if unknown. ``listed`` tells whether the order enters ratings. ``compared`` tells whether the
-        order has a valid verdict for every packer. If all runs are chains, there is also ``p_arrives``.
+        The columns ``plan_id``, ``packer``, ``order_boxes`` (number of boxes of the order), ``verdict`` (possibly
+        ``missing``), ``reason``, ``margin``, ``digest``, and those of ``MEASURES``. ``as_ordered`` is the number of
+        boxes of the plan that were ordered, have the ordered size and mass, and lie on the order's target. Each ordered
+        box is counted at most once. If this number is unknown, it is null. ``listed`` tells whether the order enters
+        ratings. ``compared`` tells whether the order has a valid verdict for every packer. If all runs are those of
+        transport chains, there is also the column ``p_arrives``.
     """
     table = _worlds_of(runs)
     sizes = None if against is None else against.sizes
@@ -139,11 +141,13 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
 
 
 _OF_PLAN: Final = ("volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out", "resized")
-"""Columns of the table ``plans`` of a run. Older runs, and runs without orders, lack some of them."""
+"""Columns of the table ``plans`` of a run that are used. Older runs, and runs without orders, lack some of these
+columns."""
 
 
 def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
-    """The nominal worlds of runs, joined with columns of their tables ``plans``."""
+    """The nominal worlds (simulations without errors) of all runs, joined with columns of the runs' tables
+    ``plans``."""
     of_world = ["plan_id", "verdict", "reason", "n_boxes", "margin"]
     worlds = [run.worlds[run.worlds["variant"] == 0].reindex(columns=of_world) for run in runs.values()]
     plans = [run.plans.reindex(columns=["plan_id", "digest", *_OF_PLAN]) for run in runs.values()]
@@ -160,16 +164,16 @@ def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
 
 
 def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
-    """The carrier of all runs; ``footprint`` if it is not the same in all."""
+    """The carrier of all runs; ``footprint`` if the runs have different carriers."""
     carriers = [run.carrier for run in runs.values()]
     return carriers[0] if all(carrier == carriers[0] for carrier in carriers) else Carrier.FOOTPRINT
 
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
-    """The area of the target for each row, m². For an order, the area is the same for all packers. Usually it is the
-    area of the carrier. With the carrier ``footprint``, it is the area of the smallest target of BED-BPP on which the
-    plans of all packers fit. If none is large enough, it is the area of the smallest rectangle that holds each of the
-    plans.
+    """The area of the target (the pallet) for each row, m². All packers' plans for an order have the same target.
+    Usually, the area is that of the carrier. For the carrier ``footprint``, the area is that of the smallest target of
+    the benchmark BED-BPP that is large enough for all packers' plans. If no target is large enough, the area is that of
+    the smallest rectangle that is large enough.
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y
@@ -183,7 +187,7 @@ def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
 
 
 def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
-    """Lines with reasons to doubt the comparison."""
+    """Lines for the user with reasons to doubt the comparison."""
     lines = [line for name, run in runs.items() for line in run.doubts(printable_name(name))]
     settings = {name: run.info.get("config", {}).get("simulation") for name, run in runs.items()}
     first, *other_settings = settings
@@ -213,7 +217,7 @@ def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
 
 
 def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """A line about orders for which all packers have the same plan, if there are any."""
+    """A line for the user about orders for which all packers have the same plan, if there are such orders."""
     compared = table[table["compared"]].groupby("plan_id")["digest"].agg(["nunique", "count"])
     n_same = int(((compared["nunique"] == 1) & (compared["count"] == len(names))).sum())
     verb = "is" if n_same == 1 else "are"
@@ -221,7 +225,7 @@ def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
 
 
 def _different_options(a: Any, b: Any) -> list[str]:
-    """The names of options that differ. Options inside tables are compared one by one."""
+    """The names of the options that differ between two records of options."""
     if not isinstance(a, Mapping) or not isinstance(b, Mapping):
         return []
     return [str(name) for name in sorted({*a, *b}) if a.get(name) != b.get(name)]

@@ -64,7 +64,8 @@ DESCRIBED: Final[Described] = {
     "listed": (DIMENSIONLESS, "whether the order is one of those given; true for all where none are given"),
     "compared": (DIMENSIONLESS, "whether the order has a valid verdict from every packer"),
 }
-"""Descriptions of all columns of all tables. ``packers`` also has columns with the means of KPIs and measures."""
+"""Units and descriptions of the columns of all tables. In the table ``packers``, the columns of KPIs and measures are
+means."""
 
 
 def check_comparison_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
@@ -78,10 +79,11 @@ def write_comparison(comparison: PackerComparison, folder: Path, overwrite: bool
     """Write each table into a folder, as NAME.parquet with units and as NAME.csv.
 
     Args:
-        overwrite: whether tables that petmjx wrote there before may be replaced.
+        overwrite: whether tables that petmjx wrote into the folder earlier may be replaced.
 
     Raises:
-        InputError: the folder or a file is not writable, or a file of one of these names must not be replaced.
+        InputError: the folder or a file is not writable, or the folder has a file of one of these names that must not
+            be replaced.
     """
     check_comparison_free(folder, overwrite)
     with write_errors(folder):

@@ -1,9 +1,9 @@
-"""Contacts of boxes: the rectangles on which boxes lie, the sides at which they touch, and the points at which they
-touch at rest.
+"""Finds the contacts of boxes: the rectangles on which boxes lie, the rectangles at which boxes touch side by side, and
+the points at which boxes touch when a simulation has come to rest.
 
-``find_contacts`` and ``find_sides`` use the places in the plan. ``find_touch_points`` uses the final poses of a world,
-and MuJoCo's collider. ``Hulls`` holds the convex hulls of the areas on which boxes lie, and computes how far points are
-inside them.
+``find_contacts`` and ``find_sides`` use the places of boxes in the plan. ``find_touch_points`` uses the boxes' final
+poses in a simulation, and MuJoCo's collision detection. ``Hulls`` holds the convex hulls of the areas on which boxes
+lie, and computes how far points are inside the hulls.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
-"""A point at most this far outside counts as being on the edge. This distance covers the rounding errors of float64
-sums of millimetres."""
+"""A point that is outside a polygon by at most this distance counts as being on the polygon's edge. This distance
+covers the rounding errors of float64 sums of millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """One convex polygon for each of n boxes. Its vertices are counter-clockwise. The last vertex is repeated until the
-    polygon has e vertices.
+    """One convex polygon for each of n boxes. The vertices of a polygon are in counter-clockwise order. If a polygon
+    has fewer than e vertices, its last vertex is repeated.
 
     Attributes:
-        vertex: (n, e, 2) vertices, mm; NaN if a box has no polygon.
+        vertex: (n, e, 2) x and y of the vertices, mm; NaN if a box has no polygon.
     """
 
     vertex: FloatArray
 
     def distance(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """(p,) distance of points from the edges of hulls, mm: positive inside, negative outside, NaN if the box has no
-        hull.
+        """(p,) distance of each point from the edge of a hull, mm: positive inside the hull, negative outside, NaN if
+        the box has no hull.
 
         Args:
-            hull: (p,) for each point, the number of the box whose hull is used.
-            point: (p, 2) points, mm.
+            hull: (p,) for each point, the index of the box whose hull is used.
+            point: (p, 2) x and y of the points, mm.
         """
         start = self.vertex[hull]
         along = np.roll(start, -1, axis=1) - start
@@ -61,8 +61,9 @@ class Hulls:
         return inside
 
     def reach(self, hull: IntArray, middle: FloatArray, point: FloatArray) -> FloatArray:
-        """(p,) position of points on rays. Each ray starts at an inner point of the hull, ``middle`` (p, 2), and passes
-        through the point to the edge. The position is 0 at ``middle``, 1 on the edge, and more than 1 outside."""
+        """(p,) position of each point on a ray. The ray starts at ``middle`` (p, 2), which is inside the hull, and
+        passes through the point. The position is 0 at ``middle``, 1 on the hull's edge, and more than 1 outside the
+        hull."""
         start = self.vertex[hull]
         along = np.roll(start, -1, axis=1) - start
         outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
@@ -75,7 +76,8 @@ class Hulls:
 
 
 def contact_hulls(contacts: PlanContacts) -> Hulls:
-    """The hulls of the areas on which each box lies. The hull of a single rectangle is that rectangle."""
+    """For each box, the convex hull of the areas on which the box lies. If a box lies on a single rectangle, the hull
+    is this rectangle."""
     single = contacts.n_supports == 1
     several = np.flatnonzero(contacts.n_supports > 1)
     hulls: list[FloatArray] = []
@@ -112,7 +114,7 @@ def _put(vertex: FloatArray, boxes: IntArray, hulls: list[FloatArray]) -> None:
 
 
 def polygon_vertices(polygons: NDArray[np.object_]) -> list[FloatArray]:
-    """The vertices of each shapely polygon, counter-clockwise, without repetition."""
+    """The vertices of each shapely polygon, in counter-clockwise order. No vertex is repeated."""
     import shapely
 
     coordinates, owner = shapely.get_coordinates(polygons, return_index=True)
@@ -122,7 +124,7 @@ def polygon_vertices(polygons: NDArray[np.object_]) -> list[FloatArray]:
 
 
 def _area(ring: FloatArray) -> float:
-    """Twice the area of a closed ring; positive if it runs counter-clockwise."""
+    """Twice the area of a closed ring; positive if the ring's vertices are in counter-clockwise order."""
     x, y = (ring - ring[0]).T
     return float(np.dot(x[:-1], y[1:]) - np.dot(x[1:], y[:-1]))
 
@@ -135,27 +137,28 @@ N_CORNERS: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class PlanContacts:
-    """The contacts of one plan: c rectangles on which boxes lie, sorted by the box above.
+    """The contacts of one plan: c rectangles on which boxes lie, sorted by the upper box.
 
-    A box lies on the carrier if its bottom is not above the carrier's top. The whole base of such a box lies on the
-    carrier, since the carrier is assumed to extend under all boxes. On a carrier made of boards, a box lies on the deck
-    boards that it overlaps along x and y; each board makes a separate area.
+    A box lies on the carrier if its bottom is not above the carrier's top. The carrier is assumed to extend under all
+    boxes, so the whole base of such a box lies on the carrier. If the carrier is made of boards, the box lies on the
+    deck boards that it overlaps along x and y, and each board is a separate contact.
 
-    A box lies on another box if that box was placed before it, its bottom is at the height of the other box's top, and
-    the two overlap along x and y. A box that is pushed in later under another box bears nothing, because the upper box
-    would have fallen already.
+    A box lies on another box if the other box was placed earlier, the bottom of the box is at the height of the other
+    box's top, and the two boxes overlap along x and y. A box that is placed under a box that is already there bears
+    nothing, because the upper box would have fallen before.
 
     Attributes:
         size_mm, corner_mm: (n, 3) sizes and corners of the boxes, as in the plan.
         mass_kg: (n,) masses of the boxes.
-        upper: (c,) number of the box above.
-        lower: (c,) number of the box below, which was placed earlier, or ``CARRIER``.
-        low_mm, high_mm: (c, 2) corners of the rectangle along x and y.
-        under_low_mm, under_high_mm: (c, 2) corners of the whole bearing surface, which is the top of the box below or a
-            deck board.
+        upper: (c,) index of the upper box.
+        lower: (c,) index of the lower box, or ``CARRIER``.
+        low_mm, high_mm: (c, 2) lowest and highest x and y of the contact rectangle.
+        under_low_mm, under_high_mm: (c, 2) lowest and highest x and y of the whole surface on which the upper box lies:
+            the top of the lower box, or a deck board.
         tolerance_mm: gaps and overlaps up to this size count as touching.
-        mass_center_mm: (n, 3) centres of mass, as in ``Plan``.
-        room: the room between the carrier's walls; None: the carrier has no walls.
+        mass_center_mm: (n, 3) offsets of the centres of mass from the boxes' middles, as in ``Plan``. None: the centres
+            are in the middles.
+        room: the room between the carrier's walls. None: the carrier has no walls.
     """
 
     size_mm: FloatArray
@@ -177,34 +180,34 @@ class PlanContacts:
 
     @cached_property
     def centre_mm(self) -> FloatArray:
-        """(n, 3) centres of gravity. They are the middles of the boxes, unless the plan gives others."""
+        """(n, 3) centres of mass of the boxes: their middles, unless the plan states other centres."""
         centre: FloatArray = self.corner_mm + self.size_mm / 2
         return centre if self.mass_center_mm is None else centre + self.mass_center_mm
 
     @cached_property
     def corners_mm(self) -> FloatArray:
-        """(c, 4, 2) corners of the rectangles, counter-clockwise."""
+        """(c, 4, 2) corners of the contact rectangles, in counter-clockwise order."""
         return rectangle_corners(self.low_mm, self.high_mm)
 
     @cached_property
     def n_supports(self) -> IntArray:
-        """(n,) number of areas on which each box lies: one per box below it, and one for the carrier, or one per deck
-        board below it."""
+        """(n,) number of areas on which each box lies: one for each box below it, and one for the carrier (or one for
+        each deck board below it)."""
         return np.bincount(self.upper, minlength=self.n_boxes)
 
     @cached_property
     def grounded(self) -> NDArray[np.bool_]:
-        """(n,) whether all four corners of a box lie on the carrier. Such a box cannot tip."""
+        """(n,) whether all four bottom corners of each box lie on the carrier. If they do, the box cannot tip."""
         n_corners: IntArray = self.borne_corners(self.lower == CARRIER).sum(axis=1)
         on_carrier: NDArray[np.bool_] = np.equal(n_corners, N_CORNERS)
         return on_carrier
 
     def borne_corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n, 4) whether each bottom corner lies on something, within the tolerance. A corner on the edge of a surface
-        counts as lying on it.
+        """(n, 4) whether each bottom corner of each box lies on something, within the tolerance. A corner on the edge
+        of a surface counts as lying on the surface.
 
         Args:
-            chosen: (c,) mask of the contacts that count.
+            chosen: (c,) mask of the contacts that are considered.
         """
         base = self.corner_mm[:, :2]
         corners = rectangle_corners(base, base + self.size_mm[:, :2])[self.upper[chosen]]
@@ -218,13 +221,13 @@ class PlanContacts:
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """The places where boxes touch side by side, or lean on a wall: s upright rectangles.
+    """The places at which boxes touch side by side or can lean on a wall: s upright rectangles.
 
     Attributes:
-        first, second: (s,) the two boxes, or ``CARRIER`` for a wall. The second one is on the positive side along the
-            axis.
-        axis: (s,) 0 for x, 1 for y.
-        low_mm, high_mm: (s, 3) corners of the rectangle. The rectangle's extent along ``axis`` is 0.
+        first, second: (s,) indices of the two boxes that touch, or ``CARRIER`` for a wall. The second box has the
+            larger coordinate along the axis.
+        axis: (s,) axis across the rectangle: 0 for x, 1 for y.
+        low_mm, high_mm: (s, 3) lowest and highest corner of the rectangle. The rectangle's extent along ``axis`` is 0.
     """
 
     first: IntArray
@@ -235,7 +238,8 @@ class Sides:
 
 
 def rectangle_corners(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(…, 4, 2) corners of rectangles, counter-clockwise, from their lowest and highest corners (…, 2)."""
+    """(…, 4, 2) the four corners of rectangles, in counter-clockwise order, computed from the lowest and highest
+    corners (…, 2)."""
     x0, y0, x1, y1 = low[..., 0], low[..., 1], high[..., 0], high[..., 1]
     corners: FloatArray = np.stack(
         [np.stack([x0, y0], -1), np.stack([x1, y0], -1), np.stack([x1, y1], -1), np.stack([x0, y1], -1)], axis=-2
@@ -249,15 +253,15 @@ def find_contacts(
     deck_mm: FloatArray | None = None,
     room: Room | None = None,
 ) -> PlanContacts:
-    """Find the contacts of a plan: the rectangles on which its boxes lie, and the bodies below.
+    """Find the contacts of a plan: the rectangles on which its boxes lie, and the body below each rectangle.
 
     Args:
-        tolerance_mm: gaps and overlaps in height up to this size count as touching, and contacts narrower than this are
-            ignored. The default is also the tolerance of the warnings about plans: half of the last digit of whole
-            millimetres.
-        deck_mm: (b, 2, 2) lowest and highest corner along x and y of each board of the carrier's deck; None: the
-            carrier extends under all boxes.
-        room: the room between the carrier's walls; None: the carrier has no walls.
+        tolerance_mm: gaps and overlaps in height up to this size count as touching, and contacts that are narrower than
+            this size are ignored. The default, half a millimetre, is the rounding error of whole millimetres; warnings
+            about plans use the same tolerance.
+        deck_mm: (b, 2, 2) lowest and highest x and y of each board of the carrier's deck. If None, the carrier extends
+            under all boxes.
+        room: the room between the carrier's walls. If None, the carrier has no walls.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     below, above = np.nonzero(_rests(low, high, tolerance_mm))
@@ -289,13 +293,13 @@ def find_contacts(
 
 
 def _overlap(low: FloatArray, high: FloatArray, deck_mm: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
-    """(k, b): whether a rectangle overlaps a board by more than the tolerance along x and y."""
+    """(k, b) whether each of k rectangles overlaps each of b boards by more than the tolerance along x and y."""
     shares = np.minimum(high[:, None], deck_mm[:, 1]) - np.maximum(low[:, None], deck_mm[:, 0]) > tolerance_mm
     return shares[..., 0] & shares[..., 1]
 
 
 def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
-    """(n, n): whether the column's box lies on the row's box."""
+    """(n, n) whether the box of the column lies on the box of the row."""
     touching = meets(low[:, 2], high[:, 2], tolerance_mm)
     for axis in range(2):
         touching &= shared_length(low[:, axis], high[:, axis]) > tolerance_mm
@@ -303,8 +307,8 @@ def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np
 
 
 def find_sides(contacts: PlanContacts) -> Sides:
-    """Find where the boxes of a plan touch side by side. Also finds walls at most ``LEANS_M`` away, on which boxes lean
-    when they tip."""
+    """Find the places at which boxes of a plan touch side by side, and the places at which boxes can lean on a wall.
+    Walls count if they are at most ``LEANS_M`` away from a box."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     tolerance_mm = contacts.tolerance_mm
     pairs_by_axis = []
@@ -323,7 +327,8 @@ def find_sides(contacts: PlanContacts) -> Sides:
 
 
 def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
-    """Add the sides at which boxes lean on walls. Such a side is a box's whole side, up to the top of the wall."""
+    """Add the places at which boxes can lean on walls. Each place is a whole side of a box, up to the height of the
+    wall."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     middle_m, half_m = (low + high) / 2 / MM_PER_M, contacts.size_mm / 2 / MM_PER_M
     gap_mm = MM_PER_M * room.gaps(middle_m, half_m, contacts.tolerance_mm / MM_PER_M)
@@ -338,27 +343,31 @@ def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
 
 
 LYING_GAP_M: Final = TOUCH_M
-"""Largest gap at which a box still lies on another box, as in the criteria. If three supports have the same height,
-micrometres determine which of them bear the load. These micrometres differ between simulators and between real
-pallets."""
+"""If the gap between two boxes is at most this length, one lies on the other, as in the criteria. The gap must not be
+too small: if three supports have the same planned height, differences of micrometres determine which of them bear the
+load, and these differences vary between simulators and between real pallets."""
 
 SIDE_GAP_M: Final = 1e-5
-"""Largest gap at which boxes touch side by side: slightly more than the rounding of a pose in float32. Neighbours that
-are planned side by side stand 0.1 mm apart, and press on each other only after they have moved."""
+"""If the gap between two boxes side by side is at most this length, the boxes touch. The length is slightly more than
+the rounding error of a pose in float32. Boxes that are planned side by side are placed 0.1 mm apart, so they touch only
+after they have moved."""
 
 
 @dataclass(frozen=True, eq=False)
 class TouchPoints:
-    """The points at which boxes touch each other, the carrier or the floor: p rows.
+    """The p points at which boxes touch each other, the carrier or the floor. Each field has one row per point.
 
     Attributes:
-        first, second: (p,) the two bodies; boxes are numbered from 0. ``CARRIER`` stands for both the carrier and the
-            floor, since neither moves.
-        position_m: (p, 3) positions of the points.
-        frame: (p, 3, 3) axes of each point, one per row: the normal from first to second, then the two tangents.
+        first, second: (p,) the two bodies that touch: indices of boxes, or ``CARRIER`` for the carrier and for the
+            floor, which do not move.
+        position_m: (p, 3) positions of the points, m.
+        frame: (p, 3, 3) three unit vectors at each point, one per row: the normal from the first body to the second,
+            then the two tangents.
         friction: (p, 2) coefficients of friction along the two tangents.
-        pressed: (p,) the box whose top has the point (docs/metrics.md, "The force on a box's top"), or ``CARRIER``.
-        sign: (p,) 1 if the force on ``second`` presses down on ``pressed``, else -1.
+        pressed: (p,) index of the box whose top has the point (docs/metrics.md, "The force on a box's top"), or
+            ``CARRIER`` if the point is on no box's top.
+        sign: (p,) sign by which the vertical force on ``second`` is multiplied to get the force that presses down on
+            ``pressed``.
     """
 
     first: IntArray
@@ -370,7 +379,7 @@ class TouchPoints:
     sign: FloatArray
 
     def some(self, which: NDArray[np.bool_]) -> TouchPoints:
-        """The points for which the mask is true."""
+        """The points for which the mask ``which`` is true."""
         return TouchPoints(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
@@ -378,7 +387,7 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
     """Find the points at which boxes touch in given poses. The carrier is at its planned place.
 
     Args:
-        pos, quat: (n, 3) centres, m, and (n, 4) orientations (w, x, y, z).
+        pos, quat: (n, 3) centres of the boxes, m, and (n, 4) their orientations as quaternions (w, x, y, z).
     """
     import mujoco
 
@@ -387,7 +396,7 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
 
     model = build_spec(scene, physics).compile()
     model.pair_margin[:] += LYING_GAP_M
-    model.geom_margin[:] += LYING_GAP_M / 2  # half of the gap, because the collider adds the margins of two geoms
+    model.geom_margin[:] += LYING_GAP_M / 2  # half of the gap, because MuJoCo adds the margins of the two geoms
     data = mujoco.MjData(model)
     poses = data.qpos.reshape(-1, 7)[1:]  # the first pose is that of the carrier
     poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat

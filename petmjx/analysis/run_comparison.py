@@ -1,8 +1,9 @@
-"""Compares two runs of the same worlds: whether their verdicts agree, and by how much their metrics differ.
+"""Compares two runs that simulated the same plans: how often their verdicts agree, and by how much their metrics
+differ.
 
-Run b is compared with run a. For forces, differences relative to a are also computed: |b - a| / max(a, 10 N). The
-divisor is at least 10 N, about the weight of a box of 1 kg, because ratios of smaller forces do not matter for a
-pallet.
+The runs are called a and b, and differences are b - a. For forces, relative differences are also computed: |b - a| /
+max(a, 10 N). The divisor is at least 10 N, about the weight of a box of 1 kg, because ratios of smaller forces do not
+matter for a pallet.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.to_json import to_json
 
 FORCE_FLOOR_N: Final = 10.0
-"""Smallest force by which a difference of forces is divided, N."""
+"""Smallest divisor of a difference of forces, N."""
 
 KEY: Final = ["plan_id", "variant"]
 BOX_KEY: Final = ["plan_id", "variant", "box"]
@@ -35,12 +36,13 @@ POSE: Final = (
     Column("position_m", "m", np.float64, "distance between the final centres", compared=True),
     Column("orientation_deg", "deg", np.float64, "angle between the final orientations", compared=True),
 )
-"""Differences between whole poses. The components of a pose are not compared one by one."""
+"""The metrics by which poses are compared. The single components of a pose are not compared."""
 
 SIGNLESS: Final = frozenset(
     {column.name for column in POSE} | {name for m in box_metrics() if len(m.columns) > 1 for name in m.columns}
 )
-"""Metrics for which the sign of b - a has no meaning: distances between two poses, and components of vectors."""
+"""Names of the metrics for which the sign of b - a has no meaning: distances between two poses, and components of
+vectors."""
 
 FLIPS: Final = tuple(
     ShownColumn(name, head, 2)
@@ -52,11 +54,11 @@ FLIPS: Final = tuple(
         ("margin_b", "margin in b"),
     )
 )
-"""Columns of ``flips`` that a notebook shows."""
+"""Columns of the table ``flips`` that a notebook shows."""
 
 GROUPS: Final = ("same verdict", "both stable")
-"""The groups of worlds in which metrics are compared. In worlds that collapse, metrics differ chaotically, so "both
-stable" is a separate group."""
+"""The groups of worlds (simulations of one plan each) in which metrics are compared. Worlds in which boxes fall have
+chaotic metrics, so worlds that are stable in both runs are a separate group."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,20 +67,21 @@ class Comparison:
 
     Attributes:
         a, b: names of the two runs, which are the names of their folders.
-        n_common: number of worlds in both runs.
-        confusion: (3, 3) number of worlds by their verdict in a (rows) and in b (columns).
-        flips: worlds with different verdicts. Columns: verdict, reason and culprit in both runs, and by how much the
-            world exceeds the thresholds of shift, tilt and acceleration (negative: the world is below the threshold).
-            The sign of these excesses is opposite to that of the column ``margin`` in the table ``worlds``.
-        worlds, boxes: differences of metrics, one row per metric and group. Columns: ``metric``, ``unit``, ``group``,
-            ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics); ``median``, ``p95`` and ``largest`` of |b - a|;
-            and the world with the largest difference: ``plan_id``, ``variant`` (and ``box``), with the two values ``a``
-            and ``b``. Null if a group has no value of the metric. Differences are computed only for plans that are
-            equal in both runs.
-        other_plans: ids of plans that both runs have but that differ.
-        only_a, only_b: plan_id and variant of the worlds that are in only one of the runs.
-        same_reason, same_culprit: among the ``n_not_stable`` worlds that are stable in neither run, the numbers of
-            worlds with the same reason, and with the same first box, in both runs.
+        n_common: number of worlds that are in both runs.
+        confusion: (3, 3) numbers of worlds, by their verdict in run a (rows) and in run b (columns).
+        flips: one row for each world with different verdicts in the two runs. For each run there are the verdict, its
+            reason, the first box that failed (``culprit``), and the amounts by which the world exceeds the thresholds
+            of shift, tilt and acceleration. A negative amount means that the world is below the threshold, unlike in
+            the column ``margin`` of the table ``worlds``.
+        worlds, boxes: differences of the metrics of worlds and of boxes, one row for each metric and group of worlds.
+            Columns: ``metric``, ``unit``, ``group``, ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics);
+            ``median``, ``p95`` and ``largest`` of |b - a|; and the ``plan_id``, ``variant`` (and ``box``) of the
+            largest difference, with the two values ``a`` and ``b``. If a group has no value of the metric, the columns
+            are null. Differences are computed only for plans that are equal in both runs.
+        other_plans: ids of plans that are in both runs but have different contents.
+        only_a, only_b: ``plan_id`` and ``variant`` of the worlds that are only in run a, and only in run b.
+        same_reason, same_culprit: ``n_not_stable`` worlds are stable in neither run. Among these, ``same_reason``
+            worlds have the same reason in both runs, and in ``same_culprit`` worlds the same box failed first.
         notes: reasons to doubt the comparison, one line each.
     """
 
@@ -101,8 +104,8 @@ class Comparison:
         return f"Comparison({self.a} and {self.b}: {self.n_agree:,} of {count_text(self.n_common, 'world')} agree)"
 
     def _repr_html_(self) -> str:
-        """HTML for notebooks: numbers of worlds by their verdict in a (rows) and b (columns), and the worlds with
-        different verdicts."""
+        """HTML for notebooks: the numbers of worlds by their verdict in run a (rows) and in run b (columns), and the
+        worlds with different verdicts."""
         counts = self.confusion.rename_axis("a").reset_index()
         columns = [ShownColumn("a", "a \\ b"), *(ShownColumn(name, name) for name in self.confusion.columns)]
         tables = [table_as_html(counts, columns, "confusion")]
@@ -117,14 +120,14 @@ class Comparison:
 
     @property
     def flips_within(self) -> float | None:
-        """The smallest x for which every flip has a ``margin`` within ±x in at least one run; None if no flip has a
-        margin."""
+        """The smallest x such that each world with different verdicts has a ``margin`` between -x and x in at least one
+        run; None if none of these worlds has a margin."""
         nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()
         return None if pd.isna(nearer) else float(nearer)
 
     @property
     def agreement(self) -> float | None:
-        """Share of the common worlds with the same verdict; None if there are no common worlds."""
+        """Share of the worlds in both runs that have the same verdict; None if no world is in both runs."""
         return self.n_agree / self.n_common if self.n_common else None
 
     def to_dict(self) -> dict[str, Any]:
@@ -135,10 +138,11 @@ class Comparison:
 
 
 def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, packers: bool = False) -> Comparison:
-    """Compare run b with run a, world by world (same plan and variant).
+    """Compare two runs, world by world. Two worlds belong together if they have the same plan and the same variant.
 
     Args:
-        packers: whether the runs are of two packers. Different plans are then expected, and cause no note.
+        packers: whether the plans of the runs come from two packers. If so, plans are expected to differ, and no note
+            says so.
 
     Raises:
         InputError: a folder has no run, is damaged, or has the same world twice.
@@ -183,8 +187,8 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
 
 
 def thresholds_of(info: Mapping[str, Any]) -> Thresholds:
-    """The thresholds of a run, or the defaults if it has none. All options of the run are searched, because older runs
-    store thresholds in another place."""
+    """The thresholds of a run, or the default thresholds if the run states none. All options of the run are searched,
+    because older runs store the thresholds in another place."""
     waiting: list[Any] = [info.get("config", {})]
     while waiting:
         entry = waiting.pop(0)
@@ -211,7 +215,7 @@ def _flips(flipped: pd.DataFrame, of_a: Thresholds, of_b: Thresholds) -> pd.Data
 
 
 def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
-    """The joined boxes, with the distance (m) and the angle (deg) between the two final poses of each box."""
+    """Add to the table of boxes the distance (m) and the angle (deg) between each box's final poses in the two runs."""
 
     def rows(side: str, *names: str) -> NDArray[np.float64]:
         values: NDArray[np.float64] = boxes[[f"{name}_{side}" for name in names]].to_numpy(dtype=np.float64)
@@ -220,15 +224,16 @@ def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
     position, quaternion = ("pos_x_m", "pos_y_m", "pos_z_m"), ("quat_w", "quat_x", "quat_y", "quat_z")
     distance = np.linalg.norm(rows("b", *position) - rows("a", *position), axis=1)
     q_a, q_b = rows("a", *quaternion), rows("b", *quaternion)
-    # The angle is 4·asin(|q_a ∓ q_b| / 2), with the sign of the shorter chord.
-    # Unlike acos, this formula is exact for small angles.
+    # The angle is 4·asin(chord / 2). The chord is the smaller one of |q_a - q_b| and |q_a + q_b|, because q and -q are
+    # the same orientation. Unlike a formula with acos, this formula is exact for small angles.
     chord = np.minimum(np.linalg.norm(q_a - q_b, axis=1), np.linalg.norm(q_a + q_b, axis=1))
     angle = np.degrees(4 * np.arcsin(np.clip(chord / 2, 0, 1)))
     return boxes.assign(position_m_a=0.0, position_m_b=distance, orientation_deg_a=0.0, orientation_deg_b=angle)
 
 
 def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[str]) -> pd.DataFrame:
-    """A row for each compared metric and group, computed from columns ``<metric>_a`` and ``<metric>_b``."""
+    """One row for each compared metric and group of worlds, computed from the columns ``<metric>_a`` and
+    ``<metric>_b``."""
     listed = [(column.name, column.name, column.unit) for column in columns if column.compared]
     listed += [(f"{column.name} relative", column.name, DIMENSIONLESS) for column in columns if column.relative]
     rows = []
@@ -236,7 +241,7 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
         if f"{name}_a" not in joined or f"{name}_b" not in joined:
             continue
         values_a, values_b = (joined[f"{name}_{side}"].to_numpy(dtype=np.float64) for side in "ab")
-        with np.errstate(invalid="ignore"):  # both values may be infinite, so their difference is invalid
+        with np.errstate(invalid="ignore"):  # the difference of two infinite values is invalid
             signed = values_b - values_a
         if metric != name:
             signed = signed / np.maximum(np.abs(values_a), FORCE_FLOOR_N)
@@ -260,10 +265,10 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
 
 
 def _other_plans(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
-    """Ids of plans that both runs have but that differ, sorted.
+    """Ids of plans that are in both runs but have different contents, sorted.
 
-    Plans are compared by digest. Runs that were written without plans have no digests; for them, the numbers of boxes
-    and the items are compared.
+    Plans are compared by digest. If a run was written without digests, the numbers of boxes and the ids of items are
+    compared instead.
     """
     digests = [run.plans.set_index("plan_id")["digest"] for run in (run_a, run_b)]
     plans = pd.DataFrame(index=pd.Index(common_worlds["plan_id"].unique(), dtype=object))
@@ -276,7 +281,7 @@ def _other_plans(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFra
 
 
 def _notes(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, other: Sequence[str]) -> list[str]:
-    """Lines with reasons to doubt the comparison."""
+    """Lines for the user with reasons to doubt the comparison."""
     notes = run_a.doubts("a") + run_b.doubts("b")
     without = [name for name, run in (("a", run_a), ("b", run_b)) if not run.keeps_boxes]
     if without:

@@ -1,7 +1,8 @@
-"""The story of one world: its frames, its events, and the verdict in words.
+"""The story of one world (one simulation of one plan): its frames, its events, and the verdict in words.
 
-``tell`` reads a recorded world or simulates it again, and returns a ``Story``. Other functions describe the story in
-words: its headline, its events in order of time, the reason of the verdict, and which box failed first, when and why.
+``tell`` reads the recording of a world, or simulates the world again, and returns a ``Story``. Other functions describe
+the story in words: its headline, its events in order of time, the reason of the verdict, and which box failed first,
+when and why.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ MOST_DROPS: Final = 8
 
 
 class Event(NamedTuple):
-    """Something that happened in a world. ``is_first_sign`` tells whether it was the first time that any box crossed a
-    limit."""
+    """Something that happened in a simulation. ``is_first_sign`` is true for the event in which a box crosses a limit
+    of the verdict for the first time."""
 
     time_s: float
     what: str
@@ -59,7 +60,7 @@ class Event(NamedTuple):
 
 
 def headline(story: Story) -> str:
-    """One line with the verdict, the reason, the first box and its time."""
+    """One line with the verdict, its reason, the first box that failed, and the time of the failure."""
     outcome = story.outcome
     text = outcome.verdict.value + (f" by {outcome.reason.value}" if outcome.reason else "")
     if outcome.verdict is Verdict.STABLE or outcome.reason is Reason.SHIFT:
@@ -73,19 +74,19 @@ def headline(story: Story) -> str:
 
 
 def box_name(story: Story, box: int) -> str:
-    """The name of a box, such as "box 22 (candy-00100723)", with the id if the box has no article. Boxes are numbered
-    from 0, in packing order."""
+    """The name of a box, such as "box 22 (candy-00100723)". The number is the box's index in packing order, from 0. The
+    text in brackets is the box's article, or its item id if it has no article."""
     return box_in_words(box, story.plan.articles[box] or story.plan.item_ids[box])
 
 
 def _subject(story: Story, box: int) -> str:
-    """The name of a box as the first word of a sentence."""
+    """The name of a box at the beginning of a sentence: "Box 22 (candy-00100723)"."""
     return "B" + box_name(story, box)[1:]
 
 
 def events(story: Story) -> list[Event]:
-    """The events in order of time. The last event is the end of the simulation. Drops beyond ``MOST_DROPS`` are
-    combined into one event."""
+    """The events of a story in order of time. The last event is the end of the simulation. If more than ``MOST_DROPS``
+    boxes drop, the later drops are combined into one event."""
     timeline = [*_placements(story), *_shaking_events(story), *_first_sign(story), *_drops(story)]
     timeline.sort(key=lambda event: event.time_s)
     end_s = max(story.outcome.sim_time_s, float(story.history.time_s[-1]))
@@ -144,20 +145,21 @@ def _last_state(story: Story) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """One simulated world with its frames.
+    """One simulated world (one simulation of one plan) with its frames.
 
     Attributes:
-        plan: the plan.
-        scene: the numbers that define the world, including the changes of the variant.
-        outcome: verdict, first box, and metrics of each box.
-        history: the frames. The last frame has the poses of ``outcome.boxes``.
+        plan: the plan that was simulated.
+        scene: the numbers that define the simulation, such as masses and places, including random errors.
+        outcome: the verdict, the first box that failed, and metrics of each box.
+        history: the frames, with the pose of each box. The last frame has the poses of ``outcome.boxes``.
         engine: the engine that simulated the world.
-        variant: index of the variant, and the variant's values by column. If the plan has only one world, the index is
-            0 and there are no values.
-        drive: the drive that shakes the world.
-        options: the options of the simulation (``petmjx.Simulation``), by field, as in ``run.json``.
-        note: an important remark for readers, such as that the world was simulated on another engine than the run's; ""
-            if there is none.
+        variant: index of the variant (the set of changes and errors of this simulation); 0 if the plan has only one
+            world.
+        values: the variant's values, by column. Empty if the plan has only one world.
+        drive: the motion or force with which the carrier is shaken; None if it is not shaken.
+        options: the options of the simulation: fields of ``petmjx.Simulation`` and their values, as in ``run.json``.
+        note: an important remark for the reader, such as that the story was simulated on a different engine than the
+            run; "" if there is none.
     """
 
     plan: Plan
@@ -172,8 +174,8 @@ class Story:
     note: str = ""
 
     page: ClassVar[Callable[[Story], str] | None] = None
-    """Makes the page of a story for notebooks. ``petmjx.show.pages.story_display`` sets this function, because pages
-    import stories and stories cannot import pages."""
+    """Function that makes the HTML page of a story for notebooks. ``petmjx.show.pages.story_display`` sets it: that
+    module imports this one, so this module cannot import it."""
 
     def __repr__(self) -> str:
         outcome = self.outcome
@@ -181,12 +183,13 @@ class Story:
         return f"Story({self.name}: {verdict}; {self.history!r}, engine {self.engine})"
 
     def _repr_html_(self) -> str | None:
-        """HTML for notebooks: the page of the story, in which the world can be played and turned."""
+        """HTML for notebooks: the page of the story, in which the motion of the boxes can be played and viewed from all
+        sides."""
         return None if Story.page is None else Story.page(self)
 
     @property
     def name(self) -> str:
-        """The plan's id as displayed text, with the variant if the plan has several worlds, as in "tower, variant
+        """The plan's id as printable text. If the plan has several worlds, the variant follows, as in "tower, variant
         3"."""
         return printable_name(self.plan.plan_id) + (f", variant {self.variant}" if self.values else "")
 
@@ -201,24 +204,28 @@ def tell(
     details: bool | None = None,
     **options: Any,
 ) -> Story:
-    """Tell the story of one world, frame by frame, from a recording or from a new simulation.
+    """Tell the story of one world (one simulation of one plan), frame by frame. The frames come from a recording or
+    from a new simulation.
 
     ``petmjx.tell("s0-000016", "results")`` tells the story of plan ``s0-000016`` in the run in the folder ``results``.
-    A new simulation uses the same options and attempts, and is bit-identical. If the run's engine cannot run on this
-    machine, ``mujoco`` is used instead, and ``Story.note`` states whether the result differs.
+    A new simulation uses the options of the run, and repeats failed attempts as the run did. Its result is
+    bit-identical. If the run's engine cannot run on this machine, ``mujoco`` is used instead, and ``Story.note`` states
+    whether the result differs.
 
     Args:
-        plan_id: the plan's id; or, without a source, the plan itself.
-        source: a run (its folder, or the result of ``petmjx.load_run``), or plans as for ``petmjx.score``; None: the
-            bundled plans.
-        plans: the files of a run's plans, if they have moved since the run.
-        variant: index of the variant as in ``worlds``, for a run with several worlds per plan. The default is the
-            nominal variant.
-        interval_s: time between two frames, s, by default 0.05. There is also a frame at each placement and at the end.
-        details: whether to record accelerations, penetrations and contacts as well; by default yes. Only the engine
-            ``mujoco`` can record these details. If the run has a recording, it is used unchanged unless ``interval_s``
-            or ``details`` is given.
-        options: fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``; only allowed without a run.
+        plan_id: the plan's id; or the plan itself.
+        source: a run (its folder, or the result of ``petmjx.load_run``), or plans as for ``petmjx.score``. If None, the
+            bundled sample plans are used.
+        plans: the files of a run's plans, if these files have been moved since the run.
+        variant: index of the variant, as in the table ``worlds``, for a run that simulated each plan several times. The
+            default is the nominal variant, which has no errors.
+        interval_s: time between two frames, s. The default is 0.05 s. There is also a frame at each placement of a box
+            and at the end.
+        details: whether frames also have accelerations, penetrations and contacts. The default is yes. Only the engine
+            ``mujoco`` can record these details. If the run has a recording of the world, the recording is used, unless
+            ``interval_s`` or ``details`` is given.
+        options: fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``; they are allowed only if the source is
+            not a run.
 
     Raises:
         InputError: the plan or variant does not exist, a plan or sweep file is gone or has changed, or options are
@@ -254,7 +261,7 @@ def tell(
 
 
 def _run_in(source: RunResults | PlanSource | None) -> RunResults | None:
-    """The run, if the source is a run; else None."""
+    """The results of the run, if the source is a run; else None."""
     if isinstance(source, RunResults):
         return source
     if isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file():
@@ -278,7 +285,8 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
     outcome = read_outcome(run, plan.plan_id, index)
     if history is None or outcome is None:
         return None
-    boxes = replace(outcome.boxes, pos=history.pos[-1], quat=history.quat[-1])  # recorded with full precision
+    # the history has the poses with full precision
+    boxes = replace(outcome.boxes, pos=history.pos[-1], quat=history.quat[-1])
     group, variant = worlds.find(plan.plan_id, index)
     row = world_row(run, plan.plan_id, index) or {}
     return Story(
@@ -295,7 +303,7 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
 
 
 def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
-    """The engine of a run, or another engine with a note on the replacement."""
+    """The engine of a run and "", or an engine that replaces it and a note that says so."""
     name = config.get("engine")
     if name not in ENGINES:
         return make_engine(
@@ -331,7 +339,8 @@ def _story(worlds: SweepPlan, index: int, engine: Engine, record: Record) -> Sto
 
 
 def _difference(story: Story, run: RunResults) -> str:
-    """One line on how a story differs from the run's row of the same world; empty if it does not differ."""
+    """One line that compares the story's outcome with the row of the same world in the run; "" if there is nothing to
+    report."""
     row = world_row(run, story.plan.plan_id, story.variant)
     if row is None:
         return ""
@@ -342,7 +351,7 @@ def _difference(story: Story, run: RunResults) -> str:
 
 
 def _outcome_text(world: Mapping[str, Any]) -> str:
-    """Verdict, reason and first box of a world, in a few words."""
+    """The verdict on a world, its reason, and the first box that failed, in a few words."""
     culprit = world["culprit"]
     by = f" by {world['reason']}" if world["reason"] else ""
     known = culprit is not None and culprit >= 0
@@ -365,24 +374,25 @@ REASONS: Final = {
     Reason.TILT: "a box tilted by more than {tilt:g}°",
     Reason.SHIFT: "a box shifted by more than {shift}",
 }
-"""Reason → a sentence without its full stop. The braces in the sentence are placeholders for thresholds and for the
-boxes that dropped."""
+"""Reason of a verdict → a sentence about it, without full stop. The braces in the sentence are placeholders for
+thresholds and for the boxes that dropped."""
 
 
 def thresholds_of(story: Story) -> Thresholds:
-    """The limits with which the verdict was decided."""
+    """The thresholds with which the verdict was decided."""
     return Thresholds(**story.options.get("thresholds", {}))
 
 
 def sinks_of(story: Story) -> FloatArray | None:
-    """(n,) how far each box is planned to descend, m; None: 0 for all boxes."""
+    """(n,) distance by which each box is expected to sink because the boxes below it are compressed, m. None if no box
+    is compressible."""
     physics = story.options.get("physics", {})
     gravity = physics.get("gravity_m_s2", STANDARD_GRAVITY) if isinstance(physics, Mapping) else STANDARD_GRAVITY
     return sinks_m(story.scene, gravity)
 
 
 def reason_in_words(story: Story) -> str:
-    """A sentence with the reason of the verdict, without its full stop."""
+    """A sentence with the reason of the verdict, without full stop."""
     outcome, limits = story.outcome, thresholds_of(story)
     dropped = int(outcome.boxes.dropped[: outcome.n_placed].sum())
     boxes = "a box" if dropped == 1 else f"{dropped} boxes"
@@ -415,13 +425,13 @@ def notes_in_words(story: Story) -> list[str]:
 
 
 def _knife_edge(story: Story) -> str:
-    """A sentence on the load that is nearest to an edge, inside or outside. The sentence names the box, the distance
-    from the edge, and the time."""
+    """A sentence about the load that acts nearest to the edge of its support, inside or outside. The sentence names the
+    box, the distance of the load from the edge, and the time."""
     outcome = story.outcome
     table_edges = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
     recomputed_edges = list(edges_again(story.scene, outcome))
     nearest = nearest_edge(table_edges, outcome.verdict)
-    if nearest is None:  # the tables do not have the edge, for example if the load is a box's own weight
+    if nearest is None:  # the tables do not have this edge, for example if the load is the own weight of a box
         nearest = nearest_edge(recomputed_edges, outcome.verdict) or nearest_edge([*table_edges, *recomputed_edges])
     else:  # the tables do not tell whether the load is the box's own weight
         nearest = next((edge for edge in recomputed_edges if is_same_edge(edge, nearest)), nearest)
@@ -437,8 +447,8 @@ def _knife_edge(story: Story) -> str:
 
 
 def _hangs_over(story: Story) -> list[str]:
-    """Sentences on a box whose load is beyond an edge while the plan is built, and on the box that would hold it down
-    but is placed too late."""
+    """A sentence about a box that would fall while the stack is built, because its load acts beyond an edge. If a box
+    that is placed later would hold it down, the sentence names that box, too."""
     outcome = story.outcome
     if not outcome.build_edge_m < 0:
         return []
@@ -453,7 +463,7 @@ def _hangs_over(story: Story) -> list[str]:
 
 
 def _leans(story: Story) -> str:
-    """A sentence on boxes that do not lie as planned."""
+    """A sentence about boxes that are tilted or lie too low, although the stack stands."""
     boxes = story.outcome.boxes
     tilt, lower_m = box_motion.tilt_deg(boxes.quat), -boxes.shift_m[:, 2]
     leaning = contact_tilt_boxes(story.outcome).tolist()
@@ -467,7 +477,7 @@ def _leans(story: Story) -> str:
 
 
 def first_box_in_words(story: Story) -> str:
-    """A sentence that states which box failed first, when and why; "" if no box failed."""
+    """A sentence that states which box failed first, at which time and why; "" if no box failed."""
     box = story.outcome.culprit
     if box < 0:
         return ""
@@ -480,15 +490,14 @@ def first_box_in_words(story: Story) -> str:
 
 
 def _gap_mm(story: Story, box: int) -> float:
-    """Gap between the bottom of a box at its planned place and the bodies below it, at the time of its placement,
-    mm."""
+    """The planned gap between the bottom of a box and the bodies below it when the box is placed, mm."""
     in_order = story.options.get("check") != Check.STATIC
     return float(gaps_mm(story.plan.corner_mm, story.plan.size_mm, in_order)[box])
 
 
 def _signs(story: Story, box: int) -> list[str]:
-    """The limits that a box had crossed at the first sign, each with its value. Values between two frames are
-    interpolated."""
+    """For each limit that the box had crossed at the time of the first failure, a text with the box's value. Values
+    between two frames are interpolated."""
     limits = thresholds_of(story)
     pos, quat = (_at(story, values[:, box])[None] for values in (story.history.pos, story.history.quat))
     if not np.isfinite(pos).all():
@@ -508,13 +517,13 @@ def _signs(story: Story, box: int) -> list[str]:
 
 
 def _at(story: Story, values: FloatArray) -> FloatArray:
-    """(k,) values at the first sign, interpolated between frames from values (f, k)."""
+    """(k,) values at the time of the first failure, interpolated between the values (f, k) of f frames."""
     time_s, sign_s = story.history.time_s, story.outcome.first_sign_s
     return np.array([np.interp(sign_s, time_s, column) for column in values.T])
 
 
 def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
-    """(name, value) of the settings on which the answer depends most: engine, physics, check, schedule, carrier,
+    """(name, value) of each setting on which the verdict depends most: engine, physics, check, schedule, carrier,
     solver."""
     options, outcome = story.options, story.outcome
     physics = options.get("physics", "")
@@ -530,12 +539,12 @@ def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
 
 
 def _option_name(option: object) -> str:
-    """The value of an option as text; for a table, its name."""
+    """The value of an option as text. If the value is a record, the text is the record's name."""
     return printable_name(str(option.get("name") if isinstance(option, Mapping) else option))
 
 
 def _value(value: object) -> str:
-    """The value in a variant's column, as text."""
+    """A value of a variant, as text."""
     return f"{value:.4g}" if isinstance(value, float) else printable_name(str(value))
 
 

@@ -1,4 +1,4 @@
-"""Options of commands, generated from the records in ``petmjx.options.simulation``."""
+"""The options of commands, generated from the fields of option records such as ``petmjx.Simulation``."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ HOW_IT_RUNS = "How it runs"
 
 @dataclass(frozen=True)
 class _Option:
-    """A field of a record as an option of a command.
+    """An option of a command, made from a field of an option record.
 
     Attributes:
-        path: names that lead to the field: usually only the field's name; for a field of an inner record, for example,
-            ``("thresholds", "shift_m")``.
-        section: heading of the option in the help.
+        path: names of the fields that lead to the option's value. Usually, this is only the field's own name. For a
+            field of a record within a record, it is, for example, ``("thresholds", "shift_m")``.
+        section: heading under which the help lists the option.
     """
 
     path: tuple[str, ...]
@@ -87,12 +87,13 @@ class _Option:
 
     @property
     def name(self) -> str:
-        """The option's name as a parameter of a function."""
+        """The name of the function parameter that receives the option's value."""
         return "__".join(self.path)
 
     @property
     def kind(self) -> Any:
-        """The type of the value: the field's type if it is plain; otherwise text, which the record checks."""
+        """The type as which typer reads the value: int, float, bool or Path if the field has such a type. Otherwise it
+        is text, which the option record converts and checks."""
         kinds = get_args(self.info.annotation) or (self.info.annotation,)
         if str in kinds or get_origin(self.info.annotation) is tuple:
             return str
@@ -116,7 +117,7 @@ class _Option:
 
     @property
     def parameter(self) -> inspect.Parameter:
-        """The parameter that typer finds in a function's signature. The value None means that the option is not set."""
+        """The function parameter from which typer makes the option. The value None means that the option is not set."""
         names = [name for name in (self.flag.name, self.flag.short) if name]
         option = typer.Option(
             *names,
@@ -144,8 +145,8 @@ def takes(
         fields: names of fields of the two records. If empty, all fields are used.
         without: fields that are left out.
         simulated: heading of the options of ``Simulation``.
-        more: further records with their headings. The fields of these records replace fields of ``Simulation`` with the
-            same names.
+        more: further option records, each with the heading of its options in the help. The fields of these records
+            replace fields of ``Simulation`` that have the same names.
     """
     record_fields = {name for record, _ in more for name in record.model_fields}
     records: list[tuple[type[CheckedRecord], str]] = [(Simulation, simulated), *more, (RunOptions, HOW_IT_RUNS)]
@@ -207,10 +208,10 @@ def as_typed(command: Command) -> Command:
 
 @contextmanager
 def _named_as_typed(typed: Mapping[str, str]) -> Iterator[None]:
-    """Within the body, let errors name fields as they were typed.
+    """While the body runs, errors about fields name the options as the user typed them.
 
     Args:
-        typed: field → the text that was typed for it.
+        typed: name of a field → the option that the user typed for the field.
     """
     try:
         yield
@@ -276,7 +277,8 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
 
 
 def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
-    """Store a value at its path. A record may be given by a name, as a table and by single values, in any order."""
+    """Store a value at its path in nested tables. The user may set a record by its name, as a table and by single
+    values, in any order; the settings are combined."""
     *records, field = path
     for name in records:
         inner = tables.get(name, {})
@@ -289,8 +291,8 @@ def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 def _as_typed(line: str, typed: Mapping[str, str]) -> str:
-    """Replace the field at the beginning of an error's line by the option as it was typed. A line that names a file is
-    not changed, because it is about the content of the file."""
+    """If an error begins with the name of a field, replace this name by the option that the user typed. An error that
+    begins with the name of a file is not changed, because it is about the content of the file."""
     for path, option in typed.items():
         path_match = re.match(rf"(?:simulation\.|orders_)?{re.escape(path)}(?=[ :])", line)
         if path_match:

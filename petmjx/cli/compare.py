@@ -49,12 +49,14 @@ def compare(
 ) -> None:
     """Compare two runs of the same plans: whether their verdicts agree, and by how much each metric differs.
 
-    For the differences |b - a|, the median, the 95th percentile and the largest value are printed, the last one with
-    its plan and box. If the sign has a meaning, the mean of b - a is printed as well. Plans that differ are left out.
+    For each metric, the median, the 95th percentile and the largest value of |b - a| are printed. The plan and the box
+    with the largest value are named. If the sign of b - a has a meaning, the mean of b - a is printed as well. Plans
+    that are not the same in both runs are left out.
 
-    With --packers, packers are compared on the same orders (plan ids): the share of each that stands with its interval,
-    the paired difference with its interval and McNemar's exact test, orders won and lost, utilisation, and with
-    --orders KPIs.
+    With --packers, packers are compared on the same orders (plans with the same ids). For each packer, the command
+    prints the share of plans that stand, with an interval, and the utilisation; with --orders, also KPIs. For each pair
+    of packers, it prints the difference of the shares with an interval, McNemar's exact test, and the orders for which
+    only one packer's plan stands.
     """
     from petmjx.show.table_layout import print_renderables
 

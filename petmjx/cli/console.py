@@ -27,7 +27,8 @@ _PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "
 
 
 def results_console() -> Console:
-    """A console on standard output. The console is as wide as the terminal, or ``PIPED_WIDTH`` if there is none."""
+    """A console on standard output. Its width is that of the terminal, or ``PIPED_WIDTH`` if the output is not a
+    terminal."""
     from rich.console import Console
 
     piped = "COLUMNS" not in os.environ and not sys.stdout.isatty()
@@ -35,7 +36,8 @@ def results_console() -> Console:
 
 
 def prepare_streams() -> None:
-    """Make printing safe: open missing standard streams, and replace characters that they cannot encode."""
+    """Make printing safe: standard streams that are closed are opened, and characters that a stream cannot encode are
+    replaced."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # the caller has closed the stream (petmjx … >&-)
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  # until the process ends
@@ -70,7 +72,8 @@ def as_notes() -> Iterator[None]:
 
 @contextmanager
 def asking() -> Iterator[None]:
-    """Within the body, let a person at a terminal choose between two readings of a file."""
+    """While the body runs, ask the person at the terminal whenever a file can be read in several ways, for example with
+    different units."""
     if not (sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()):
         yield
         return
@@ -84,7 +87,7 @@ def asking() -> Iterator[None]:
 
 
 def _ask_reading(source: str, error: AmbiguousFile) -> Reading | None:
-    """The reading that a person chooses; None if the person chooses none."""
+    """Ask the person which reading of a file is right. None if the person chooses no reading."""
     print(f"{source} can be read in {len(error.readings)} ways:", file=sys.stderr)
     for number, reading in enumerate(error.readings, start=1):
         print(f"  {number}  {printable(reading.line())}; {reading.evidence}", file=sys.stderr)

@@ -15,7 +15,7 @@ from petmjx.options.run_options import OF_ORDERS, READING
 from petmjx.plans.file_formats import is_csv, is_parquet_name
 
 SHOWN_SKIPPED = 10
-"""Largest number of skipped plans that are shown."""
+"""Largest number of skipped plans for which a line is printed."""
 
 
 @opt.takes(*READING, "limit", "strict")
@@ -98,7 +98,7 @@ def _convert_orders(files: list[Path], out: Path, target: str | None, options: d
 
 
 def print_skipped(lines: list[str]) -> None:
-    """Print the first lines about skipped plans on standard error."""
+    """Print the first of the lines about skipped plans on standard error."""
     for line in lines[:SHOWN_SKIPPED]:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if len(lines) > SHOWN_SKIPPED:

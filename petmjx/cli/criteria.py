@@ -69,7 +69,8 @@ def criteria(
 
     The criteria are support of the base, corners, centre of gravity, load-bearable polygons, stacking tree, mechanical
     equilibrium and force balance. Each criterion is evaluated for each box when it is placed. With --run, the criteria
-    are compared with the verdicts of a run, and the best threshold of each is determined.
+    are compared with the verdicts of a run, and for each criterion the threshold that agrees best with the simulation
+    is determined.
     """
     from petmjx.analysis.criteria_run import criteria as ask
     from petmjx.results.to_json import to_json

@@ -25,7 +25,7 @@ Png = Annotated[Path | None, _file("png", "The same as a picture.")]
 
 
 def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite: bool, *read: Any) -> list[Path]:
-    """The requested files. The files are checked before the figure is computed.
+    """The files that the user requested. They are checked here, before the figure is computed.
 
     Args:
         read: files and folders that the command reads.
@@ -57,11 +57,12 @@ def figure(
 ) -> None:
     """Draw the answers of a run as a figure for a paper.
 
-    For a search, it shows the share of plans that survive each level, by direction. For another sweep, it shows the
-    share of worlds that stand along each axis, with intervals. For a score with --confidence, it shows for each plan
-    the share of worlds in which it stands.
+    For a search of the largest level survived, the figure shows the share of plans that survive each level, by
+    direction. For other sweeps, it shows the share of simulations in which plans stand, with intervals, for each value
+    that is varied. For a score with --confidence, it shows for each plan the share of simulations in which the plan
+    stands.
 
-    The commands compare --packers and criteria draw their own figures, and have the same options for them.
+    The commands compare --packers and criteria have the same options, and draw figures of their own results.
     """
     from petmjx.results.run_reader import load_run
     from petmjx.show.figures.figure_files import figure as draw

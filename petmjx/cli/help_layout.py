@@ -16,8 +16,8 @@ class SectionedCommand(TyperCommand):
     """A command whose help lists options under headings: the ``rich_help_panel`` of each option."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the arguments, then the sections in the order of their first options, and finally the options without a
-        heading."""
+        """Write the arguments, then the options with headings, and finally the options without a heading. Headings are
+        in the order in which their first options were declared."""
         sections: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             row = parameter.get_help_record(ctx)

@@ -41,11 +41,13 @@ def info(
     as_json: opt.JsonOption = False,
     **options: Any,
 ) -> None:
-    """Explain files of packing plans: their kind, how they are read, and what is odd about them. Nothing is simulated.
+    """Explain files of packing plans: the kind of each file, how it is read, and what is unusual in it. Nothing is
+    simulated.
 
-    For files of other tools, it shows the columns, units, axes, anchor and turns, the assumed values, and the next best
-    reading. A file that can be read in two ways is refused, and both readings are named. For a file of orders, it shows
-    how petmjx samples --orders reads the file.
+    For files of other tools, the command shows the columns, the units, the axes, the point of a box that coordinates
+    describe, the turns of boxes, the assumed values, and the second most plausible reading. A file that can be read in
+    two ways is refused, and both readings are named. For a file of orders, the command shows how petmjx samples
+    --orders reads the file.
     """
     from petmjx.plans.reading_files import reading_toml
     from petmjx.results.read_files import source_files

@@ -55,9 +55,9 @@ def kpis(
 ) -> None:
     """Rate plans as BED-BPP does: BED-BPP's KPIs for each plan, their means, and the leaderboard's score.
 
-    Stability comes from a run of petmjx. BED-BPP lets all boxes stand at once, and calls a plan unstable if one box
-    moves by more than 10 mm along z. This rule is kpi_6, and needs a run with --check static. The verdict is shown
-    beside the KPIs.
+    A run of petmjx tells which plans stand. BED-BPP's own rule puts all boxes in place at once, and calls a plan
+    unstable if a box moves by more than 10 mm along z. This rule gives kpi_6, and needs a run with --check static.
+    petmjx's verdict is shown beside the KPIs.
     """
     from petmjx.analysis.kpi_files import check_kpis_free, write_kpis
     from petmjx.analysis.kpi_submission import parse_name, write_submission

@@ -71,11 +71,11 @@ def label(
     ] = False,
     **options: Any,
 ) -> None:
-    """Label placements of boxes by physics, as data on which to train or test a model.
+    """Simulate placements of boxes, and write the results (labels) as data with which a model can be trained or tested.
 
-    It writes a Parquet table for each split (train, validation, test). Orders with the same boxes are never in two
-    splits. It also writes a card that states what the tables contain, how they were made, and how accurate rules and
-    petmjx's own estimate are.
+    The command writes a Parquet table for each split (train, validation, test). Orders with the same boxes are always
+    in the same split. It also writes a card that states what the tables contain, how they were made, and how accurate
+    simple rules and petmjx's own estimate are.
     """
     from petmjx.cli.run_command import RunInterrupted
     from petmjx.loop.label_files import write_labels

@@ -67,11 +67,11 @@ def leaderboard(
     overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
-    """Rate packers by physics, and write a site about them: one folder that can be read offline.
+    """Rate packers by physics, and write a website about them: one folder that can be read offline.
 
-    The site has the rating of each packer with its interval, tests, KPIs, playable pages, the plans, and the command
-    that makes the site again. Plans are scored with these options. Existing runs are used unchanged, unless replays of
-    some of their plans contradict them.
+    The site has the rating of each packer with its interval, statistical tests, KPIs, pages on which simulations can be
+    played, the plans, and the command that makes the site again. Plans are scored with these options. Runs that are
+    given are used as they are, unless new simulations of some of their plans contradict them.
     """
     from petmjx.show.leaderboard.leaderboard import board_line
     from petmjx.show.leaderboard.leaderboard import leaderboard as make

@@ -72,11 +72,11 @@ def loads(
     overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
 ) -> None:
-    """Find overloaded boxes: force on top / strength, at rest and at the peak.
+    """Find overloaded boxes: compare the force on the top of each box with the box's strength, at rest and at the peak.
 
-    Strengths are given in newtons, or computed by McKee's formula from the carton's board. Boxes lose a share of their
-    strength through their arrangement in the stack: across each other, over edges, and over gaps of the deck. Loads do
-    not change verdicts.
+    Strengths are given in newtons, or are computed by McKee's formula from the carton's board. A box loses a part of
+    its strength if the boxes above lie across its walls, if its walls are beyond the edge of a box below, or if they
+    are over gaps of the deck. Loads do not change verdicts.
     """
     from petmjx.analysis.box_strength import check_loads_free
     from petmjx.analysis.box_strength import loads as compare

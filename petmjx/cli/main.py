@@ -1,4 +1,4 @@
-"""The command-line application. Errors become one line on standard error, and an exit code."""
+"""The command-line application. It reports an error as one line on standard error and as an exit code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from petmjx.version import __version__
 
 
 class ExitCode(IntEnum):
-    """Exit codes. Exit codes do not depend on verdicts."""
+    """The exit codes of commands. They do not depend on whether plans stand."""
 
     OK = 0
     FAILURE = 1
@@ -49,7 +49,7 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParamete
 
 
 _SETTINGS = SimpleNamespace(debug=False)
-"""Values of the options that stand before the command."""
+"""Values of the options that are written before the name of the command."""
 
 _COMMANDS = {
     "score": "Say which packing plans stand.",
@@ -69,10 +69,11 @@ _COMMANDS = {
     "samples": "Write packing plans with BED-BPP's statistics.",
     "label": "Label placements by physics, to train models with.",
     "export": "Write the MuJoCo model of one plan.",
+    "warm-up": "Compile all kernels now, so that no run waits for them.",
     "doctor": "Show versions, devices and which engines work here.",
 }
-"""Names of a command, of its module in this package, and of its function in that module → what the command does, for
-the list of commands."""
+"""Name of a command → what the command does, as text for the list of commands. The command's module in this package and
+the function in this module have the same name as the command, with underscores."""
 
 
 def application(words: Sequence[str] = ()) -> typer.Typer:
@@ -93,7 +94,8 @@ def application(words: Sequence[str] = ()) -> typer.Typer:
     # Options before the command take no values, so the first other word is the command.
     command = next((word for word in words if not word.startswith("-")), "")
     for name in (command,) if command in _COMMANDS else _COMMANDS:
-        function = getattr(importlib.import_module(f"petmjx.cli.{name}"), name)
+        module = name.replace("-", "_")
+        function = getattr(importlib.import_module(f"petmjx.cli.{module}"), module)
         app.command(name, cls=SectionedCommand, short_help=_COMMANDS[name])(as_typed(function))
     return app
 
@@ -112,7 +114,7 @@ def options(
         bool, typer.Option("--debug", envvar="PETMJX_DEBUG", help="Show the traceback of an error.")
     ] = False,
 ) -> None:
-    """The options that are written before the command."""
+    """The options that are written before the name of the command."""
     _SETTINGS.debug = debug
 
 
@@ -120,14 +122,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
     Args:
-        arguments: the arguments without the program's name; None: those of this process.
+        arguments: the arguments without the program's name. If None, those of this process are used.
     """
     _SETTINGS.debug = False
     return run_app(application, arguments)
 
 
 def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] | None = None) -> int:
-    """Run an application, which ``make`` builds for the arguments. Errors become one line and an exit code."""
+    """Run the application that ``make`` builds for the arguments, and return the exit code. An error is reported as one
+    line."""
     prepare_streams()
     code = _run(make, arguments)
     try:

@@ -22,8 +22,8 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
     """Score the plans of each packer into a separate folder, then compare the packers.
 
     Args:
-        plans: name of each packer → its plans.
-        options: as for ``petmjx.score``. The folders of the packers are made in ``out``.
+        plans: name of each packer → file or folder with the packer's plans.
+        options: as for ``petmjx.score``. Each packer gets a folder in ``out``.
     """
     from petmjx.analysis.packer_comparison import compare_packers
     from petmjx.analysis.packer_runs import check_names

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 MOST_NAMED: Final = 10
-"""Largest number of orders that get a line each, or that one line names."""
+"""Largest number of generated orders for which a separate line is printed, and largest number of orders that a line
+names."""
 
 
 def write_physical(
@@ -56,7 +57,7 @@ def write_physical(
 
 
 def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
-    """A line for each order with boxes left out. Of generated orders, only the first orders with left-out boxes get a
+    """A line for each order with boxes left out. If the orders are generated, only the first of these orders get a
     line."""
     incomplete = [packed for packed in packings if packed.left_out]
     few = incomplete if named else incomplete[:MOST_NAMED]
@@ -67,7 +68,7 @@ def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
 
 
 def _not_good(packings: list[Any]) -> Iterator[str]:
-    """A line that names the orders for which no packing stands as often as required."""
+    """A line that names the orders for which no packing stands in the required share of simulations."""
     shaky = [packed for packed in packings if packed.taken is not None and not packed.good]
     if shaky:
         names = ", ".join(

@@ -50,9 +50,9 @@ def repair(
 ) -> None:
     """Find the smallest changes that make plans stand.
 
-    Changes are another order of placement, another place or orientation for a box, moves by some millimetres, exchanges
-    of two boxes, tie sheets, turns of film (with --profile) and, as the last resort, leaving boxes out. Boxes are named
-    by their numbers in the plan, from 0. Left is −x, front is −y.
+    Possible changes are a different order of placement, a different place or orientation of a box, moves by some
+    millimetres, exchanges of two boxes, tie sheets between layers, turns of stretch film (with --profile) and, as the
+    last resort, leaving boxes out. Boxes are named by their numbers in the plan, from 0. Left is −x, front is −y.
     """
     from petmjx.plans.plan_writer import check_plan_file
     from petmjx.repairs.repair import RepairInterrupted
@@ -104,7 +104,7 @@ def repair(
 
 
 def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:
-    """Lines about the written files."""
+    """Lines that name the written files."""
     if out is not None:
         yield f"{count_text(len(result.plans), 'plan')} in {printable(str(out))}"
     if html is not None:

@@ -26,16 +26,17 @@ if TYPE_CHECKING:
 
 
 BURST_S: Final = 2.0
-"""Signals that follow each other within this time count as one: Ctrl-C pressed six times in a row interrupts once."""
+"""Signals that follow each other within this time, s, count as one signal: pressing Ctrl-C six times in a row
+interrupts once."""
 
 
 AGAIN_S: Final = 0.05
-"""A signal is sent again after this time, s, in case the exception that it raised was lost."""
+"""Time after which a signal is sent again if Python would ignore the exception that the signal raises, s."""
 
 
 class RunInterrupted(Exception):
-    """Ctrl-C or a signal has ended the run. The message describes the state of the run. (typer would swallow a bare
-    KeyboardInterrupt, without any message.)
+    """Ctrl-C or a signal has ended the run. The message tells how far the run has come. (A KeyboardInterrupt cannot be
+    used: typer would swallow it and its message.)
 
     Attributes:
         number: number of the signal.
@@ -55,23 +56,24 @@ class _StopSignal(KeyboardInterrupt):
 
 
 _STATE = SimpleNamespace(is_stoppable=False, number=None)
-"""Whether a body can be stopped at the moment, and the number of the last signal that stopped a body."""
+"""``is_stoppable``: whether a block ``with stoppable()`` is running. ``number``: number of the signal that ended the
+last such block."""
 
 
 def last_stop() -> int | None:
-    """The number of the signal that stopped the last stoppable body; None if none did."""
+    """The number of the signal that ended the last block ``with stoppable()``; None if no signal did."""
     number: int | None = _STATE.number
     return number
 
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP end the body like Ctrl-C, once per burst of signals, so that the body can clean up.
-    A signal that is ignored remains ignored (nohup). Every command already runs inside ``stoppable``, so a nested use
-    does nothing.
+    """While the body runs, SIGTERM and SIGHUP raise an exception in it, as Ctrl-C does, so that the body can clean up.
+    Signals in quick succession raise only one exception. A signal that the process ignores, as under nohup, remains
+    ignored. Every command already runs inside ``stoppable``, so a nested use does nothing.
 
-    Python ignores exceptions that are raised while an object is finalised, as Ray's objects often are. In that case,
-    the signal is sent again.
+    Python ignores exceptions that are raised while an object is finalised (in ``__del__``), which happens often with
+    Ray's objects. If a signal arrives at such a time, it is sent again a little later.
     """
     last_s = -math.inf
 
@@ -98,13 +100,14 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         _STATE.is_stoppable = False
-        if last_s == -math.inf:  # after a signal, the process is about to end, and further signals may follow
+        # after a signal, the handlers stay: the process is about to end, and further signals may follow
+        if last_s == -math.inf:
             for number, handler in before.items():
                 signal.signal(number, handler)
 
 
 def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
-    """A frame and all its callers."""
+    """Yield a stack frame and the frames of all its callers."""
     while frame is not None:
         yield frame
         frame = frame.f_back
@@ -113,10 +116,11 @@ def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
 def run_and_show(
     run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any], as_json: bool
 ) -> None:
-    """Execute a run with a progress bar, and print its tables or JSON.
+    """Execute a run with a progress bar, and print the results as tables or as JSON.
 
     Args:
-        run: function that executes the run. Its arguments are a watcher and the options, including the folder.
+        run: function that executes the run. Its arguments are a watcher (the object that is told about the progress)
+            and the options, including the folder.
 
     Raises:
         RunInterrupted: Ctrl-C, SIGTERM or SIGHUP ended the run.
@@ -153,7 +157,7 @@ def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options
 
 
 def default_folder() -> Path:
-    """Make a new folder, named after the current time, that no other run uses.
+    """Make a new folder for a run, named after the current time.
 
     Raises:
         InputError: the folder cannot be made.
@@ -173,14 +177,14 @@ def default_folder() -> Path:
 
 
 def remove_empty(folder: Path) -> None:
-    """Delete the empty folder of a run that did not begin, and its parent folder if that is empty."""
+    """Delete the folder of a run that has written nothing, and the parent folder if it is empty, too."""
     with suppress(OSError):
         folder.rmdir()
         folder.parent.rmdir()
 
 
 def _how_far(folder: Path, watcher: Any) -> str:
-    """How far an interrupted run has come, as text."""
+    """A text that tells how far an interrupted run has come."""
     from petmjx.results.run_reader import load_run
 
     try:
@@ -196,7 +200,7 @@ def _how_far(folder: Path, watcher: Any) -> str:
 
 
 def brief(results: RunResults) -> dict[str, Any]:
-    """A run in the form that --json prints."""
+    """The summary of a run that the option --json prints."""
     names = ("status", "counts", "timings", "device", "skipped", "warnings")
     brief = {"out": str(results.path), **{name: results.info[name] for name in names}}
     if results.info.get("orders"):

@@ -22,7 +22,7 @@ from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Largest number of generated orders with left-out boxes that get a line each."""
+"""Largest number of generated orders with left-out boxes for which a separate line is printed."""
 
 
 @opt.takes(
@@ -97,19 +97,21 @@ def samples(
     overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
-    """Write packing plans with BED-BPP's statistics: generated orders (43±14 boxes), packed by a packer.
+    """Write packing plans for random orders (43±14 boxes) with the statistics of the benchmark BED-BPP. A packer, which
+    is a packing program, packs the orders.
 
     Without --packer, the set is mixed: about half of the plans are packed too loosely on purpose, so that some plans
-    stand and some fall. To compare a packer with others, name it: then no plan is packed loosely.
+    stand and some fall. To compare a packer with others, name it with --packer. Then no plan is packed loosely on
+    purpose.
 
-    The packer physical simulates several packings of each order, and chooses the densest one that stands often enough.
-    This takes seconds per order on CPUs.
+    The packer physical simulates several packings of each order, and chooses the densest packing that stands often
+    enough. This takes seconds per order on CPUs.
 
     The packer learned places boxes in the sequence of the order, and sees the next --lookahead boxes. The other packers
     see the whole order.
 
-    With --orders, the orders of a file are packed instead. Boxes that find no place below 2 m are left out. A line for
-    each such order names these boxes; for generated orders, only the first 10 get a line.
+    With --orders, the orders of a file are packed instead. Boxes for which there is no place below 2 m are left out. A
+    line for each order with such boxes names them. For generated orders, only the first 10 lines are printed.
     """
     from petmjx.common.machine import cpu_threads
     from petmjx.packers.pack import reading_of

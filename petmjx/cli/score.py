@@ -29,14 +29,15 @@ Names = Annotated[
 def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOption = False, **options: Any) -> None:
     """Simulate packing plans, and report which of them stand.
 
-    The command reads the plans, places their boxes in a simulated world, and writes a verdict and metrics per plan and
-    per box as Parquet. Unusable plans are skipped, counted and listed.
+    The command reads the plans, simulates the placement of their boxes, and writes a verdict for each plan and metrics
+    for each plan and box, as Parquet. Unusable plans are skipped, counted and listed.
 
-    With --confidence N, it also reports how certain the verdicts are: the share of N worlds with errors in which the
-    plan stands, with a 95 % interval, and which plans are a coin toss.
+    With --confidence N, the command also reports how certain the verdicts are. It simulates each plan N more times with
+    random errors, and reports the share of these simulations in which the plan stands, with a 95 % interval, and the
+    plans that may as well stand as fall.
 
-    With --chain NAME, it also reports how likely each plan is to arrive: the share of worlds in which it stands after
-    all legs of its journey, the weakest leg, and remedies.
+    With --chain NAME, the command also reports how likely each plan is to arrive at the end of a transport chain: the
+    share of simulations in which it stands after all legs (stages of the transport), the weakest leg, and remedies.
     """
     from petmjx import api
 

@@ -61,8 +61,8 @@ def show(
 ) -> None:
     """Show what happens to one plan: in words, as a page, in pictures, or as a film.
 
-    The world is simulated exactly as in the run in DIR, or with these options. If no drawing is requested, its story is
-    printed in the terminal.
+    The plan is simulated exactly as in the run in DIR, or with these options. If no drawing is requested, a text about
+    the simulation is printed in the terminal.
     """
     from petmjx.results.read_files import source_files
     from petmjx.show.pictures.picture_files import check_drawing
@@ -93,10 +93,10 @@ def show(
 def _show_repair(
     plan_id: str, source: list[Path] | None, files: dict[str, Path], has_more: bool, options: dict[str, Any]
 ) -> None:
-    """Repair a plan, and write a page that shows it before and after.
+    """Repair a plan, and write a page that shows the plan before and after the repair.
 
     Args:
-        has_more: whether options are set that such a page does not support.
+        has_more: whether the user set options that this page does not support.
     """
     from petmjx.options.run_options import RunOptions, sorted_options
     from petmjx.options.simulation import Simulation
@@ -122,7 +122,8 @@ def _show_repair(
 
 
 def _cli_story(plan_id: str, source: list[Path], variant: int | None, forces: bool, options: dict[str, Any]) -> Story:
-    """The story of a plan. With ``forces``, a world that was recorded without forces is simulated again."""
+    """The story of a plan (its simulation, frame by frame). If ``forces`` is set, a plan of a run is simulated again,
+    because the recording of the run may have no forces."""
     from petmjx.analysis.story import tell
     from petmjx.results.run_folder import RUN_FILE
 

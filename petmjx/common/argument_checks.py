@@ -1,4 +1,5 @@
-"""Checks of arguments from Python. A value of a wrong type raises a one-line error with the argument's name."""
+"""Checks of the arguments of public functions. If an argument has a wrong type, an error of one line names the
+argument."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ Kind = TypeVar("Kind")
 
 
 def path_of(value: Any, name: str) -> Path:
-    """A path that is not empty. An empty path is refused because ``Path("")`` would be the current folder.
+    """The value as a path. An empty path is refused, because ``Path("")`` would be the current folder.
 
     Raises:
         InputError: the value is not a path, or is empty.
@@ -32,19 +33,19 @@ def path_of(value: Any, name: str) -> Path:
 
 
 def text_of(value: Any, name: str) -> str:
-    """Text. Raises InputError if the value is not text."""
+    """The value, if it is text. Raises InputError if it is not."""
     return instance_of(value, name, str, "text")
 
 
 def flag_of(value: Any, name: str) -> bool:
-    """True or False. Raises InputError if the value is neither."""
+    """The value, if it is True or False. Raises InputError if it is neither."""
     if not isinstance(value, bool | np.bool_):
         raise InputError(f"{name} must be true or false, {shown_value(value)}")
     return bool(value)
 
 
 def integer_of(value: Any, name: str, least: int | None = None, most: int | None = None) -> int:
-    """A whole number within limits.
+    """The value, if it is a whole number within the limits.
 
     Raises:
         InputError: the value is not a whole number, or is beyond a limit.
@@ -56,7 +57,7 @@ def integer_of(value: Any, name: str, least: int | None = None, most: int | None
 
 
 def number_of(value: Any, name: str, least: float | None = None, most: float | None = None) -> float:
-    """A finite number within limits.
+    """The value as a float, if it is a finite number within the limits.
 
     Raises:
         InputError: the value is not a finite number, or is beyond a limit.
@@ -74,10 +75,10 @@ def number_of(value: Any, name: str, least: float | None = None, most: float | N
 
 
 def instance_of(value: Any, name: str, kind: type[Kind], words: str) -> Kind:
-    """An object of a class.
+    """The value, if it is an object of the class ``kind``.
 
     Args:
-        words: name of the class in the error, in words that users know.
+        words: name of the class in the error message, in words that users know.
 
     Raises:
         InputError: the value is of another class.
@@ -88,10 +89,10 @@ def instance_of(value: Any, name: str, kind: type[Kind], words: str) -> Kind:
 
 
 def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
-    """A list of objects of one class, from any iterable.
+    """The values of any iterable as a list, if all of them are objects of the class ``kind``.
 
     Args:
-        words: name of the class in the error, in words that users know.
+        words: name of the class in the error message, in words that users know.
 
     Raises:
         InputError: the value is text, cannot be iterated, or has a member of another class.
@@ -102,18 +103,19 @@ def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
         members = None
     if members is None:
         raise InputError(f"{name} must be a list of {words}, {shown_value(values)}")
-    if not set(map(type, members)) <= {kind}:  # this check is fast, since a list may have all box names of 10,000 plans
+    # a fast check, since a list may have the names of all boxes of 10,000 plans
+    if not set(map(type, members)) <= {kind}:
         for index, value in enumerate(members):
             instance_of(value, f"{name}[{index}]", kind, words)
     return members
 
 
 def array_of(values: Any, name: str, shape: tuple[int, ...], *, may_lack: bool = False) -> NDArray[np.float64]:
-    """An array of finite numbers.
+    """The values as an array of finite float64 numbers.
 
     Args:
         shape: shape of one entry: (3,) for an array of shape (n, 3), () for an array of shape (n,).
-        may_lack: whether NaN is allowed and means that a value is not given.
+        may_lack: whether NaN is allowed, with the meaning that a value is not given.
 
     Raises:
         InputError: the value is not an array of finite numbers, or has another shape.

@@ -1,4 +1,4 @@
-"""Opens files that users name for Arrow, and limits the decoded bytes and rows."""
+"""Reads files that users name with Arrow, and limits the memory that their content may take."""
 
 from __future__ import annotations
 
@@ -16,28 +16,30 @@ from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, open_
 from petmjx.common.text import printable_name
 
 _WIDTHS: Final = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8, "BYTE_ARRAY": 8}
-"""Type in the file → bytes of a value in memory. For texts, only the offset and the length are counted."""
+"""Type of values in a Parquet file → number of bytes that a value takes in memory. For a text, only its offset and its
+length are counted."""
 
 _ROWS: Final = 1 << 16
 _FEW_ROWS: Final = 1 << 8
-"""Numbers of rows that are read at a time. ``_FEW_ROWS`` is for files in which texts may be long although the file is
-small."""
+"""Number of rows that are read at a time. ``_FEW_ROWS`` is used for files in which texts may be long although the file
+is small."""
 
 _PREFIXED: Final = "DELTA_BYTE_ARRAY"
-"""A Parquet encoding. For each text, it stores the length of the prefix that the text shares with the text before it,
-and the rest of the text. So a text may be as long as all texts before it together."""
+"""Name of a Parquet encoding. For each text, it stores the rest of the text, and the length of the prefix that the text
+shares with the previous text. So a few stored bytes can stand for a long text."""
 
 
 def open_for_arrow(path: Path) -> pa.NativeFile:
-    """A regular file that Arrow reads itself. Parquet is never read through a Python stream.
+    """Open a regular file that Arrow reads itself. Parquet files are never read through a Python stream, for the
+    following reason.
 
-    Arrow reads Parquet in its own threads. A thread may still free its buffers after the table has been returned. If
-    they are Python's buffers, the thread needs the interpreter to free them. If the interpreter is shutting down at
-    that moment, the process aborts ("terminate called without an active exception") or hangs:
+    Arrow reads Parquet in its own threads. A thread may free its buffers only after the table has been returned. To
+    free buffers that belong to Python, the thread needs the interpreter. If the interpreter is shutting down at that
+    moment, the process aborts ("terminate called without an active exception") or hangs:
     https://github.com/apache/arrow/issues/34314 and https://github.com/apache/arrow/issues/50482.
 
     Raises:
-        OSError: the file cannot be read, or is not a regular file; ``strerror`` tells which.
+        OSError: the file cannot be read, or is not a regular file; ``strerror`` has the reason.
         ValueError: no file can have this name.
     """
     # Python checks the file first, since Arrow would wait for FIFOs. pa.OSFile accepts names of any bytes. Other
@@ -48,16 +50,16 @@ def open_for_arrow(path: Path) -> pa.NativeFile:
 
 
 class OversizedFile(ValueError):
-    """A Parquet file would take much more memory than its size justifies."""
+    """The content of a Parquet file would take much more memory than the size of the file justifies."""
 
 
 def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) -> int:
-    """Smallest number of bytes that columns of a Parquet file take in memory, according to the file's metadata.
+    """A lower bound, from the file's metadata, for the number of bytes that columns of a Parquet file take in memory.
 
     For texts, only the offsets are counted, because their lengths are unknown until they are read.
 
     Args:
-        columns: names of the columns; None: all columns.
+        columns: names of the columns. If None, all columns are counted.
     """
     metadata, chosen = file.metadata, None if columns is None else set(columns)
     n_bytes = 0
@@ -74,10 +76,10 @@ def read_within(
     stream: pa.NativeFile, columns: Sequence[str] | None = None, *, free: int = FREE_BYTES, most: int = MOST_BYTES
 ) -> pa.Table:
     """Read columns of a Parquet file within limits. The limits are needed because a few bytes in a file may stand for
-    millions of rows, and a short code for a long text in each row.
+    millions of rows, and a short code may stand for a long text in each row.
 
     Args:
-        columns: names of the columns; None: all columns.
+        columns: names of the columns. If None, all columns are read.
         free, most: as for :func:`allowed_bytes`.
 
     Raises:
@@ -99,7 +101,8 @@ def read_within(
                 raise ValueError(f"the column {printable_name(name)} holds lists or tables, which are not supported")
         texts = [name for name in names if _is_text(schema.field(name).type)]
         by_prefix = set(_columns_by_prefix(metadata))
-        # texts stay dictionary codes until their lengths are known; but Arrow cannot read prefix-coded texts as codes
+        # Texts stay dictionary codes until their lengths are known, except prefix-coded texts, which Arrow cannot read
+        # as codes.
         codes = [name for name in texts if name not in by_prefix]
         coded = pq.ParquetFile(stream, metadata=metadata, read_dictionary=codes)
         few = not by_prefix.isdisjoint(names)
@@ -132,7 +135,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _length_of(coded: pa.Array) -> int:
-    """Number of bytes that the texts of a column have. The column may be dictionary-coded."""
+    """Total number of bytes of the texts in a column. The column may be dictionary-coded."""
     if not pa.types.is_dictionary(coded.type):
         return int(coded.nbytes)
     lengths = np.asarray(pc.binary_length(coded.dictionary).fill_null(0))

@@ -1,4 +1,4 @@
-"""Atomic writes of files that users name: a file never appears half-written."""
+"""Atomic writes of files that users name: at no time does a file exist half-written."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petmjx.common.text import printable
 
 
 def check_writable(file: Path) -> None:
-    """Check that a file can be written, as far as this can be seen without writing it.
+    """Check that a file can be written, as far as this can be checked without writing.
 
     Raises:
         InputError: the path is a folder, or its parent is not a folder or is not writable.
@@ -43,7 +43,8 @@ def write_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(file: Path) -> Iterator[Path]:
-    """Yield a hidden path beside a file, with the same suffix. When the body ends, the hidden file replaces the file.
+    """Yield a path beside the file for the body to write to. The path has a hidden name and the same suffix. When the
+    body ends, the hidden file replaces the file.
 
     If the file is a link, its target is replaced. Existing paths that are not regular files, such as a FIFO or
     ``/dev/stdout``, are written to directly.
@@ -54,14 +55,14 @@ def atomic_write(file: Path) -> Iterator[Path]:
     if "\0" in str(file):
         raise InputError(f"{printable(str(file))}: cannot be written: no file can have this name")
     target = file.resolve() if file.is_symlink() else file
-    direct = file.exists() and not file.is_file()  # /dev/stdout may be a pipe, whose target is no path
+    direct = file.exists() and not file.is_file()  # /dev/stdout may be a pipe, and a pipe has no real path
     temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")
     try:
         with write_errors(file):
             yield temporary
             if not direct:
                 os.replace(temporary, target)
-    except InputError as error:  # the body raised it, and it names the hidden path
+    except InputError as error:  # raised by the body, with the hidden path in its message
         raise InputError(str(error).replace(str(temporary), str(file))) from error
     finally:
         if not direct:

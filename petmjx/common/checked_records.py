@@ -1,7 +1,7 @@
 """Records that check their own values (``CheckedRecord``), and their one-line error messages.
 
-This is the only module that turns pydantic's errors into lines. The module also decides how messages name an option: by
-its flag on the command line, or by its argument in Python.
+No other module turns pydantic's errors into lines. This module also decides how messages name an option: by its flag if
+the command line is running, or by its argument in Python.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _typed = False
 
 @contextmanager
 def typed_options() -> Iterator[None]:
-    """While the body runs, name options in messages by their flags. For the command line."""
+    """While the body runs, messages name options by their flags. The command line uses this."""
     global _typed
     before, _typed = _typed, True
     try:
@@ -41,12 +41,13 @@ def typed_options() -> Iterator[None]:
 
 
 def option(flag: str, value: str = "", *, python: str = "") -> str:
-    """An option as messages name it: "--overwrite" on the command line, "overwrite=True" in Python.
+    """The name of an option in messages: "--overwrite" on the command line, "overwrite=True" in Python.
 
     Args:
         flag: the flag as users type it, such as ``--out``.
-        value: value of the argument in Python, such as ``True``. A flag without a value is shown alone.
-        python: name of the argument if it differs from the flag's.
+        value: value that the message shows for the argument in Python, such as ``True``. If empty, only the argument's
+            name is shown.
+        python: name of the argument in Python, if it differs from the flag's name.
     """
     if _typed:
         return flag
@@ -69,32 +70,32 @@ _TEXTS: Final = {
     **dict.fromkeys(("list_type", "tuple_type"), "must be a list"),
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "must be a table"),
 }
-"""pydantic's kind of error → the text between the path of the field and the value."""
+"""pydantic's name for a kind of error → the text that messages have between the path of the field and the value."""
 
 _NO_NUMBERS: Final = (str, bytes, bool)
 
 _COMPLAINT: Final = "complaint"
 
 MOST_TOML_BYTES: Final = 16 << 20
-"""Largest size of a TOML file. A list of 100,000 force windows takes half of this limit."""
+"""Largest size of a TOML file. As an example, a list of 100,000 time windows with forces takes half of this size."""
 _MOST_PARTS: Final = 64
 _MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
-"""Matches a dotted key with more than ``_MOST_PARTS`` parts. tomllib examines all parts for each part, so a long key
-would take minutes."""
+"""Matches a dotted key with more than ``_MOST_PARTS`` parts. tomllib's time grows with the square of the number of
+parts, so a very long key would take minutes."""
 
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
-"""Tags for the members of unions in which the shape of the value decides the member. pydantic inserts tags into the
-path of an error; ``describe`` recognises them by their angle brackets and removes them."""
+"""Tags for unions of types in which the shape of a value decides the type of the value. pydantic inserts tags into the
+path of an error. ``describe`` recognises tags by their angle brackets and removes them."""
 
 
 @dataclass(frozen=True)
 class CliFlag:
-    """The name of a field on the command line.
+    """The option that sets a field on the command line. ``name`` is its long name, and ``short`` its short name.
 
     Attributes:
-        metavar: placeholder of the value in the help.
+        metavar: placeholder for the option's value in the help.
         default: text that the help shows as the default if the field's own default is None.
     """
 
@@ -105,9 +106,11 @@ class CliFlag:
 
 
 class _OneLine(ModelMetaclass):
-    """Makes the constructor of a record raise ``InputError`` with one line instead of pydantic's own error.
+    """Metaclass that makes the constructor of a record raise an ``InputError`` of one line instead of pydantic's own
+    error.
 
-    pydantic builds the inner records of a record without this constructor, so the line has the whole path.
+    pydantic makes the records within a record without this constructor, so the line has the path from the outermost
+    record.
     """
 
     def __call__(cls, *args: Any, **values: Any) -> Any:
@@ -128,7 +131,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
 
     @classmethod
     def read(cls, values: Mapping[str, Any], context: Any = None) -> Self:
-        """A record made from plain values, such as those of a file. ``context`` is passed to the validators."""
+        """Make a record from plain values, such as those of a file. ``context`` is passed to the validators."""
         try:
             return cls.model_validate(dict(values), context=context)
         except ValidationError as error:
@@ -137,15 +140,15 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
     def changed(self, **values: Any) -> Self:
         """A checked copy with other values for some fields.
 
-        If a field holds a record, a table as its new value changes only the entries that it names. A table with a
-        ``name`` replaces the whole record.
+        If the value of a field is a record, a table can be its new value. The table changes only those entries of the
+        record that it names, except that a table with a ``name`` replaces the whole record.
         """
         return self.read(_fields_with(self, values))
 
     @model_validator(mode="before")
     @classmethod
     def _has_its_fields(cls, values: Any) -> Any:
-        """Refuse unknown and missing fields. pydantic would do this as well, but its errors do not name the known
+        """Refuse unknown and missing fields. pydantic would also refuse them, but its errors do not name the known
         fields."""
         if not isinstance(values, Mapping):
             return values
@@ -164,7 +167,8 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
 
 
 def _lax(annotation: Any, value: Any) -> str:
-    """ "must be …" for a value that pydantic would convert silently, such as text or true to a number; else ""."""
+    """The message ("must be …") for a value that pydantic would convert silently, such as text or true to a number;
+    else ""."""
     union = isinstance(annotation, UnionType) or get_origin(annotation) is Union
     kinds = set(get_args(annotation)) if union else {annotation}
     kinds.discard(type(None))
@@ -179,7 +183,8 @@ def _lax(annotation: Any, value: Any) -> str:
 
 
 def within(low: float, high: float) -> AfterValidator:
-    """A check that a value is within a physical range. The error names the range."""
+    """A pydantic validator that checks that a value is within a physically reasonable range. The error states the
+    range."""
 
     def check(value: Any) -> Any:
         if value is not None and not low <= value <= high:
@@ -190,8 +195,8 @@ def within(low: float, high: float) -> AfterValidator:
 
 
 def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, Any]:
-    """A record's fields, with some of them replaced. The new values are not checked here, but later together, so that
-    an error has the whole path.
+    """The fields of a record, with new values for some of them. The values are not checked here. They are checked later
+    all together, so that an error has the path from the outermost record.
     """
     fields = {name: getattr(record, name) for name in type(record).model_fields}
     for name, value in values.items():
@@ -210,16 +215,17 @@ def hint(name: str, known: Iterable[str]) -> str:
 
 
 def similar(name: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown name, if thousands are known: "; did you mean s0-000016?", or ""."""
+    """The end of a message about an unknown name, if there are too many known names for a list: "; did you mean
+    s0-000016?", or ""."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f"; did you mean {printable_name(close[0])}?" if close else ""
 
 
 def complaint(text: str, *path: str | int) -> ValidationError:
-    """An error about an inner field of a value, for the value's validator to raise.
+    """An error that a validator of a value can raise about a field inside the value.
 
     Args:
-        text: the text after the field's path: "must be > 0", or with a colon ": unknown field".
+        text: the text that follows the field's path: "must be > 0", or, with a colon, ": unknown field".
         path: the keys that lead from the validated value to the field.
     """
     kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
@@ -227,16 +233,16 @@ def complaint(text: str, *path: str | int) -> ValidationError:
 
 
 def shape(value: object) -> str:
-    """The shape of a value: ``TABLE``, ``LIST`` or ``VALUE``. ``Discriminator(shape)`` chooses the member of a union by
-    it."""
+    """The shape of a value: ``TABLE``, ``LIST`` or ``VALUE``. ``Discriminator(shape)`` chooses the type within a union
+    of types by the shape."""
     if isinstance(value, Mapping | BaseModel):
         return TABLE
     return LIST if isinstance(value, list | tuple) else VALUE
 
 
 def by_entry(key: str) -> Discriminator:
-    """A discriminator that chooses the record of a union by one entry of the table. The tag of a record is the value of
-    that entry in <…>.
+    """A discriminator for unions of records. It chooses the record by one entry of the table. The tag of a record is
+    the value of this entry in angle brackets.
     """
 
     def tag(value: object) -> str | None:
@@ -257,7 +263,7 @@ def shown_value(value: object) -> str:
     except (ValueError, RecursionError):
         # The value is a whole number with more digits than Python prints, or has tables nested too deeply.
         return f"got {type(value).__name__} too large to be shown"
-    except Exception:  # an object of a user's class raised it
+    except Exception:  # raised by the ``__repr__`` of a user's class
         return f"got {type(value).__name__} that cannot be shown"
     return f"got {shortened_text(' '.join(text.split()) if len(text.splitlines()) > 1 else text)}"
 
@@ -273,11 +279,11 @@ def describe(error: ValidationError) -> str:
 
 
 def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
-    """The text that follows the field's path."""
+    """The text that follows the path of a field in an error message."""
     if kind in (_COMPLAINT, "value_error"):
-        # a validator of petmjx raised it, so its text is complete
+        # raised by a validator of petmjx, so the text is complete
         return message.removeprefix("Value error, ")
-    if kind == "missing":  # an entry of a list; fields are checked by CheckedRecord
+    if kind == "missing":  # a missing entry of a list; missing fields were reported by CheckedRecord
         return "is missing"
     if kind in _TEXTS:
         return f"{_TEXTS[kind].format(**context)}, {shown_value(value)}"
@@ -292,7 +298,7 @@ def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str)
 
 
 def _no_member(context: Mapping[str, str], value: Any) -> str:
-    """The text for a value that matches no member of a union."""
+    """The text for a value that has none of the types of a union."""
     key = context["discriminator"].removesuffix("()")
     tags = re.findall("<(.*?)>", context.get("expected_tags", ""))
     if key == shape.__name__:
@@ -337,10 +343,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
     except RecursionError:
         raise InputError(f"{path}: not valid TOML: lists or tables are nested too deeply") from None
-    except ValueError as error:  # a whole number with too many digits also raises it
+    except ValueError as error:  # also raised for a whole number with too many digits
         raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
 
 
 def reason(error: Exception) -> str:
-    """The reason why a file cannot be used, in one line."""
+    """The reason that an error gives why a file cannot be used, in one line."""
     return " ".join(printable(getattr(error, "strerror", None) or str(error)).split())

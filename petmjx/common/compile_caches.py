@@ -22,12 +22,13 @@ from petmjx.common.text import printable
 Kind = Literal["jax", "warp"]
 
 VARIABLES: Final[dict[Kind, str]] = {"jax": "JAX_COMPILATION_CACHE_DIR", "warp": "WARP_CACHE_PATH"}
-"""The environment variable that JAX or Warp itself uses for its folder. This variable takes precedence over petmjx's
-variable."""
+"""The environment variable that JAX or Warp itself defines for its folder. This variable takes precedence over
+``PETMJX_CACHE_DIR``."""
 
 
 def wanted_folder(kind: Kind) -> Path:
-    """The folder for compiled programs according to the environment. Whether the folder is writable is not checked.
+    """The folder for compiled programs, according to environment variables. It is not checked whether the folder is
+    writable.
 
     Raises:
         RuntimeError: there is no home folder, and no variable names a folder.
@@ -39,7 +40,7 @@ def wanted_folder(kind: Kind) -> Path:
 
 
 def why_not_written(kind: Kind) -> str:
-    """Why the wanted folder cannot be used; "" if it can."""
+    """The reason why programs cannot be stored in the wanted folder; "" if they can."""
     try:
         folder = wanted_folder(kind)
     except RuntimeError as error:
@@ -49,10 +50,10 @@ def why_not_written(kind: Kind) -> str:
 
 
 def cache_folder(kind: Kind) -> Path:
-    """A writable folder for compiled programs: the wanted one, or else a temporary one.
+    """A writable folder for compiled programs: the wanted folder if it is writable, or else a temporary folder.
 
     Raises:
-        EngineUnavailable: neither is writable.
+        EngineUnavailable: no folder is writable.
     """
     if why := why_not_written(kind):
         try:
@@ -65,7 +66,7 @@ def cache_folder(kind: Kind) -> Path:
 
 
 def why_no_folder(kind: Kind) -> str | None:
-    """Why there is no folder for compiled programs at all; None if there is one."""
+    """The reason why no folder for compiled programs can be used; None if one can."""
     try:
         cache_folder(kind)
     except EngineUnavailable as error:
@@ -75,10 +76,12 @@ def why_no_folder(kind: Kind) -> str | None:
 
 @functools.cache
 def _why_unusable(folder: Path) -> str:
-    """Why nothing can be written into a folder; "" if something can. A missing folder is created."""
+    """The reason why nothing can be written into a folder; "" if the folder is writable. If the folder does not exist,
+    it is created."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # Warp makes a folder for each of its versions; if root made one in a user's home, the user cannot write to it
+        # Warp makes a subfolder for each of its versions. If root made a subfolder in a user's home, the user cannot
+        # write to it.
         for place in (folder, *(entry for entry in folder.iterdir() if entry.is_dir() and entry.name[:1].isdigit())):
             with tempfile.TemporaryFile(dir=place):
                 pass
@@ -89,16 +92,16 @@ def _why_unusable(folder: Path) -> str:
 
 @functools.cache
 def temporary_folder() -> Path:
-    """A temporary folder that only this user can write to. Raises OSError.
+    """A temporary folder that only this user can write to. OSError is raised if it cannot be made.
 
-    All processes of the user share this folder. If the folder of this name belongs to another user, this process gets a
-    folder of its own.
+    All processes of the user share this folder. If another user owns a folder of this name, this process makes a folder
+    that is used by no other process.
     """
     folder = Path(tempfile.gettempdir()) / f"petmjx-cache-{os.getuid()}"
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     status = folder.lstat()
-    # anyone who can write to this folder can make this user run their programs
+    # anyone who can write to this folder could make this user run foreign programs
     is_ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
     if is_ours and not _why_unusable(folder):
         return folder

@@ -8,21 +8,22 @@ Point = tuple[float, float]
 
 
 def convex_hull(points: Iterable[Point], least_turn: float = 0.0) -> list[Point]:
-    """The corners of the convex hull, anticlockwise, beginning at the smallest x.
+    """The corners of the convex hull of the points, anticlockwise, beginning at the smallest x.
 
-    Andrew 1979, "Another efficient algorithm for convex hulls in two dimensions", Information Processing Letters 9(5),
-    216–219.
+    Source of the method: Andrew 1979, "Another efficient algorithm for convex hulls in two dimensions", Information
+    Processing Letters 9(5), 216–219.
 
     Args:
-        least_turn: a point is a corner if the outline turns there by more than this. The turn is the area of the
-            parallelogram spanned by the two sides that meet at the point.
+        least_turn: a point counts as a corner if the turn of the outline at the point is larger than this value. The
+            turn is the area of the parallelogram spanned by the two sides that meet at the point.
     """
     ordered = sorted(set(points))
     return _half(ordered, least_turn) + _half(ordered[::-1], least_turn)
 
 
 def _half(ordered: list[Point], least_turn: float) -> list[Point]:
-    """One half of the hull: its corners from the first point on, without the last point."""
+    """The corners of the lower or upper half of the hull, from the first of the ordered points on, without the last
+    point."""
     chain: list[Point] = []
     for x, y in ordered:
         while len(chain) > 1:

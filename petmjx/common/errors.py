@@ -1,4 +1,4 @@
-"""Errors that users can correct. Each has a clear text of one line; the command line shows no traceback."""
+"""Errors that users can correct. The text of each error is one clear line, and the command line shows no traceback."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ class InputError(PetmjxError):
 
 
 class PlanWarning(UserWarning):
-    """A plan appears to use other units or other conventions than petmjx; or a leaderboard does not rate an entry."""
+    """Warning that a plan seems to use different units or conventions than petmjx, or that a leaderboard does not rate
+    an entry."""
 
 
 class EngineUnavailable(PetmjxError):

@@ -1,5 +1,4 @@
-"""Kinds of files that petmjx cannot read, with an error text for each. These files are recognised by their first
-bytes."""
+"""Recognises files of kinds that petmjx cannot read by their first bytes, and provides an error text for each kind."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ _MAGIC: Final = (
     (b"\x28\xb5\x2f\xfd", "is packed with Zstandard: unpack it, or pack it with gzip"),
     (b"7z\xbc\xaf\x27\x1c", "is a 7z archive: unpack it"),
 )
-"""First bytes of files that are not text → the error text."""
+"""First bytes of a file that is not text → the error text."""
 
 _MARKUP: Final = re.compile(rb"\s*<(\?xml|!doctype \w+|!--|[a-z][\w:.-]*)[\s/>]", re.IGNORECASE)
 _PICKLE: Final = re.compile(rb"\x80[\x02-\x05]")
@@ -34,8 +33,8 @@ LOOKED_AT_ARCHIVE: Final = 1 << 16
 
 
 def foreign_kind(data: bytes | bytearray) -> str | None:
-    """An error text that names the format of a file, if its first bytes show that it cannot be JSON or CSV. None: it
-    may be JSON or CSV.
+    """An error text that names the format of a file, if the file's first bytes show that it is neither JSON nor CSV.
+    None if it may be JSON or CSV.
     """
     begin = bytes(data[:_SNIFFED_BYTES])
     if begin.startswith(b"PK\x03\x04"):

@@ -25,19 +25,24 @@ PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pand
 
 _NAME_BYTES = 128
 
+_ATTRIBUTES = (75, 76, 97)
+"""Attributes of a device in CUDA's driver (``CUdevice_attribute``): compute capability, major and minor, and the
+largest shared memory of a block that opts in."""
+
 _PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
 _STARTING_JAX = threading.Lock()
 
 
 def cpu_threads() -> int:
-    """Number of threads that this process may run at the same time, by its CPU affinity if the system has one."""
+    """Number of threads that this process may run at the same time. If the operating system restricts processes to
+    certain CPUs (CPU affinity), only these CPUs are counted."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def own_environment() -> dict[str, str]:
-    """Environment variables for another interpreter, so that it imports the same modules as this one."""
+    """Environment variables with which another Python interpreter imports the same modules as this one."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
     # With PYTHONSAFEPATH, no file in the current folder hides a module.
     return {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
@@ -45,7 +50,7 @@ def own_environment() -> dict[str, str]:
 
 @functools.cache
 def cpu_name() -> str:
-    """The name of the processor; its architecture if the system does not know the name."""
+    """The name of the processor. If the system does not know the name, the processor's architecture."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -74,6 +79,23 @@ def cuda_devices() -> tuple[str, ...]:
     return tuple(names)
 
 
+@functools.cache
+def cuda_limits() -> tuple[int, int] | None:
+    """Two numbers of the first CUDA device: its compute capability times ten, such as 90, and the largest shared memory
+    of a thread block, bytes. None if there is no device, or if the driver does not answer."""
+    if not cuda_devices():
+        return None
+    driver, device = ctypes.CDLL("libcuda.so.1"), ctypes.c_int(0)
+    values = [ctypes.c_int(0) for _ in _ATTRIBUTES]
+    if driver.cuDeviceGet(ctypes.byref(device), 0) != 0:
+        return None
+    for value, attribute in zip(values, _ATTRIBUTES, strict=True):
+        if driver.cuDeviceGetAttribute(ctypes.byref(value), attribute, device) != 0:
+            return None
+    major, minor, shared_bytes = (value.value for value in values)
+    return 10 * major + minor, shared_bytes
+
+
 def jax_devices(platform: str | None = None) -> list[Any]:
     """JAX's devices. JAX is started so that device memory remains for Warp.
 
@@ -82,7 +104,7 @@ def jax_devices(platform: str | None = None) -> list[Any]:
     stays.
 
     Args:
-        platform: one of JAX's platforms, such as "cuda"; None: JAX's default.
+        platform: one of JAX's platforms, such as "cuda". If None, JAX chooses the platform.
 
     Raises:
         RuntimeError: JAX has no such devices.
@@ -102,7 +124,8 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Package → version, for petmjx and those of ``PACKAGES`` that are installed. These versions affect results."""
+    """Name of a package → its version, for petmjx and for all installed packages among ``PACKAGES``. The results of
+    simulations depend on these versions."""
     return dict(_package_versions())
 
 
@@ -119,10 +142,10 @@ def _package_versions() -> dict[str, str]:
 
 
 def device_name(engine: str, threads: int | None = None) -> str:
-    """The name of the device on which an engine's worlds run.
+    """The name of the device on which an engine simulates.
 
     Args:
-        threads: number of CPU threads of an engine on the CPU; None: all.
+        threads: number of threads that an engine on the CPU uses. If None, it uses all threads.
     """
     if engine == "mjx-warp" and cuda_devices():
         return cuda_devices()[0]
@@ -133,9 +156,10 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp_at_once() -> str | None:
-    """Why mjx-warp cannot run on this machine, as far as this can be known without JAX, whose import takes seconds.
+    """The reason why the engine mjx-warp cannot run on this machine, as far as it can be found without JAX, whose
+    import takes seconds.
 
-    None: no reason is known without JAX.
+    None if no reason was found.
     """
     if not cuda_devices():
         return "no CUDA device (or no driver) on this machine"
@@ -145,8 +169,8 @@ def why_no_warp_at_once() -> str | None:
 
 
 def why_no_warp() -> str | None:
-    """Why mjx-warp cannot run on this machine; None if it can. JAX is imported only if there are a CUDA device and
-    Warp."""
+    """The reason why the engine mjx-warp cannot run on this machine; None if it can. JAX is imported only if there is a
+    CUDA device and Warp is installed."""
     if problem := why_no_warp_at_once():
         return problem
     try:
@@ -157,7 +181,8 @@ def why_no_warp() -> str | None:
 
 
 def why_no_warp_on_cpu() -> str | None:
-    """Why mjx-warp-cpu cannot run on this machine; None if it can, unless JAX uses a GPU in this process."""
+    """The reason why the engine mjx-warp-cpu cannot run on this machine; None if no reason was found. (The engine also
+    cannot run if JAX uses a GPU in this process, which is not checked here.)"""
     if importlib.util.find_spec("warp") is None:
         return "Warp is not installed: pip install 'petmjx[warp]'"
     return why_no_folder("warp")

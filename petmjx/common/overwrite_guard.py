@@ -1,5 +1,5 @@
-"""Checks before files are written: whether a file exists, whether petmjx wrote it, and whether it may be replaced. All
-commands use them."""
+"""Checks that all commands make before they write files: whether a file exists, whether petmjx wrote it, and whether it
+may be replaced."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ def check_outputs(
 ) -> None:
     """Check that files may be written. Nothing is changed on disk.
 
-    Inputs, links (which may lead anywhere) and folders are never replaced. If the user named only a folder, petmjx
-    chooses the names of the files in it; then files that petmjx did not write are never replaced either. All other
-    files may be replaced with ``overwrite``.
+    Three kinds of files are never replaced: inputs, links (which may lead anywhere) and folders. If the user named only
+    a folder, and petmjx chooses the names of the files, then files that petmjx did not write are never replaced either.
+    All other files may be replaced if ``overwrite`` is set.
 
     Args:
         files: the files to be written. Names in ``/dev`` may always be written.
-        inputs: files that are read, and folders whose files are all read.
-        folder: the folder that the user named, if the user did not name the files. It may be a link, or missing.
+        inputs: files that the command reads, and folders whose files the command reads.
+        folder: the folder that the user named, if the user did not name the files. This folder may be a link, and it
+            need not exist.
         is_ours: function that tells whether petmjx wrote a file of ``folder``.
 
     Raises:
@@ -101,7 +102,7 @@ def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs 
 
 
 def _is_read(file: Path, source: Path) -> bool:
-    """Whether a path leads to an input file, or into an input folder."""
+    """Whether a path leads to the input file ``source``, or into the input folder ``source``."""
     target, read = file.resolve(), source.resolve()
     if read in (target, *target.parents):
         return True
@@ -113,7 +114,8 @@ def _path_errors(path: Path) -> Iterator[None]:
     """Turn system errors of the body, which examines a path, into an InputError that names the path."""
     try:
         yield
-    except (OSError, ValueError, RuntimeError) as error:  # the name contains a NUL, or links form a circle
+    # for example, if the name contains a NUL, or if links form a circle
+    except (OSError, ValueError, RuntimeError) as error:
         raise InputError(f"{_name(path)}: cannot be written: {reason(error)}") from error
 
 

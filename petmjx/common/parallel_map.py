@@ -1,4 +1,5 @@
-"""Parallel map: calls a function for many tasks in several processes. Results come in order, or as soon as ready."""
+"""Parallel map: calls a function for many tasks in several processes. The results come in the order of the tasks, or as
+soon as they are ready."""
 
 from __future__ import annotations
 
@@ -11,16 +12,17 @@ from typing import Final, Generic, Self, TypeVar
 from petmjx.common.processes import process_pool, stop
 
 ALONE: Final = 256
-"""With fewer tasks than this, all of them run in this process: starting other processes would take longer, if a task
-takes milliseconds."""
+"""If there are fewer tasks than this, all tasks run in this process. For tasks that take milliseconds, starting other
+processes would take longer."""
 
 _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
-"""Number of chunks in flight per process. It limits the memory."""
+"""Number of chunks of tasks that are submitted per process but whose results have not been taken. This number limits
+the memory."""
 
 _NICE: Final = 5
-"""Niceness that ``UnorderedResults`` adds to its processes. The process that receives their results thus has priority,
-since it keeps an engine busy."""
+"""Niceness (lower priority) that ``UnorderedResults`` adds to its processes. The process that receives the results
+keeps its priority, because it must keep a simulation engine busy."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -39,9 +41,10 @@ def ordered_results(
 
     Args:
         function: a function defined in a module (or ``functools.partial`` of one), since other processes import it.
-        tasks: iterated in this process, only as far ahead as necessary.
-        workers: number of processes; 1: only this process. Scripts that use more need ``if __name__ == "__main__":``.
-        alone: with fewer tasks than this, all of them run in this process; None: ``ALONE``.
+        tasks: the arguments of the calls. They are iterated in this process, only as far ahead as necessary.
+        workers: number of processes. If 1, only this process is used. Scripts that use several processes need ``if
+            __name__ == "__main__":``.
+        alone: if there are fewer tasks than this, all tasks run in this process. The default is ``ALONE``.
         chunk: number of tasks that another process receives at a time.
     """
     tasks, alone = iter(tasks), ALONE if alone is None else alone
@@ -68,11 +71,13 @@ def _task_results(function: Callable[[Task], Result], tasks: list[Task]) -> list
 
 
 class UnorderedResults(Generic[Task, Result]):
-    """The results of ``function`` for all tasks, in the order in which they become ready. For use in a ``with`` block.
+    """The results of ``function`` for all tasks, in the order in which the results become ready. Objects of this class
+    are used in a ``with`` block.
 
     Args:
         function, tasks: as for ``ordered_results``.
-        workers: number of processes; 1: only this process, which runs a task when ``take`` waits for a result.
+        workers: number of processes. If 1, only this process is used, and it runs a task when ``take`` waits for a
+            result.
     """
 
     def __init__(self, function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> None:
@@ -89,14 +94,14 @@ class UnorderedResults(Generic[Task, Result]):
 
     @property
     def alone(self) -> bool:
-        """Whether tasks run in this process."""
+        """Whether tasks run in this process, because there are no other processes."""
         return self._pool is None
 
     def take(self, *, waits: bool) -> list[tuple[int, Result]]:
-        """The results that are ready and have not been taken, each with the number of its task.
+        """Take the results that are ready. Each result comes with the number of its task.
 
         Args:
-            waits: whether to wait until at least one result is ready, if any is left.
+            waits: whether to wait until at least one result is ready, if any task is left.
         """
         if self._pool is None:
             results = [(number, self._function(task)) for number, task in islice(self._tasks, int(waits))]
@@ -124,7 +129,7 @@ class UnorderedResults(Generic[Task, Result]):
         return self
 
     def __exit__(self, kind: object = None, *_: object) -> None:
-        """End the processes. After an error, their tasks are aborted."""
+        """End the processes. After an error, running tasks are aborted."""
         if self._pool is not None:
             if kind is not None:
                 stop(self._pool)

@@ -1,4 +1,4 @@
-"""Prefetch: generators run in their own threads, ahead of the code that uses their items."""
+"""Prefetch: runs generators in threads of their own, so that items are made before they are needed."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class _End:
 
 def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
     """Yield the items of generators, while threads make further items in advance. The items of one generator keep their
-    order; those of several come as they are made.
+    order. The items of different generators are mixed, in the order in which they are made.
 
-    The threads start when the first item is requested. The threads make items until ``most`` items wait in the queue,
-    and then each thread makes one more. An error of a generator is raised after all items that were made before it.
-    Closing the result closes each generator in its thread, and returns when the threads have ended. A generator is
-    closed when it has made its next item.
+    The threads start when the first item is requested. They make items until ``most`` items wait in the queue, and then
+    each thread makes one more. An error of a generator is raised after all items that were made before the error. If
+    the generator that this function returns is closed, each source is closed in its thread as soon as it has made its
+    current item, and closing returns when all threads have ended.
 
     Args:
         most: number of items that may wait before the threads pause.
@@ -43,7 +43,8 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
                     if closed.is_set():
                         break
         except BaseException as error:
-            # No other local variable keeps the error, since its traceback keeps this frame and the items alive.
+            # The error must not be kept in another local variable, because its traceback would keep this frame and the
+            # items alive.
             queue.put(_End(error))
         else:
             queue.put(_End(None))
@@ -63,7 +64,7 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
         for thread in started:
             thread.join()
 
-    atexit.register(end)  # a thread inside JAX aborts the process when Python ends
+    atexit.register(end)  # otherwise a thread inside JAX would abort the process when Python ends
     n_running = len(threads)
     try:
         for thread in threads:
@@ -92,8 +93,8 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
 def _wait_for(ended: Sequence[threading.Event]) -> None:
     """Wait until all threads have ended, however often the wait is interrupted.
 
-    Until the threads have ended, no other code may use their objects. ``Thread.join`` does not ensure this: after an
-    interruption, it regards the thread as ended.
+    Before the threads have ended, no other code may use the objects of the threads. ``Thread.join`` does not ensure
+    this: if it is interrupted, it regards the thread as ended.
     """
     try:
         for event in ended:

@@ -19,21 +19,21 @@ from petmjx.common.machine import cpu_threads
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
     """A pool of newly started processes. Forked processes would hang if a thread of this process held a lock.
 
-    If this process is killed, the processes of the pool end as well, because of ``_begin``. Otherwise, the processes
-    would wait for tasks for ever.
+    If this process is killed, the processes of the pool end as well (see ``_begin``), instead of waiting for tasks for
+    ever.
 
     Args:
         gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even if it does not use
             the GPU.
-        nice: niceness that is added to the processes, so that this process has priority. The value has no effect on
-            systems without niceness.
+        nice: niceness (lower priority) that is added to the processes, so that this process has priority over them. The
+            value has no effect on systems without niceness.
     """
     return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu, nice))
 
 
 def stop(pool: ProcessPoolExecutor) -> None:
-    """End a pool's processes immediately, whereas ``shutdown`` would wait for the running tasks. No caller may still be
-    waiting for results of tasks."""
+    """End a pool's processes immediately, without waiting for running tasks as ``shutdown`` does. Nobody may be waiting
+    for results of these tasks."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
 
@@ -55,11 +55,13 @@ def _begin(gpu: bool, nice: int) -> None:
 
 
 MOST_THREADS: Final = 2
-"""Default number of threads. Additional threads would only wait for Python's global lock. On the host of an H200,
-places for 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen."""
+"""Default number of threads. More threads would only wait for Python's global lock. As an example, computing places for
+boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen, on the
+CPU of a machine with an H200 GPU."""
 
 _FEW: Final = 2
-"""Up to this number of pieces, the calling thread finishes before other threads could start."""
+"""If there are at most this many pieces, the calling thread processes them alone, because it finishes before other
+threads could start."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -69,7 +71,7 @@ def on_threads(function: Callable[[Piece], Result], pieces: Sequence[Piece], mos
     """Call ``function`` for each piece, on several threads. The results are in the order of the pieces.
 
     Args:
-        pieces: arguments of the calls; the longest should come first.
+        pieces: arguments of the calls. Arguments that take the longest time should come first.
         most: largest number of threads.
     """
     if len(pieces) <= _FEW or most == 1:
@@ -84,13 +86,13 @@ STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @contextlib.contextmanager
 def defer_signals(afterwards: bool) -> Iterator[None]:
-    """Defer the signals ``STOPPING`` until the body has ended, if Python functions handle them.
+    """While the body runs, hold back the signals ``STOPPING`` for which a Python function is the handler.
 
-    This has no effect outside the main thread, since handlers interrupt only the main thread.
+    Outside the main thread, nothing is done, because signal handlers interrupt only the main thread.
 
     Args:
-        afterwards: whether to deliver a signal that arrived meanwhile. Otherwise the signal is dropped, because the run
-            is about to end anyway.
+        afterwards: whether a signal that arrived while the body ran is delivered after the body. If not, the signal is
+            dropped; this is for a run that is about to end anyway.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -114,20 +116,20 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
 
 
 EVERY: Final = (50_000, 20, 100)
-"""Thresholds of Python's garbage collector: the number of new objects before it collects the youngest generation, and
-the number of collections before it collects each older one. With the default of 700, 10 and 10 it would scan all
-objects of JAX and Warp again and again while they start."""
+"""Thresholds of Python's garbage collector: the number of new objects after which it collects the youngest generation,
+and the numbers of collections after which it collects the two older generations. With Python's default of 700, 10 and
+10, it would scan all objects of JAX and Warp again and again while these packages start."""
 
 
 def collect_rarely() -> None:
-    """Make garbage collections rare. Only for processes that petmjx started, not for a user's process."""
+    """Make garbage collections rare. This is only for processes that petmjx started, not for a user's process."""
     gc.set_threshold(*EVERY)
 
 
 @contextlib.contextmanager
 def no_collection() -> Iterator[None]:
-    """Collect no garbage while the body runs. For code that makes very many objects without cycles, which the collector
-    would scan again and again."""
+    """Collect no garbage while the body runs. This is for code that makes very many objects without cycles, because the
+    collector would scan these objects again and again."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -1,4 +1,5 @@
-"""Bounded reading of files that users name, including Parquet: wherever a path leads, reading ends."""
+"""Safe reading of files that users name: reading always ends, also if a path leads to a device or a FIFO, and the size
+is limited."""
 
 from __future__ import annotations
 
@@ -11,8 +12,8 @@ from typing import BinaryIO, Final
 _BLOCK: Final = 1 << 20
 
 MOST_BYTES: Final = 4 << 30
-"""Largest size of a file of plans or of a table: 100 times the size of BED-BPP's 10,003 plans, which take about 40
-MB."""
+"""Largest size of a file of plans or of a table: 100 times the size of the 10,003 plans of the benchmark BED-BPP, which
+take about 40 MB."""
 MOST_RATIO: Final = 100
 FREE_BYTES: Final = 64 << 20
 """Limits of compression. A file is refused if it unpacks to more than ``FREE_BYTES`` and to more than ``MOST_RATIO``
@@ -32,11 +33,11 @@ def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading. FIFOs, sockets and devices are refused at once, because some of them never end.
 
     Raises:
-        OSError: the file cannot be read, or is not a regular file; ``strerror`` tells which.
+        OSError: the file cannot be read, or is not a regular file; ``strerror`` has the reason.
         ValueError: no file can have this name.
     """
-    # The path is checked before opening, since opening a device may have an effect. It is checked again after opening,
-    # since it may have changed.
+    # The path is checked before opening, because opening a device may have an effect. The opened file is checked again,
+    # because the path may have changed in between.
     _check(os.stat(path))
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     try:
@@ -48,13 +49,13 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_regular(path: Path, most: int) -> bytearray:
-    """Read the bytes of a regular file. A file that changes meanwhile is read to its end.
+    """Read the bytes of a regular file. If the file grows while it is read, it is read to its new end.
 
     Args:
         most: largest size in bytes. A larger file is refused, if possible before it is read.
 
     Raises:
-        OSError: the file cannot be read, is not a regular file, or is too large; ``strerror`` tells which.
+        OSError: the file cannot be read, is not a regular file, or is too large; ``strerror`` has the reason.
         ValueError: no file can have this name.
     """
     with open_regular(path) as file:

@@ -22,14 +22,14 @@ def printable(text: str) -> str:
 
 
 def _escape_sequence(code: int) -> str:
-    """The escape of a character: "\\u001b"; or "\\xe4" for a lone surrogate, with which Python represents a byte that
-    is not UTF-8.
+    """The escape sequence of a character, such as "\\u001b". For a lone surrogate, with which Python represents a byte
+    that is not UTF-8, the sequence has the form "\\xe4".
     """
     return f"\\x{code - 0xDC00:02x}" if 0xDC80 <= code <= 0xDCFF else f"\\u{code:04x}"
 
 
 def printable_name(text: str) -> str:
-    """A name from a file in the form that messages show: printable, and of limited length."""
+    """A name from a file, in the form that messages show: printable and not too long."""
     return shortened_text(printable(text))
 
 
@@ -39,13 +39,14 @@ def shortened_text(text: str) -> str:
 
 
 def first_names(names: Sequence[str], most: int = 5) -> str:
-    """The first of many names from files, in the form that messages show: "a, b and 3 more"."""
+    """A text with the first of many names from files, in the form that messages show: "a, b and 3 more"."""
     more_text = f" and {len(names) - most:,} more" if len(names) > most else ""
     return ", ".join(map(printable_name, names[:most])) + more_text
 
 
 def is_text(text: str) -> bool:
-    """Whether a string can be written as UTF-8. Lone surrogates cannot: they represent bytes that were not UTF-8."""
+    """Whether a string can be written as UTF-8. Strings with lone surrogates, which represent bytes that were not
+    UTF-8, cannot be written."""
     if text.isascii():
         return True
     try:
@@ -60,8 +61,8 @@ UNNAMED: Final = "no article"
 
 
 def box_in_words(box: int, article: str) -> str:
-    """A box as messages name it: "box 22 (candy-00100723)", or "box 22" without an article. Boxes are numbered from 0,
-    in packing order.
+    """The name of a box in messages: "box 22 (candy-00100723)", or "box 22" without an article. The number is the box's
+    index in packing order, from 0.
     """
     return f"box {box} ({printable_name(article)})" if article else f"box {box}"
 
@@ -72,8 +73,8 @@ def box_label(box: int, article: str) -> str:
 
 
 def number_in(text: str) -> float | None:
-    """The number in a text from a file; None if the text is not a number. Stricter than ``float``, which also accepts
-    "1_000" and digits that are not ASCII.
+    """The number in a text from a file; None if the text is not a number. This function is stricter than ``float``,
+    which also accepts "1_000" and digits that are not ASCII.
     """
     if not text.isascii() or "_" in text:
         return None
@@ -103,7 +104,7 @@ def rounded_text(count: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A waiting time, in whole seconds, whole minutes or tenths of an hour."""
+    """A duration as text, in whole seconds, whole minutes or tenths of an hour."""
     if seconds < 90:
         return f"{max(seconds, 1):.0f} s"
     if seconds < 5400:
@@ -112,7 +113,7 @@ def duration(seconds: float) -> str:
 
 
 def time_left(seconds: float) -> str:
-    """A remaining time: "45 s", "1 min 45 s", "2 h 5 min"."""
+    """A remaining time as text: "45 s", "1 min 45 s", "2 h 5 min"."""
     rounded_s = round(seconds)
     if rounded_s < 60:
         return f"{rounded_s} s"
@@ -122,7 +123,7 @@ def time_left(seconds: float) -> str:
 
 
 def three_digits(value: float, sign: bool = False) -> str:
-    """A number of any size with at least three digits: "0.00123", "12.3", "1,234", "1.23e+06".
+    """A number of any size as text, with at least three digits: "0.00123", "12.3", "1,234", "1.23e+06".
 
     Args:
         sign: whether positive numbers also get a sign.

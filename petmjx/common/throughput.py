@@ -1,4 +1,5 @@
-"""Throughput of a run in words: finished worlds, rate and time left, for all displays of progress."""
+"""Texts about the progress of a run, for all displays of progress: the number of finished worlds (simulations of one
+plan each), their rate, and the time left."""
 
 from __future__ import annotations
 
@@ -9,11 +10,13 @@ from collections.abc import Callable
 from petmjx.common.text import count_text, three_digits, time_left
 
 MARK_S = 0.1
-"""Smallest time between two marks, s. This minimum limits the number of stored times, even for a million worlds."""
+"""Smallest time between two marks (stored points in time), s. It limits the number of marks, even for a million
+worlds."""
 
 
 class Throughput:
-    """Counts finished worlds, and reports their number, their rate, and the time that the remaining worlds will take.
+    """Counts finished worlds (simulations of one plan each), and reports their number, their rate, and the time that
+    the remaining worlds will take.
 
     Args:
         total: number of worlds; None if it is unknown.
@@ -33,7 +36,7 @@ class Throughput:
         """Set the number of finished worlds.
 
         Args:
-            share: share of the work that is done, 0 to 1; None: the share of finished worlds.
+            share: share of the work that is done, 0 to 1. If None, it is the share of worlds that are finished.
         """
         work = float(done) if share is None or self._total is None else share * self._total
         if (done, work) == (self._done, self._work):
@@ -50,25 +53,26 @@ class Throughput:
 
     @property
     def count(self) -> str:
-        """Finished worlds: "5 of 12 plans", or "5 plans"."""
+        """The number of finished worlds as text: "5 of 12 plans", or "5 plans" if the total is unknown."""
         if self._total is None:
             return count_text(self._done, self._what)
         return f"{self._done:,} of {count_text(self._total, self._what)}"
 
     @property
     def rate(self) -> str:
-        """Finished worlds per second, over the whole run so far: "12.3 plans/s". Empty before the first world."""
+        """The number of finished worlds per second, over the whole run so far, as text: "12.3 plans/s". The text is
+        empty before the first world is finished."""
         until = self._marks[-1][1] if self._done == self._total else self._clock()
         seconds = until - self._begin
         return f"{three_digits(self._done / seconds)} {self._what}s/s" if self._done and seconds > 0 else ""
 
     @property
     def left(self) -> str:
-        """How long the remaining worlds will take: "1 min 20 s left". Empty if the remaining time is unknown, and at
-        the end.
+        """The time that the remaining worlds will take, as text: "1 min 20 s left". The text is empty at the end, and
+        if the time is unknown.
 
-        If the work of n worlds remains, the estimate is the time in which the most recent work of n worlds was done.
-        The rate of the whole run would be misleading near the end, when few worlds are left and these are long.
+        If the work of n worlds remains, the estimate is the time in which the last n worlds' work was done. The rate of
+        the whole run would be misleading near the end, when few worlds are left and these take long.
         """
         if not self._work or self._total is None or self._done >= self._total:
             return ""
@@ -78,5 +82,5 @@ class Throughput:
 
     @property
     def words(self) -> list[str]:
-        """The count, the rate and the time left, except those that are empty."""
+        """The three texts ``count``, ``rate`` and ``left``, without those that are empty."""
         return [part for part in (self.count, self.rate, self.left) if part]

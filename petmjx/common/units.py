@@ -1,5 +1,5 @@
-"""Conversions of units, which happen only in this module. Inside petmjx all values are in SI units; plans are in
-millimetres."""
+"""Conversions of units. No other module converts units. Inside petmjx, all values are in SI units, except that plans
+are in millimetres."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ MM_PER_M = 1000.0
 MICROMETRES_PER_M = 1_000_000.0
 
 STANDARD_GRAVITY = 9.81
-"""Gravity in m/s², as in the reference implementation. Levels in g are multiples of this value."""
+"""Acceleration of gravity in m/s², as in the reference implementation (PET-Physics). Accelerations in g are multiples
+of this value."""
 
 LENGTHS_MM: Final[Mapping[str, tuple[float, str]]] = {
     "mm": (1.0, "millimetres"),
@@ -30,15 +31,15 @@ MASSES_KG: Final[Mapping[str, tuple[float, str]]] = {
     "lb": (0.45359237, "pounds"),
     "t": (1000.0, "tonnes"),
 }
-"""Units that users can name → their size in millimetres or kilograms, and their name."""
+"""Abbreviation of a unit that users can write → size of the unit in millimetres or kilograms, and name of the unit."""
 
 PLAN_UNITS: Final = "mm,kg"
 """The default units of plans."""
 
 
 def plan_units(text: str) -> tuple[str, str]:
-    """The units of lengths and of masses in a text such as "cm", "g" or "cm,g". A missing unit is taken from
-    ``PLAN_UNITS``.
+    """The unit of lengths and the unit of masses that a text such as "cm", "g" or "cm,g" names. If the text names only
+    one of the two, the other is taken from ``PLAN_UNITS``.
 
     Raises:
         ValueError: the text has an unknown unit, or two units of the same kind.
@@ -59,20 +60,22 @@ def mm_to_m(value_mm: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def round_to_micrometre(value_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round metres half-up to 1 µm, as the reference implementation does when it writes its models.
+    """Round lengths in metres to whole micrometres, with halves rounded up, as the reference implementation
+    (PET-Physics) does when it writes its models.
 
-    The value in micrometres is first rounded to a thousandth. For instance, the float64 of 0.1234565 m is slightly
-    below the half, but still rounds up, as its decimal notation suggests.
+    The value in micrometres is first rounded to a thousandth. Thus 0.1234565 m is rounded up, as expected of a half,
+    although its float64 value is slightly smaller.
     """
     micrometres: NDArray[Any] = np.round(value_m * MICROMETRES_PER_M, 3)
     return np.floor(micrometres + 0.5) / MICROMETRES_PER_M
 
 
 def seconds_to_steps(duration_s: float, timestep_s: float) -> int:
-    """Number of whole steps in a duration, by the reference's rule: ``int(duration / timestep)``.
+    """Number of whole time steps in a duration, computed as in the reference implementation (PET-Physics):
+    ``int(duration / timestep)``.
 
-    Truncation is deliberate. 0.7 / 0.002 is 349.99… in float64, so 0.7 s are 349 steps. A run can be compared with the
-    reference to the last digit only if both count steps by the same rule.
+    Truncation is deliberate. 0.7 / 0.002 is 349.99… in float64, so 0.7 s are 349 steps. Results can agree with those of
+    the reference implementation to the last digit only if both programs count steps in the same way.
     """
     return int(duration_s / timestep_s)
 

@@ -1,7 +1,8 @@
-"""Set-up of Warp for petmjx: the folder of its compiled kernels (petmjx/common/compile_caches.py), and silence.
+"""Set-up of Warp for petmjx: chooses the folder of compiled kernels (petmjx/common/compile_caches.py), and stops Warp
+from printing.
 
-The settings apply to the whole process. petmjx makes these settings when it first uses Warp. The settings remain, so
-they also affect the caller's own Warp programs. A setting that the caller has changed earlier is not touched.
+The settings are made when petmjx first uses Warp, and apply to the whole process, including the caller's own Warp
+programs. If the caller has already changed a setting, it stays as it is.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from petmjx.common.machine import cuda_devices
 
 
 def set_up_warp() -> None:
-    """Place Warp's kernel cache beside JAX's, stop Warp from printing, and keep its tiles off the stack.
+    """Set the folder of Warp's kernel cache to one beside JAX's cache, stop Warp from printing, and keep Warp's tiles
+    (arrays shared by the threads of a block) off the stack.
 
-    A setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.) With tiles on
-    the stack, all threads of an x86 CPU would share one pointer to them, so launches in several threads would write
-    into each other's tiles.
+    A setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.) If tiles were
+    on the stack, all threads of an x86 CPU would share one pointer to the tiles, and launches from several threads
+    would write into each other's tiles.
 
     Raises:
         EngineUnavailable: no folder for compiled kernels is writable.
@@ -30,7 +32,7 @@ def set_up_warp() -> None:
     if warp.config.kernel_cache_dir is None:
         warp.config.kernel_cache_dir = str(cache_folder("warp"))
     if warp.config.enable_tiles_in_stack_memory:
-        warp.config.enable_tiles_in_stack_memory = None  # Warp then decides; on x86 it keeps tiles off the stack
+        warp.config.enable_tiles_in_stack_memory = None  # None: Warp decides, and keeps tiles off the stack on x86
     if warp.config.log_level == warp.LOG_INFO:
         warp.config.log_level = warp.LOG_ERROR
     if not cuda_devices():
@@ -40,8 +42,8 @@ def set_up_warp() -> None:
 
 @contextmanager
 def _nothing_on_stderr() -> Iterator[None]:
-    """Discard what native code writes to standard error. Warp reports a missing CUDA driver there, but petmjx checks
-    for the driver itself."""
+    """While the body runs, discard what native code writes to standard error. Warp would report a missing CUDA driver,
+    which petmjx reports itself."""
     sys.stderr.flush()
     saved_descriptor = os.dup(2)
     try:

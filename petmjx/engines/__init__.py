@@ -1,1 +1,4 @@
-"""Engines simulate worlds: C MuJoCo on CPU threads, and MJX on JAX. Their protocol: petmjx.engines.protocol.Engine."""
+"""The engines, which simulate worlds: C MuJoCo on CPU threads, MJX on JAX, and Warp kernels on GPU or CPU.
+
+The interface of all engines is ``petmjx.engines.protocol.Engine``.
+"""

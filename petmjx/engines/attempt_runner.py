@@ -1,4 +1,4 @@
-"""Runs one attempt at a batch of worlds on an engine or its fallback, and checks the outcomes."""
+"""Simulates a batch of worlds once (an *attempt*) on an engine or its fallback engine, and checks the outcomes."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def _no_more() -> None:
 
 
 Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
-"""A world between two attempts: the outcome of the last attempt, and the records of all attempts so far."""
+"""A world between two attempts: the world, the outcome of its last attempt, and the records of all attempts so far."""
 
 
 AttemptResult = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
-"""A world after an attempt, with its outcome and the records of all attempts so far."""
+"""A world after an attempt: the world, the attempt's outcome, and the records of all attempts so far."""
 
 
 class _End:
-    """Value that marks the end of an engine's outcomes."""
+    """The type of ``_END``, which marks the end of an engine's outcomes."""
 
 
 _END: Final = _End()
@@ -47,7 +47,7 @@ _END: Final = _End()
 def run_engine(
     engine: Engine, stream: JobStream[Any], sim: Simulation, progress: Progress, most: int
 ) -> Generator[Outcome]:
-    """Simulate the jobs of a stream. Engines that take no stream get lists of jobs, one after the other.
+    """Simulate the jobs of a stream. An engine that cannot read a stream gets lists of jobs, one list after another.
 
     Args:
         most: largest number of jobs in a list.
@@ -66,13 +66,14 @@ def run_engine(
 
 @dataclass(eq=False)
 class AttemptRunner(Generic[AnyWorld]):
-    """One attempt at many worlds.
+    """Makes one attempt at many worlds.
 
     Attributes:
-        sim: the run's options with the attempt's changes.
-        put_following: puts further jobs, which follow from results, into the stream, after each outcome.
-        check_pool: pool that checks outcomes in other processes, if there is one.
-        most: largest number of jobs in a list, for engines that take no stream.
+        sim: the run's options with the changes of this attempt.
+        put_following: function that is called after each outcome. It puts the jobs that follow from results, such as
+            the drives of a settled pallet, into the stream.
+        check_pool: pool of processes that check outcomes; None if this process checks them.
+        most: largest number of jobs in a list, for engines that cannot read a stream.
     """
 
     attempt: AttemptRecipe
@@ -82,14 +83,14 @@ class AttemptRunner(Generic[AnyWorld]):
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     most: int = sys.maxsize
     _message: str = ""
-    """Text of the last error of an engine."""
+    """Text of the last exception that an engine raised."""
 
     def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Yield each world with its outcome and the records of its attempts, including this one. Yield None when the
-        engine pauses.
+        """Yield each world with its outcome and the records of all its attempts, this attempt included. Yield None when
+        the engine pauses.
 
         Args:
-            batch: the worlds. The list is emptied, since finished worlds would take memory.
+            batch: the worlds. The list is emptied, so that finished worlds do not stay in memory.
         """
         engine = self.engines.primary
         left, others = list[Pending[AnyWorld]](), list[Pending[AnyWorld]]()
@@ -101,7 +102,7 @@ class AttemptRunner(Generic[AnyWorld]):
         yield from self.run_fallback(left + others)
 
     def _stream_of(self, batch: list[Pending[AnyWorld]], engine: Engine) -> JobStream[Pending[AnyWorld]]:
-        """A stream with the jobs of these worlds alone. The batch is emptied."""
+        """A stream that holds only the jobs of these worlds. The batch is emptied."""
         stream = JobStream[Pending[AnyWorld]]()
         for job, pending in zip(self.jobs_of([world for world, _, _ in batch], engine), batch, strict=True):
             stream.put(job, pending)
@@ -110,8 +111,8 @@ class AttemptRunner(Generic[AnyWorld]):
         return stream
 
     def run_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Run the worlds that the engine left unanswered on its fallback, if it has one. Worlds that still have no
-        answer fail. Yields as ``run`` does.
+        """Simulate the worlds for which the engine returned no outcome. The fallback engine simulates them, if there is
+        one. Worlds that still have no outcome become invalid, with the reason ``failed``. Yields the same as ``run``.
         """
         engine = self.engines.primary
         if left and self.engines.fallback is not None:
@@ -121,17 +122,17 @@ class AttemptRunner(Generic[AnyWorld]):
         yield from self.checked_results(list(zip(left, failed, strict=True)), engine.name)
 
     def engine_for(self, world: AnyWorld) -> Engine:
-        """The engine of the run, or its fallback."""
+        """The engine that simulates a world at this attempt: the engine of the run, or its fallback engine."""
         return self.engines.for_job(world.job, self.sim, doubles=self.attempt.doubles, soft=self.is_soft(world))
 
     def is_soft(self, world: AnyWorld) -> bool:
-        """Whether boxes of a world are soft at this attempt."""
+        """Whether this attempt simulates boxes of the world as soft bodies."""
         return self.attempt.soft or world.job.scene.soft is not None
 
     def run_stream(
         self, engine: Engine, stream: JobStream[Pending[AnyWorld]]
     ) -> Generator[AttemptResult[AnyWorld] | None, None, list[Pending[AnyWorld]]]:
-        """Yield the worlds with the outcomes of an engine; return the worlds that an error left unanswered."""
+        """Yield the worlds with their outcomes. Return the worlds without an outcome, if the engine raises an error."""
         engine_name = "" if Capability.MIXED in engine.capabilities else engine.name
         checked = Capability.CHECKS in engine.capabilities
         progress, tells = self.engines.progress, getattr(engine, "tells", False)
@@ -141,7 +142,7 @@ class AttemptRunner(Generic[AnyWorld]):
         while True:
             try:
                 answer = next(answers, _END)
-            except BaseException as error:  # even ctrl-C loses no outcome that has arrived
+            except BaseException as error:  # even after Ctrl-C, no outcome that has arrived is lost
                 if self.check_pool is not None and not isinstance(error, Exception):
                     self.check_pool.hurry()
                 yield from self.checked_results(arrivals, engine_name, checked=checked)
@@ -149,7 +150,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user can change the refused worlds, or mend an engine without a fallback
+                    raise  # the user can change the refused worlds, or mend an engine that has no fallback
                 if not stream.taken:  # the engine would refuse the jobs again
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
@@ -170,8 +171,8 @@ class AttemptRunner(Generic[AnyWorld]):
                 raise RuntimeError(
                     f"engine {engine.name} returned two outcomes for job {answer.job}, or had no such job"
                 ) from None
-            # Up to MOST_TOGETHER outcomes are checked together. No outcome is delayed: only outcomes that are ready now
-            # are added.
+            # Up to MOST_TOGETHER outcomes are checked together. No outcome is delayed for this: only outcomes that are
+            # ready now are checked together.
             idle = not (tells and progress.at_hand)
             if len(arrivals) == MOST_TOGETHER or idle:
                 until = self._has_outcomes if tells else _never
@@ -186,15 +187,16 @@ class AttemptRunner(Generic[AnyWorld]):
         return []
 
     def _follow(self, stream: JobStream[Any], arrivals: Sequence[Any]) -> None:
-        """Put the jobs that follow from the results so far into the stream. ``arrivals``: outcomes that are not checked
-        yet.
+        """Put the jobs that follow from the results so far into the stream.
+
+        ``arrivals``: outcomes that are not checked yet.
         """
         self.put_following()
         if not arrivals and (self.check_pool is None or not self.check_pool.has_unanswered):
             stream.followed()
 
     def jobs_of(self, worlds: Sequence[AnyWorld], engine: Engine) -> list[Job]:
-        """The jobs of these worlds at this attempt, for an engine."""
+        """The jobs of these worlds, with the changes of this attempt, in a form that the engine can run."""
         jobs = [world.job for world in worlds]
         if Capability.MIXED not in engine.capabilities:
             jobs = [ready_for(engine.name, job) for job in jobs]
@@ -209,13 +211,14 @@ class AttemptRunner(Generic[AnyWorld]):
         wait: bool = True,
         until: Callable[[], bool] = _never,
     ) -> Iterator[AttemptResult[AnyWorld]]:
-        """Check the outcomes of many worlds.
+        """Check the outcomes of many worlds, and yield each world with its outcome and the records of its attempts.
 
         Args:
-            engine: the engine that made them; empty if each outcome names its engine.
+            engine: name of the engine that made the outcomes; empty if each outcome names its engine.
             checked: whether the engine has already checked the outcomes.
-            wait: True: wait for all outcomes in the pool; False: later calls return some of them.
-            until: as in ``CheckPool.exchanged``.
+            wait: if True, wait until the pool has checked all outcomes. If False, yield only the outcomes that are
+                ready; later calls yield the remaining ones.
+            until: see ``CheckPool.exchanged``.
         """
         if checked:
             answered = arrivals
@@ -238,12 +241,12 @@ class AttemptRunner(Generic[AnyWorld]):
             yield world, outcome, records
 
     def _has_outcomes(self) -> bool:
-        """Whether the engine of the run reports that outcomes are at hand."""
+        """Whether the engine of the run reports that further outcomes are ready."""
         return (self.engines.progress.at_hand or 0) > 0
 
     def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
-        """The outcome of a world that was checked at half the timestep: the earlier outcome, with a flag if the verdict
-        changed."""
+        """The outcome of a world after the attempt with half the timestep: the previous outcome, with ``Flag.TIMESTEP``
+        if the verdict changed."""
         if checked.verdict is before.verdict:
             return before
         self.engines.note(f"{world.name}: {before.verdict}, but {checked.verdict} at half the timestep")

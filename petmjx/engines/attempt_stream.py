@@ -1,6 +1,6 @@
-"""Simulates worlds with an engine, repeats invalid ones with other settings, and yields the last outcome of each world.
+"""Simulates worlds with an engine, repeats invalid worlds with other settings, and yields each final outcome.
 
-The attempts are listed in petmjx/engines/attempts.py.
+Each simulation of a world is an *attempt*. petmjx/engines/attempts.py lists the settings of all attempts.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.job import Job
 
 MOST_PENDING: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
-"""Largest number of worlds in a list, for an engine that takes no stream. The source also pauses when this number of
-further attempts is waiting."""
+"""Largest number of worlds in a list, for an engine that cannot read a stream of jobs. The thread that makes worlds
+also pauses when this number of worlds waits for a further attempt."""
 
 PENDING_BOXES: Final = 1 << 20
-"""The source pauses while the pending jobs have this many boxes: their scenes take 130 MB."""
+"""The thread that makes worlds pauses while the waiting jobs have this number of boxes. Their scenes take 130 MB."""
 
 FIRST_WORLDS: Final = 1600
-"""Number of worlds with which a GPU begins. The GPU's blocks for worlds of few boxes (``small_world_blocks``) are then
-busy; the other worlds join them later."""
+"""Number of worlds with which a GPU begins. These worlds keep all thread blocks for worlds of few boxes busy
+(``small_world_blocks``). The other worlds start on the GPU later."""
 
 PAUSE_S: Final = 0.02
-"""While the source waits for other attempts, it checks them at intervals of this length, s."""
+"""Interval at which the paused thread checks whether it may make worlds again, s."""
 
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
-    """A pool that checks the outcomes of this many worlds beside an engine; None if the engine needs none, or if there
-    are too few worlds.
+    """A pool of processes that check the outcomes of ``worlds`` worlds while an engine simulates. None if the engine
+    needs no pool, or if there are too few worlds.
     """
     return (
         CheckPool.here()
@@ -69,30 +69,33 @@ def score_worlds(
     bounds: JobBounds | None = None,
     check_pool: CheckPool[Any] | None = None,
 ) -> Iterator[WorldResult[AnyWorld]]:
-    """Simulate worlds and yield the result of each one when it is final, in any order.
+    """Simulate worlds and yield the final result of each world, in any order.
 
-    A thread makes the worlds and puts their jobs into a ``JobStream``, from which the engine takes them. The thread
-    waits while ``PENDING_BOXES`` are pending. Invalid worlds are collected and simulated again together, when
-    ``most_pending`` wait or at the end. So memory does not grow with the number of worlds. Attempts that CPU threads
-    make beside a GPU (petmjx/engines/attempts.py) begin at once.
+    A thread makes the worlds and puts their jobs into a ``JobStream``, from which the engine takes the jobs. The thread
+    waits while the jobs in the stream have ``PENDING_BOXES`` boxes. Invalid worlds are collected, and simulated again
+    together at the end, or earlier if ``most_pending`` of them wait. So memory does not grow with the number of worlds.
+    If CPU threads make an attempt beside a GPU (petmjx/engines/attempts.py), this attempt begins at once.
 
-    ``following`` gives worlds that follow from the results so far, each world exactly once. ``follow`` is called after
-    each outcome. An engine that takes a stream simulates these worlds beside the running ones. Any other engine
-    simulates them once the running ones have ended.
+    ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
+    a settled pallet. It returns each world exactly once, and is called after each outcome. An engine that reads a
+    stream simulates these worlds together with the other worlds. Any other engine simulates them after the other
+    worlds.
 
-    ``begin_with``: number of worlds with which a GPU begins. ``bounds``: bounds of all jobs, also of those that follow.
+    ``begin_with``: number of worlds with which a GPU begins. ``bounds``: limits that hold for all jobs, including the
+    jobs that follow from results.
 
-    ``check_pool``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
+    ``check_pool``: a pool of processes that several calls use one after another. If None, a call with many worlds
+    starts a pool of its own.
 
-    An error of an engine with a fallback does not end the run: the fallback simulates the unanswered worlds. An error
-    at a further attempt does not end the run, either. Without a fallback, the worlds of such an attempt are invalid,
-    with the reason ``failed``.
+    If an engine raises an error and has a fallback engine, the run continues: the fallback engine simulates the worlds
+    without an outcome. The run also continues after an error at a second or later attempt. Without a fallback engine,
+    the worlds of this attempt become invalid, with the reason ``failed``.
 
     Raises:
-        RuntimeError: the engine did not answer every job exactly once.
+        RuntimeError: the engine did not return exactly one outcome for each job.
         InputError: the options require soft boxes, but the engine does not support them.
         PetmjxError: the engine refuses the worlds at the first attempt.
-        Exception: an error of an engine without a fallback at the first attempt, or of ``worlds``.
+        Exception: at the first attempt, an engine without a fallback raised an error, or ``worlds`` raised one.
     """
     progress = progress or Progress()
     engines = Engines(engine, progress)
@@ -113,14 +116,15 @@ def score_worlds(
 
 @dataclass(eq=False)
 class _AttemptRun(Generic[AnyWorld]):
-    """The attempts at the worlds of one call of ``score_worlds``.
+    """All attempts at the worlds of one call of ``score_worlds``.
 
-    A world is in one of these places at a time: in ``stream`` before its first attempt, or in ``for_fallback`` if the
-    engine of the run cannot make it; then, for each further attempt, in ``retry_queue`` or in ``side_tasks``.
+    At any time, a world that is not finished is in one of four places. Before its first attempt it is in ``stream``,
+    or, if the engine of the run cannot simulate it, in ``for_fallback``. Before each further attempt it is in
+    ``retry_queue`` or in ``side_tasks``.
 
     Attributes:
         first_runner: makes the first attempts.
-        retry_queue: worlds that wait for the engine of the run, each with its next attempt.
+        retry_queue: worlds that wait for a further attempt on the engine of the run, each with its next attempt.
     """
 
     sim: Simulation
@@ -133,10 +137,10 @@ class _AttemptRun(Generic[AnyWorld]):
     side_tasks: _SideTasks[AnyWorld]
     retry_queue: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = field(default_factory=list)
     for_fallback: deque[Pending[AnyWorld]] = field(default_factory=deque)
-    """Filled by the thread of the source."""
+    """Worlds that wait for the fallback engine. The thread that makes worlds fills this queue."""
 
     def results(self, worlds: Iterable[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """Take worlds through all their attempts; yields each result when it is final."""
+        """Simulate worlds in all attempts that they need; yield each result when it is final."""
         source = WorldSource(worlds, partial(self._put_world, bounded=True), self.stream, self._has_room)
         self.first_runner.put_following = self._put_following
         try:
@@ -144,7 +148,7 @@ class _AttemptRun(Generic[AnyWorld]):
             yield from self._rounds(source)
         except GeneratorExit:
             raise
-        except BaseException as error:  # even ctrl-C loses no outcome that has arrived
+        except BaseException as error:  # even after Ctrl-C, no outcome that has arrived is lost
             yield from self._arrived_results(error)
             raise
         finally:
@@ -153,11 +157,12 @@ class _AttemptRun(Generic[AnyWorld]):
                 closing.callback(self.side_tasks.close)
 
     def _rounds(self, source: WorldSource[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """Make first attempts while there are jobs, then further attempts, until no world is left."""
+        """Make first attempts while there are jobs, then further attempts, until no world is left; yield final
+        results."""
         primary = self.engines.primary
         while True:
             self._put_following()
-            closed = self.stream.closed  # this is read before the outcomes are checked
+            closed = self.stream.closed  # read before outcomes are checked: the stream may be closed meanwhile
             n_ready = self.stream.wait_for(LARGE if primary.name in BESIDE else 1)
             if n_ready or self.for_fallback:
                 self.side_tasks.prepare(self.stream.peek(LARGE), self.attempts[1:])
@@ -178,7 +183,7 @@ class _AttemptRun(Generic[AnyWorld]):
         return len(self.retry_queue) + len(self.for_fallback) < self.most_pending
 
     def _put_world(self, world: AnyWorld, *, bounded: bool) -> bool:
-        """Put the job of a new world into the stream, or set the world aside for the fallback."""
+        """Put the job of a new world into the stream, or keep the world for the fallback engine."""
         pending: Pending[AnyWorld] = (world, None, ())
         primary = self.engines.primary
         if self.first_runner.engine_for(world) is not primary:
@@ -188,19 +193,20 @@ class _AttemptRun(Generic[AnyWorld]):
         return self.stream.put(job, pending, bounded=bounded)
 
     def _put_following(self) -> None:
-        """Put the worlds that follow from the results so far."""
+        """Put the jobs of the worlds that follow from the results so far into the stream."""
         for world in self.following() if self.following is not None else ():
             self._put_world(world, bounded=False)
 
     def _first_attempts(self) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """The first attempts at the worlds of the stream, and, on the fallback, at all worlds set aside for it."""
+        """Make the first attempts: on the engine for the worlds of the stream, on the fallback for the worlds kept for
+        it."""
         unanswered = yield from self.first_runner.run_stream(self.engines.primary, self.stream)
         while self.for_fallback:
             unanswered.append(self.for_fallback.popleft())
         yield from self.first_runner.run_fallback(unanswered)
 
     def _retried_results(self) -> Iterator[WorldResult[AnyWorld]]:
-        """Make the further attempts of the queue, one recipe after another."""
+        """Make all further attempts that wait in ``retry_queue``, in the order of ``attempts``."""
         for attempt in self.attempts[1:]:
             batch = [pending for recipe, pending in self.retry_queue if recipe is attempt]
             self.retry_queue[:] = [entry for entry in self.retry_queue if entry[0] is not attempt]
@@ -212,9 +218,9 @@ class _AttemptRun(Generic[AnyWorld]):
     def _results_of(
         self, attempt: AttemptRecipe, attempt_results: Iterator[AttemptResult[AnyWorld] | None]
     ) -> Iterator[WorldResult[AnyWorld]]:
-        """The final results among these worlds, and the final results of side tasks that have ended meanwhile."""
+        """The final results among these worlds, and the final results of side tasks that have ended in the meantime."""
         for pending in attempt_results:
-            if pending is not None:  # None: the engine pauses
+            if pending is not None:  # None means that the engine pauses
                 yield from self._finish_or_retry(attempt, pending)
             yield from self._side_results()
 
@@ -223,7 +229,7 @@ class _AttemptRun(Generic[AnyWorld]):
             yield from self._finish_or_retry(attempt, pending)
 
     def _arrived_results(self, error: BaseException) -> Iterator[WorldResult[AnyWorld]]:
-        """After an error: the results whose outcomes have arrived."""
+        """After an error: the final results among the outcomes that have already arrived."""
         if self.side_tasks.check_pool is not None and not isinstance(error, Exception):
             self.side_tasks.check_pool.hurry()
         yield from self._side_results()
@@ -232,11 +238,11 @@ class _AttemptRun(Generic[AnyWorld]):
                 yield from self._finish_or_retry(self.attempts[0], pending)
 
     def _finish_or_retry(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """After an attempt: yield the result if it is final. Otherwise the world waits for its next attempt, or begins
-        it as a side task.
+        """After an attempt, yield the result of the world if it is final. Otherwise, begin the next attempt as a side
+        task, or let the world wait for it.
 
         Args:
-            pending: the world, with the attempt's outcome.
+            pending: the world, with the outcome of the attempt.
         """
         world, outcome, records = pending
         assert outcome is not None
@@ -251,12 +257,13 @@ class _AttemptRun(Generic[AnyWorld]):
 
 
 class WorldSource(Generic[AnyWorld]):
-    """A thread that makes worlds ahead of the engine.
+    """A thread that makes worlds before the engine needs them.
 
     Args:
         deliver: function that puts a world's job into the stream. The function waits while the stream is full, and
             returns False if the stream is closed.
-        has_room: whether few enough worlds wait for other attempts or engines. Otherwise the source pauses.
+        has_room: function that returns False while too many worlds wait for further attempts or for the fallback
+            engine. The thread then pauses.
     """
 
     def __init__(
@@ -275,12 +282,12 @@ class WorldSource(Generic[AnyWorld]):
         self._thread.start()
 
     def raise_error(self) -> None:
-        """Raise the error that ended the worlds early, if there was one."""
+        """Raise the exception that the making of worlds raised, if any."""
         if self._error is not None:
             raise self._error
 
     def close(self) -> None:
-        """Make no more worlds, and wait until the last one is made."""
+        """Stop making worlds, and wait until the thread has ended."""
         self._stop.set()
         self._stream.close()
         if self._thread.ident is not None:
@@ -304,28 +311,28 @@ class WorldSource(Generic[AnyWorld]):
 
 @dataclass(eq=False)
 class _SideTasks(Generic[AnyWorld]):
-    """Side tasks of a run, in other processes: further attempts at single worlds, and checks of outcomes."""
+    """Tasks of a run in other processes or threads: further attempts at single worlds, and checks of outcomes."""
 
     sim: Simulation
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
-    """A pool of processes that the caller lends. The pool is kept for later runs."""
+    """A pool of processes that the caller provides and keeps for later runs."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
-    """The attempt whose outcomes the pool checks."""
+    """The runner of the first attempts, whose outcomes the pool checks."""
     _task_numbers: Iterator[int] = field(default_factory=count)
     _in_flight: dict[int, tuple[AttemptRunner[AnyWorld], Pending[AnyWorld], str]] = field(default_factory=dict)
-    """Number of a task → the attempt that it makes, the world, and the name of the engine."""
+    """Number of a task → the runner of its attempt, the world, and the name of the engine."""
 
     @property
     def unanswered(self) -> int:
-        """Number of worlds that are being simulated."""
+        """Number of worlds whose side tasks have not ended."""
         return len(self._in_flight)
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
-        """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. The
-        process simulates one box first, since a kernel may have to be compiled. Compiling takes as long as simulating
-        many worlds."""
+        """At the beginning of a large run, start the pool of processes that check outcomes, and the process for
+        attempts that few worlds need. This process simulates one box first, because a kernel may have to be compiled,
+        which takes as long as the simulation of many worlds."""
         self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
@@ -339,10 +346,10 @@ class _SideTasks(Generic[AnyWorld]):
                 self.engines.helper.begin(Task(READY, name, job, sim))
 
     def begin(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
-        """Begin an attempt at a world. False if the engine of the run makes the attempt itself."""
+        """Begin an attempt at a world as a side task. Returns False if the engine of the run must make the attempt."""
         runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
         world, before, _ = pending
-        # if boxes of a plan may sink, all its worlds with errors need the attempt, not only a few
+        # if boxes of a plan may sink into each other, all worlds of the plan with placement errors need the attempt
         sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID
         few = attempt.few and not (sank and may_penetrate(world.job.scene, self.sim))
         traits = {"doubles": attempt.doubles, "soft": runner.is_soft(world), "few": few}
@@ -358,14 +365,14 @@ class _SideTasks(Generic[AnyWorld]):
         self.engines.helper.begin(Task(task_number, engine, job, runner.sim))
 
     def ended(self, *, wait: bool) -> Iterator[tuple[AttemptRecipe, Pending[AnyWorld]]]:
-        """The attempts that have ended, and the worlds with their outcomes.
+        """The attempts that have ended: the attempt, and the world with its outcome.
 
         Args:
-            wait: True: wait for at least one, if any attempt is running.
+            wait: if True and an attempt is running, wait until at least one attempt has ended.
         """
         if self._in_flight:
             for answer in self.engines.helper.ended(wait=wait):
-                if answer.number not in self._in_flight:  # this is the answer to READY, of this run or an earlier one
+                if answer.number not in self._in_flight:  # answer to the task READY of this run or an earlier run
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):
@@ -375,8 +382,9 @@ class _SideTasks(Generic[AnyWorld]):
     def _answered(
         self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
     ) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """The world with the outcome of an answer. For a world without an outcome, the fallback is tried beside the
-        run. If the fallback returns no outcome either, it simulates the world again, in the run's own process."""
+        """The world with the outcome of a side task. If the task returned no outcome, a new side task simulates the
+        world on the fallback engine. If this task returns no outcome either, the fallback engine simulates the world in
+        the run's own process."""
         fallback = self.engines.fallback
         if answer.outcome is not None:
             self.engines.progress.world_steps += answer.outcome.n_steps
@@ -388,7 +396,7 @@ class _SideTasks(Generic[AnyWorld]):
             yield from runner.run_fallback([pending])
 
     def close(self) -> None:
-        """End the side tasks."""
+        """End all side tasks and their processes."""
         if self.check_pool is not None and self.check_pool is not self.lent:
             self.check_pool.close()
         if "helper" in vars(self.engines):

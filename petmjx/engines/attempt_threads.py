@@ -1,4 +1,4 @@
-"""Makes further attempts at single worlds on threads of this process, beside a run that uses the same CPUs."""
+"""Simulates single worlds again (further *attempts*) on threads of this process, beside a run on the same CPUs."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from petmjx.engines.subprocess.attempt_process import Answer, Task, answer_to
 
 
 class ThreadSimulator:
-    """Simulates worlds on threads; each thread has its own one-thread engine. During a run, these threads share the
-    CPUs with the run's threads; afterwards, these threads have the CPUs alone.
+    """Simulates worlds on threads. Each thread has its own engine, which uses this thread only. During a run, the
+    threads share the CPUs with the threads of the run. Afterwards, they have the CPUs for themselves.
 
     Args:
         threads: number of threads.
@@ -47,6 +47,7 @@ class ThreadSimulator:
             yield answer
 
     def close(self) -> None:
-        """See ``SideSimulator.close``. Worlds that are being simulated stop after their current time slice."""
+        """See ``SideSimulator.close``. Worlds that are being simulated stop after their current time slice (a short
+        part of the simulation)."""
         self._closed = True
         self._pool.shutdown(wait=False, cancel_futures=True)

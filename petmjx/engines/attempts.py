@@ -1,24 +1,24 @@
-"""Attempts at a world: the changed settings of each attempt, the outcomes that require it, and its engine.
+"""Attempts at a world (its repeated simulations): their settings, the outcomes that require them, and their engines.
 
-The rules: docs/rules.md, section 9.
+The rules are in docs/rules.md, section 9.
 
-The first attempts are those of the PET-Physics paper (Newton, then CG, up to two attempts each). An attempt with half
-the timestep follows. Worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``) have two
-attempts of their own. An optional last attempt has soft boxes, like the third attempt of the reference implementation.
-The second attempts of the reference implementation repeat the same deterministic run. Here, a second attempt gives the
-solver up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``. This helps if the solver had stopped too
-early.
+The first attempts are those of the PET-Physics paper: up to two attempts with Newton's method, then up to two with
+conjugate gradients (CG). An attempt with half the timestep follows. Worlds whose verdict may come from soft contacts
+(``petmjx.engines.contact_penetration``) have two attempts of their own. An optional last attempt simulates boxes as
+soft bodies, like the third attempt of the reference implementation. The second attempts of the reference implementation
+only repeat the same deterministic simulation. Here, a second attempt gives the solver up to ``CAREFUL_ITERATIONS``
+iterations and the tolerance ``CAREFUL_TOLERANCE``. This helps if the solver stopped too early.
 
-The MJX engines work in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is their *fallback*
-(``FALLBACKS``). C MuJoCo makes the attempts that need double precision, simulates worlds with soft boxes and with
-conjugate gradients, and simulates worlds that got no answer because of an error. ``mujoco`` itself and a user's own
-engine have no fallback.
+The MJX engines compute in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is their *fallback*
+(``FALLBACKS``). C MuJoCo makes the attempts that need double precision. It also simulates worlds with soft boxes,
+worlds with conjugate gradients, and worlds for which an engine returned no outcome because of an error. ``mujoco``
+itself and engines that users wrote have no fallback.
 
-A GPU takes as long for a single world as for many. So in a run on ``mjx-warp``, rare further attempts are made beside
-the engine, on CPU threads (petmjx/engines/subprocess). These are the attempts of C MuJoCo, and attempts with stiffer
-contacts, which ``mjx-warp-cpu`` makes with the same kernels. A run on ``mjx-warp-cpu`` makes attempts with stiffer
-contacts on additional threads (petmjx/engines/attempt_threads.py). The engine of an attempt depends only on the world
-and the options.
+A GPU takes as long for a single world as for many worlds. So in a run on ``mjx-warp``, CPU threads make the attempts
+that few worlds need, while the GPU continues (petmjx/engines/subprocess). These are the attempts on C MuJoCo, and the
+attempts with stiffer contacts, which ``mjx-warp-cpu`` makes with the same kernels as the GPU. In a run on
+``mjx-warp-cpu``, additional threads make the attempts with stiffer contacts (petmjx/engines/attempt_threads.py). Which
+engine makes an attempt depends only on the world and the options.
 """
 
 from __future__ import annotations
@@ -42,63 +42,63 @@ from petmjx.options.simulation import Attempts, Simulation, Solver
 from petmjx.world.job import Excitation, Job, KeptState
 
 CAREFUL_ITERATIONS = 400
-"""Largest number of solver iterations per step in a second attempt: four times MuJoCo's default. With the default, CG
-stops so early that ``pallet`` boxes that should stand slide apart."""
+"""Largest number of solver iterations per step in a second attempt: four times MuJoCo's default. With MuJoCo's default,
+CG stops so early that boxes of the physics preset ``pallet`` slide apart although they should stand."""
 
 CAREFUL_TOLERANCE = 1e-10
-"""Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines of lower precision use a larger
+"""Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines in single precision use a larger
 tolerance."""
 
 NEAR = 0.5
-"""Worlds with a smaller absolute margin are checked at half the timestep. The margin of invalid worlds is NaN, so they
-are not checked."""
+"""If the option ``check_timestep`` is set, worlds whose margin has a magnitude below this are simulated again with half
+the timestep. Invalid worlds have the margin NaN, so they are not simulated again for this reason."""
 
 STIFF_QUIET_STEPS = 25
-"""``Quiet.steps`` for attempts with stiff contacts, whose verdicts depend on movements of less than a millimetre. Of
-6,000 small stacks whose verdicts follow from statics, some fell although they should stand: 5 with 15 steps, 4 with 25,
-and 3 with 50. With 50 steps, pallets that tremble take three times as long."""
+"""Smallest ``Quiet.steps`` of attempts with stiff contacts. Their verdicts depend on movements of less than a
+millimetre. Of 6,000 small stacks whose verdicts follow from statics, some fell although they should stand: 5 stacks
+with 15 steps, 4 with 25, and 3 with 50. With 50 steps, pallets that tremble take three times as long."""
 
-# Numbers are compared several times as fast as members of ``Flag``.
+# The flags as plain integers: comparing integers is several times as fast as comparing members of ``Flag``.
 _EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)
 
 _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps")
-"""Fields of ``Quiet`` that are numbers of steps."""
+"""Fields of ``Quiet`` that count steps."""
 
 
 @dataclass(frozen=True)
 class AttemptRecipe:
-    """One attempt: the settings that it changes (docs/rules.md, section 9)."""
+    """The settings that one attempt (one simulation of a world) changes; see docs/rules.md, section 9."""
 
     number: int
     solver: Solver | None
     careful: bool = False
     timestep_divisor: int = 1
     stiff: float | None = None
-    """Time constant of contacts, as a share of the usual one. A smaller time constant makes contacts stiffer. Used only
-    for worlds whose verdict may come from soft contacts (``Flag.SINKING``)."""
+    """Time constant of contacts, divided by the usual time constant. A smaller time constant makes contacts stiffer.
+    The attempt is only for worlds whose verdict may come from soft contacts (``Flag.SINKING``)."""
     checks: bool = False
-    """True: the attempt keeps the verdict, and only sets ``Flag.TIMESTEP`` if it finds a different one."""
+    """If True, the world keeps its verdict, and gets ``Flag.TIMESTEP`` if this attempt has a different verdict."""
 
     most_boxes: int | None = None
-    """Worlds with more boxes than this do not make the attempt: they keep their verdict, if they have one, and
-    ``Flag.SINKING``. With stiff contacts, steps of hundreds of boxes take tens of milliseconds, and the leaning boxes
-    are only a small part of the pallet."""
+    """Largest number of boxes of a world for this attempt. A larger world keeps its verdict, if it has one, and
+    ``Flag.SINKING``. With stiff contacts, a step of hundreds of boxes takes tens of milliseconds. In large worlds, the
+    leaning boxes are also only a small part of the pallet."""
     soft: bool = False
-    """True: all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
+    """If True, all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
     doubles: bool = False
-    """Whether the attempt needs double precision. One reason: a world may be invalid because of single precision.
-    Another reason: in contacts with a twentieth of the time constant, boxes sink by less than single precision
-    resolves."""
+    """Whether the attempt needs double precision. A world may be invalid because of single precision. And with a
+    twentieth of the time constant, boxes sink into each other by less than single precision resolves."""
 
     few: bool = False
-    """Whether only few of many worlds need the attempt. Worlds with errors are an exception, if the plan has boxes that
-    may sink."""
+    """Whether only few of many worlds need the attempt. This does not hold for worlds with placement errors if the plan
+    has boxes that may sink into each other."""
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
-        """Whether this attempt may give another result than the previous one. No attempt gives a world more time."""
+        """Whether this attempt may give a different result from the previous attempt. A world that ran out of time gets
+        no further attempt."""
         if self.checks:
-            # a world that ended early has the margin of a falling box, which is not a near miss
+            # the margin of a world that ended early is that of a falling box, and says nothing about a near miss
             return sim.check_timestep and abs(outcome.margin) < NEAR and not int(outcome.flags) & _EARLY_STOP
         sinks = bool(int(outcome.flags) & _SINKING) and sim.physics.cone is Cone.ELLIPTIC
         if self.soft:
@@ -110,7 +110,7 @@ class AttemptRecipe:
         return outcome.verdict is Verdict.INVALID and outcome.reason is not Reason.TIMEOUT
 
     def apply_to_sim(self, sim: Simulation) -> Simulation:
-        """The run's options with the changes of this attempt. Times in seconds stay the same."""
+        """The run's options with the changes of this attempt. Times in seconds do not change; numbers of steps do."""
         update: dict[str, Any] = {}
         if self.solver is not None:
             update["solver"] = self.solver
@@ -120,8 +120,8 @@ class AttemptRecipe:
             update["solver_tolerance"] = CAREFUL_TOLERANCE
         if self.timestep_divisor != 1:
             factor = self.timestep_divisor
-            # The options are not validated again, since a fraction of the smallest timestep may be below the limit for
-            # users.
+            # The options are not validated again, since the divided timestep may be below the smallest timestep that
+            # users may set.
             update["physics"] = sim.physics.model_copy(update={"timestep_s": sim.physics.timestep_s / factor})
             quiet = {name: getattr(sim.quiet, name) * factor for name in _COUNTED_IN_STEPS}
             update["quiet"] = sim.quiet.model_copy(update=quiet)
@@ -134,7 +134,8 @@ class AttemptRecipe:
         return sim.changed(**update) if update else sim
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
-        """The same jobs with the boxes of this attempt. Profiles are resampled to its timestep and still shared."""
+        """The jobs with the boxes of this attempt. Profiles (motions of the carrier) are resampled to the attempt's
+        timestep; jobs that shared a profile still share it."""
         if self.soft:
             jobs = [replace(job, scene=job.scene.all_soft, start=None, keep_state=False) for job in jobs]
         if self.timestep_divisor == 1:
@@ -161,16 +162,16 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
     AttemptRecipe(8, None, timestep_divisor=2, checks=True),
     AttemptRecipe(9, None, soft=True),
 )
-"""The attempts, in order. Attempts 1 and 6 to 9 use the run's own solver (Newton by default)."""
+"""The attempts, in order. Attempts 1 and 6 to 9 use the solver of the run (Newton by default)."""
 
 
 def may_go_on(outcome: Outcome, sim: Simulation) -> bool:
-    """Whether any further attempt may be needed for a world. For most worlds of a run the answer is no."""
+    """Whether a world may need a further attempt. For most worlds it is False."""
     return outcome.verdict is Verdict.INVALID or bool(int(outcome.flags) & _SINKING) or sim.check_timestep
 
 
 FALLBACKS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco", "mjx-warp-cpu": "mujoco"}
-"""Engine → its fallback engine."""
+"""Name of an engine → name of its fallback engine."""
 
 _FALLBACK_NOTES: Final = {
     Capability.SOFT: "worlds with soft boxes were simulated on {}",
@@ -179,26 +180,26 @@ _FALLBACK_NOTES: Final = {
     Capability.FLOAT64: "worlds were simulated again on {}, in double precision",
     Capability.CG: "worlds were simulated on {}, the only engine with the solver cg",
 }
-"""Capability that an engine lacks → the note about worlds that its fallback simulated."""
+"""Capability that an engine lacks → the note about the worlds that the fallback engine simulated for this reason."""
 
 BESIDE: Final = {"mjx-warp": "mjx-warp-cpu"}
-"""Engine → the engine that makes rare further attempts beside it, on CPU threads."""
+"""Name of an engine → name of the engine that makes rare further attempts on CPU threads at the same time."""
 
 BESIDE_ITSELF: Final = "mjx-warp-cpu"
-"""The engine whose runs make rare further attempts on additional threads. Otherwise, while the last world is simulated,
-most of the engine's own threads would be idle."""
+"""The engine whose runs make rare further attempts on additional threads of the same process. Without these threads,
+most threads of the engine would be idle while the last world is simulated."""
 
 
 @dataclass(eq=False)
 class Engines:
-    """The engine of a run, and its fallback, which is built once a world needs it."""
+    """The engine of a run, and its fallback engine, which is created when the first world needs it."""
 
     primary: Engine
     progress: Progress
 
     @property
     def has_fallback(self) -> bool:
-        """Whether the engine of the run has a fallback. The fallback is not built for this answer."""
+        """Whether the engine of the run has a fallback engine. This property does not create the fallback engine."""
         return self.primary.name in FALLBACKS
 
     @cached_property
@@ -207,8 +208,12 @@ class Engines:
         return make_engine(name) if name is not None else None
 
     def for_job(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool = False) -> Engine:
-        """The engine of a job. ``doubles``: whether the attempt needs double precision; ``soft``: whether it has soft
-        boxes."""
+        """The engine that simulates a job.
+
+        Args:
+            doubles: whether the attempt needs double precision.
+            soft: whether the attempt has soft boxes.
+        """
         if not self.has_fallback:
             return self.primary
         needs = {
@@ -228,11 +233,13 @@ class Engines:
         return self.fallback
 
     def beside(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool, few: bool) -> str | None:
-        """The engine that makes a further attempt at a job beside the engine of the run; None: no such engine.
+        """Name of the engine that makes a further attempt at a job beside the engine of the run. If None, the engine of
+        the run makes the attempt.
 
         Args:
-            few: whether few worlds need the attempt. A job with a drive, or with a state from which other worlds start,
-                stays with the engine of the run, since there may be many such jobs.
+            few: whether few worlds need the attempt. A job with a drive (a motion of the carrier), or a job whose
+                settled state other worlds start from, stays on the engine of the run, since there may be many such
+                jobs.
         """
         if self.primary.name not in (*BESIDE, BESIDE_ITSELF):
             return None
@@ -255,19 +262,19 @@ class Engines:
         return SubprocessSimulator()
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
-        """Note that an error ended an attempt on an engine, and what happens to the worlds without an answer."""
+        """Note that an error ended an attempt on an engine, and what happens to the worlds without an outcome."""
         other = self.fallback
         then = "invalid by failed" if other is None or engine == other.name else f"went to {other.name}"
         self.note(f"attempt {attempt}: {engine} failed ({message}); {count_text(worlds, 'world')}: {then}")
 
     def note(self, text: str) -> None:
-        """Add a line for ``run.json``."""
+        """Add a note to ``run.json``."""
         self.progress.notes[text] = None
 
 
 def ready_for(engine: str, job: Job) -> Job:
-    """The job in a form that an engine can run: a start state of another engine is removed, since an engine can use
-    only its own states. Then the engine simulates the placement again."""
+    """The job in a form that an engine can run. An engine can start only from its own states, so a state of another
+    engine is removed. The engine then simulates the placement of the boxes again."""
     if not isinstance(job.start, KeptState):
         return job
     start = job.start.state if job.start.engine == engine else None

@@ -1,8 +1,8 @@
 """Contact penetration: how far boxes sink into their supports because simulated contacts are softer than any carton.
 
-``petmjx.world.contact_laws`` computes the depth of a contact at rest. The inputs of the check are on the host for every
-engine: plans, masses, and the largest force on each box. The depth is not read from final poses, since a column may
-have fallen because its support gave way.
+``petmjx.world.contact_laws`` computes the depth of a contact at rest. The depth follows from the plan, the masses and
+the largest force on each box, which are in the CPU's memory whichever engine simulates. The depth is not read from
+final poses, since a stack may have fallen because its support gave way.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LEAST_TIME_CONSTANT_STEPS = 4
-"""Smallest time constant of contacts, in timesteps. MuJoCo requires 2, and at 2.5 pallets exploded."""
+"""Smallest time constant of contacts, in timesteps. MuJoCo requires 2. With 2.5, pallets exploded."""
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:
-    """The same physics with stiffer contacts. Such contacts let light boxes carry heavy ones, and keep slender boxes
-    upright.
+    """The same physics with stiffer contacts. With stiffer contacts, light boxes can carry heavy boxes, and slender
+    boxes stay upright.
 
-    Stiffer contacts are as stiff at their onset as beyond the width. Such contacts have the largest impedance that
-    MuJoCo accepts, and time constants reduced to ``share``. With a share of a half, contacts are 40 times as stiff as
-    in ``pallet``; with a tenth, 1,000 times.
+    The stiffer contacts have a constant impedance (MuJoCo's ``solimp``), the largest that MuJoCo accepts, instead of
+    one that rises with depth. Their time constants are multiplied by ``share``. With a share of 0.5, contacts are 40
+    times as stiff as in the preset ``pallet``; with 0.1, 1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:
@@ -47,18 +47,18 @@ def stiffened_physics(physics: Physics, share: float) -> Physics:
         "solref": (time_s, damping),
         "solreffriction": (share * friction_s if friction_s > 0 else friction_s, friction_damping),
     }
-    # Options are not validated again: the timestep may be below the limit for users.
+    # The options are not validated again: the timestep may be below the smallest timestep that users may set.
     return physics.model_copy(update=changed)
 
 
 def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m: float = 0.0) -> FloatArray:
-    """(n,) distance by which each box's centre descends because contacts below the box give way, m: an upper estimate.
+    """(n,) upper estimate of the distance by which each box's centre descends because contacts below it give way, m.
 
     Args:
-        top_force_n: (n,) force on each box's top, N; 0 for boxes that were not placed. A force above the planned weight
-            of everything above the box comes from an impact. An impact is over before the box has sunk, so the excess
-            does not count.
-        enough_m: if no box can sink by more than this, zeros are returned without an exact computation.
+        top_force_n: (n,) force on each box's top, N; 0 for boxes that were not placed. If the force is larger than the
+            planned weight of all boxes above, it comes from an impact. An impact is over before the box has sunk, so
+            only the planned weight is used then.
+        enough_m: if no box can descend by more than this distance, zeros are returned without an exact computation.
     """
     gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier.mass
     box, plate = scene.friction[:, 0].max(), scene.carrier.friction[:, 0].max()
@@ -72,13 +72,13 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Two arrays (n,): the contribution of each box to A · f (petmjx.world.contact_laws) at a contact on its top,
-        and at a contact below it, m/s².
+        """Two arrays (n,) for the product A · f of petmjx.world.contact_laws, m/s². They hold the part that each box
+        adds at a contact on its top, and the part that it adds at a contact below it.
         """
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
     def is_enough(top_n: FloatArray) -> bool:
-        # the depth grows less than proportionally to A · f, so the sum of the depths of the parts is a bound
+        # the depth grows less than proportionally to A · f, so the sum of the parts' depths is an upper bound
         return bool(base + sum(depth_m(physics, part).sum() for part in pulls(top_n)) <= enough_m)
 
     if is_enough(top_force_n):
@@ -98,28 +98,28 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
 
 
 def may_penetrate(scene: Scene, sim: Simulation) -> bool:
-    """Whether boxes descend far enough to count (``has_penetrated``) if each box carries everything above it. If boxes
-    do not, a world of this plan sinks only by chance."""
+    """Whether boxes would descend far enough for ``has_penetrated`` if each box carried all boxes above it. If not,
+    only chance can make boxes of this plan sink that far."""
     most_n = np.full(scene.n_boxes, scene.total_mass * sim.physics.gravity_m_s2)
     bound_m = BOUND_SHARE * sim.thresholds.shift_m
     return bool((contact_penetration_m(scene, sim.physics, most_n, enough_m=bound_m) > bound_m).any())
 
 
 class _Stack:
-    """The order of a plan's boxes by height, and which boxes overlap as seen from above."""
+    """The boxes of a plan sorted by height, and the pairs of boxes that overlap as seen from above."""
 
     def __init__(self, scene: Scene) -> None:
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
         over = overlap(low[:, 0], high[:, 0]) & overlap(low[:, 1], high[:, 1])
         self.order = np.argsort(scene.target[:, 2], kind="stable")
-        """(n,) the boxes from the lowest to the highest."""
+        """(n,) numbers of the boxes, from the lowest to the highest."""
         self._over = over[np.ix_(self.order, self.order)]
         self.mass_above = _mass_above(scene.mass, self._over, self.order)
-        """(n,) mass of all boxes that a box may carry, directly or through others, kg."""
+        """(n,) total mass of the boxes that each box may carry, directly or through other boxes, kg."""
 
     @cached_property
     def pairs(self) -> _Pairs:
-        """Pairs of boxes that overlap as seen from above."""
+        """All pairs of boxes that overlap as seen from above."""
         under = np.tril(self._over, -1)
         places, lower_places = np.nonzero(under)
         ends = np.cumsum(under.sum(axis=1)).tolist()
@@ -128,9 +128,11 @@ class _Stack:
 
 
 class _Pairs(NamedTuple):
-    """Attributes:
-    upper, lower: (p,) boxes. Pairs are in the order of the upper boxes in ``_Stack.order``. spans: (n) the pairs of
-    each upper box.
+    """Pairs of boxes that overlap as seen from above, sorted by the upper box in the order of ``_Stack.order``.
+
+    Attributes:
+        upper, lower: (p,) numbers of the two boxes of each pair.
+        spans: (n) the pairs of each upper box, as slices.
     """
 
     upper: NDArray[np.intp]
@@ -140,19 +142,19 @@ class _Pairs(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _stack(scene: Scene) -> _Stack:
-    """The ``_Stack`` of a scene. The result is cached, since in a sweep many worlds have the same scene."""
+    """The ``_Stack`` of a scene. It is cached, since many worlds of a sweep have the same scene."""
     return _Stack(scene)
 
 
 def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.intp]) -> FloatArray:
-    """(n,) mass of all boxes that a box may carry, directly or through others, kg.
+    """(n,) total mass of the boxes that each box may carry, directly or through other boxes, kg.
 
-    No box at rest carries more on its top: each box passes its load and its weight on to the boxes below it, and no
-    weight is counted twice.
+    No box at rest carries more than this mass on its top: each box passes its load and its weight on to the boxes below
+    it, so no weight acts twice on the same box.
 
     Args:
-        over: (n, n) whether two boxes overlap as seen from above, in the order of ``order``.
-        order: (n,) the boxes from the lowest to the highest.
+        over: (n, n) whether two boxes overlap as seen from above; rows and columns are sorted as in ``order``.
+        order: (n,) numbers of the boxes, from the lowest to the highest.
     """
     total = np.empty(len(mass))
     total[order] = _transitive_closure(over).astype(float) @ mass[order]
@@ -160,8 +162,8 @@ def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.int
 
 
 def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(…, n, n) 1 if the column's box is above the row's box, directly or through others, else 0. Boxes are sorted from
-    the lowest to the highest."""
+    """(…, n, n) 1 if the column's box is above the row's box, directly or through other boxes, else 0. Rows and columns
+    are sorted from the lowest to the highest box."""
     above = np.triu(over, 1).astype(np.float32)
     while True:  # each product doubles the length of the chains of boxes that are found
         further = np.minimum(above + above @ above, 1.0)
@@ -171,20 +173,20 @@ def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 _SUM_ERROR = 1e-9
-"""Largest relative difference between two sums of the same numbers in different orders."""
+"""Largest relative difference between two sums of the same numbers that are added in different orders."""
 
 _MOST_PAIRS = 1 << 17
-"""Number of pairs of boxes that are computed together. A matrix over these pairs takes 1 MB, which fits into caches."""
+"""Number of pairs of boxes that are computed together. A matrix over these pairs takes 1 MB and fits in
+CPU caches."""
 
 ON_CARRIER_M = 0.001
-"""A box whose planned bottom is below this height stands on the carrier, m."""
+"""A box whose planned bottom is lower than this height above the carrier's top stands on the carrier, m."""
 
 
 def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes, with ``Flag.SINKING`` set if boxes sank so far that the depth of contacts may have decided the
-    verdict.
+    """The outcomes, with ``Flag.SINKING`` if boxes sank so far that the depth of contacts may have decided the verdict.
 
-    A world whose boxes sank has no verdict. With pyramidal cones, as in the preset ``reference``, all worlds keep their
+    Such a world becomes invalid. With pyramidal friction cones, as in the preset ``reference``, all worlds keep their
     verdict.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
@@ -201,9 +203,9 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """For each world, whether ``has_penetrated`` is certainly False: its boxes did not descend too far, and it did not
-    fail by sinking alone. All worlds are computed together. For all other worlds, ``has_penetrated`` must be computed.
-    Only for elliptic cones."""
+    """For each world, whether ``has_penetrated`` is certainly False: the boxes of the world did not descend too far,
+    and descent is not the only reason for which the world failed. All worlds are computed together, which is fast. For
+    the other worlds, ``has_penetrated`` must be computed. Holds only for elliptic friction cones."""
     if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
@@ -222,7 +224,8 @@ def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], s
 
 
 def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
-    """Whether a world failed for another reason than a shift, or by a shift that is not only straight down."""
+    """Whether a world failed for another reason than a shift, or because a box shifted in a direction other than
+    down."""
     if outcome.reason is not Reason.SHIFT:
         return True
     shift = outcome.boxes.shift_m[: outcome.n_placed]
@@ -230,7 +233,7 @@ def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
 
 
 def _most_sinking_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) an upper bound of ``contact_penetration_m`` in each world, m. The bound is the sum over all boxes, each
+    """(m,) an upper bound of ``contact_penetration_m`` in each world, m: the sum of the depths of all its boxes, each
     under the largest force on its top. No pairs of boxes are needed."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     begins = np.cumsum(counts) - counts
@@ -253,9 +256,10 @@ _PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) an upper bound of ``contact_penetration_m`` in each world, m. The depths on both sides of a contact are
-    added, and the largest force on each box's top counts as a force at rest. Impacts above the weight of everything
-    above a box are rare. Arrays have as many rows as the largest world has boxes, and one column per world."""
+    """(m,) an upper bound of ``contact_penetration_m`` in each world, m. It is an upper bound for two reasons. The
+    depths on the two sides of a contact are added. And the largest force on each box's top is taken as a force at rest,
+    although it may come from an impact. Forces above the weight of all boxes above are rare, so the bound is close.
+    Arrays have one row for each box of the largest world, and one column per world."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
 
@@ -265,7 +269,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
         table[is_box] = joined
         return table
 
-    # rows without a box are placed at an infinite height, so that they overlap no box
+    # rows without a box get an infinite height, so that they overlap no box
     place, half = (filled((getattr(scene, name) for scene in scenes), fill) for name, fill in _PLACES)
     order = np.argsort(place[..., 2], axis=1, kind="stable")
     placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]
@@ -281,7 +285,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     low_x, high_x, low_y, high_y, above, below = (
         np.ascontiguousarray(np.take_along_axis(values, order, axis=1).T) for values in columns
     )
-    # Rows go from the floor up and hold the depth at the top of each box. The first row is for the top of the carrier.
+    # Rows are sorted from the floor up and hold the depth at the top of each box. The first row is the carrier's top.
     depth = np.empty((len(above) + 1, len(scenes)))
     depth[0] = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)
     over = np.ones((len(above), *depth.shape), bool)
@@ -296,7 +300,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
 
 
 def has_penetrated(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:
-    """Whether the depth of contacts may have decided the verdict."""
+    """Whether the depth of contacts may have decided the verdict of a world."""
     placed = np.arange(outcome.n_boxes) < outcome.n_placed
     force = np.where(placed, outcome.boxes.max_top_force_n, 0.0)
     limit_m = sim.thresholds.shift_m

@@ -1,18 +1,19 @@
-"""Contact tilt: how close soft contacts bring piles to tipping over, although these piles would stand on hard contacts.
+"""Contact tilt: how near soft contacts bring stacks to tipping over that would stand on hard contacts.
 
-The supports of a box give way, and more on the side on which the load acts. So the box turns by an angle: the
-difference of the depths on its two sides, divided by the width between them. The load above, at its height, therefore
-moves towards the edge. Let r be the share of the load on the far side of a base of width w. Then the load acts r·w from
-the edge. If nothing had given way, the load would act at the distance
+The contacts below a box give way, and they give way more on the side on which the load acts. So the box turns by an
+angle: the difference of the depths on its two sides, divided by the width between them. The load is at a height above
+these contacts, so it moves towards the edge. Let r be the share of the load on the far side of a base of width w. Then
+the load acts at the distance r·w from the edge. If no contact had given way, the load would act at the distance
 
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 
 from the edge. h is the height of the load's centre, and x is the depth of a side that carries a share of the load
-(``petmjx.world.contact_laws``). So a load tips over if it acts nearer to the edge than the smallest e(r), the *loss*.
-If boxes below lean, their angle times h is added to the loss.
+(``petmjx.world.contact_laws``). The smallest e(r) is called the *loss*. A load that acts nearer to the edge than the
+loss tips over. If boxes below lean, their angle times h is added to the loss.
 
-A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does. If this lean may have
-decided the verdict of a world, the world is simulated again with stiffer contacts (petmjx/engines/attempts.py).
+The loss may be millimetres for a column of slender boxes, or for a light box under a heavy box, but not for real
+cartons. If this lean may have decided the verdict of a world, the world is simulated again with stiffer contacts
+(petmjx/engines/attempts.py).
 """
 
 from __future__ import annotations
@@ -34,41 +35,41 @@ from petmjx.world.supports import Bearing
 CONTACTS_PER_SIDE: Final = 2
 
 SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5])
-"""The shares r for which e(r) is computed."""
+"""The shares r (defined above) for which e(r) is computed."""
 
 SAFETY: Final = 10.0
 """A load may tip over if its distance from the edge is at most this multiple of the loss, since boxes rock when the
-next box is placed on them. Some stacks stand by statics, but fall because contacts are soft. In these stacks, the
-largest distance of a load from its edge was 8 times the load's loss."""
+next box is placed on them. Some stacks are stable by statics, but fall because contacts are soft. In these stacks, the
+distance of a load from its edge was at most 8 times the load's loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""As ``SAFETY``, for stiffer contacts, with which the loss is a fortieth as large. In stacks that fell, the largest
-distance of a load from its edge was 28 times the load's loss."""
+"""As ``SAFETY``, for the stiffer contacts of a further attempt, with which the loss is 40 times smaller. In stacks that
+fell, the distance of a load from its edge was at most 28 times the load's loss."""
 
 SURE: Final = 1.0
-"""As ``SAFETY``, for a pile in which a load is beyond an edge in the plan. Hard contacts would not hold such a pile
-either. So soft contacts are suspected only if another load is nearer to its edge than its loss."""
+"""As ``SAFETY``, for a stack in which a load acts beyond an edge in the plan. Such a stack would also fall on hard
+contacts. So soft contacts are suspected only if another load is nearer to its edge than its loss."""
 
 KNIFE_EDGE_M: Final = 0.0004
-"""A load is surely beyond an edge from this distance on, m: half a millimetre in the plan, less the size reduction of
-boxes."""
+"""Distance beyond an edge from which on a load surely acts beyond this edge, m: half a millimetre in the plan, minus
+the amount by which simulated boxes are smaller than planned."""
 
 NEAR_M: Final = 0.001
-"""A load that is inside by less than this may have tipped over in soft contacts, whatever the loss, m: boxes rock by
-some tenths of a millimetre when the next box is placed."""
+"""A load that acts less than this distance inside the edge may have tipped over because of soft contacts, even if its
+loss is smaller, m. The reason is that boxes rock by some tenths of a millimetre when the next box is placed."""
 
 BOUND_SHARE: Final = 0.25
-"""A box may lean by this share of the tilt threshold, and sink or move sideways by this share of the shift threshold:
-5 mm of 20 mm. Ten equal boxes on top of each other sink by 1 mm, thirty by 9 mm."""
+"""Largest lean of a box as a share of the tilt threshold, and largest descent and sideways motion of a box as a share
+of the shift threshold: 5 mm of 20 mm. A stack of ten equal boxes descends by 1 mm, a stack of thirty by 9 mm."""
 
 
 class ContactTilt(NamedTuple):
-    """Effects of soft contacts on n boxes.
+    """How soft contacts tilt and move n boxes.
 
     Attributes:
-        loss_m: (n,) the loss of each box (defined in the module's docstring).
-        angle_rad: (n,) angle by which each box leans.
-        shift_m: (n,) distance by which each box's centre moves sideways.
+        loss_m: (n,) the loss of each box, as defined in the module's docstring, m.
+        angle_rad: (n,) angle by which each box leans, rad.
+        shift_m: (n,) distance by which each box's centre moves sideways, m.
     """
 
     loss_m: FloatArray
@@ -77,11 +78,11 @@ class ContactTilt(NamedTuple):
 
 
 def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: Physics) -> ContactTilt:
-    """How far boxes lean under loads that act ``edge_m`` inside the edges of their supports. The results are upper
-    estimates.
+    """Upper estimates of how far boxes lean under loads that act ``edge_m`` inside the edges of their supports.
 
     Args:
-        load: (n, 4) as returned by ``Bearing.loads``.
+        load: (n, 4) the loads of the boxes, as returned by ``Bearing.loads``.
+        edge_m: (n,) distance of each box's load from the nearest edge of its supports, m.
     """
     boxes, width = bearing.boxes, bearing.widths_m
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -97,15 +98,15 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
         return turned
 
     own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
-    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # such a box tips over whatever its contacts are
+    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # such a box also tips over on hard contacts
     below, shift = _tilt_from_below(bearing, own_lean)
     loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
     return ContactTilt(loss + below * height, below + own_lean, shift)
 
 
 def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two arrays (n,): the angle by which a box leans because the boxes below lean, and the distance by which its
-    centre moves sideways."""
+    """Two arrays (n,): the angle by which each box leans because the boxes below it lean, rad, and the distance by
+    which its centre moves sideways, m."""
     bottom, middle, half = bearing.boxes.bottom, bearing.boxes.target[:, 2], bearing.boxes.half_size[:, 2]
     below, moved = np.zeros((2, len(own_lean)))
     turned, shift = own_lean.copy(), own_lean * half
@@ -120,18 +121,19 @@ def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray
 
 
 def n_loading(outcome: Outcome) -> int:
-    """Number of boxes that had been placed when a world fell."""
+    """Number of boxes that had been placed when a world first failed. If it did not fail: the number of placed
+    boxes."""
     return outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed
 
 
 def places_with_errors(job: Job) -> FloatArray:
-    """(n, 3) positions with which loads are computed in a world with errors of placement or size, m. A box counts as
-    lying on every body that is below it by at most the shift threshold.
+    """(n, 3) the places of boxes from which loads are computed in a world with placement or size errors, m. In such a
+    world, every body that is below a box by at most the shift threshold counts as its support.
 
-    In such a world, a box often overlaps a neighbour that is millimetres higher, and is released on the strip that they
-    share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip. So the positions in
-    these worlds are the places of release. If only the strip counted, 75 of 167 unstable worlds with errors would be
-    simulated again; with this rule only a few are.
+    A box in such a world often overlaps a neighbour that is millimetres higher, and is released on the strip in which
+    the two overlap. The box does not stay on this strip: it tips and leans on the bodies beside the strip. So the
+    places are the places of release, and the higher neighbour is not the only support. If only the strip were the
+    support, 75 of 167 unstable worlds with errors would be simulated again; with this rule only a few are.
     """
     places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]
     return places
@@ -145,12 +147,13 @@ def contact_tilt_suspects(
     load: FloatArray,
     edge: FloatArray,
 ) -> list[bool]:
-    """Whether each world may be unstable because of soft contacts: boxes lean too far, or a load that is inside the
-    edge in the plan may have moved beyond it. ``outcomes`` must not be empty.
+    """For each world, whether it may be unstable because contacts are soft. Either its boxes lean too far, or a load
+    that acts inside the edge in the plan may have moved beyond it. ``outcomes`` must not be empty.
 
     Args:
-        bearing: the bearings of these worlds, joined; for worlds with errors, with ``places_with_errors``.
-        load: (n, 4) loads of the boxes as from ``Bearing.loads``, once ``n_loading`` boxes are placed.
+        bearing: the supports of the boxes in all these worlds; worlds with errors have the places of
+            ``places_with_errors``.
+        load: (n, 4) the loads of the boxes, as returned by ``Bearing.loads``, when ``n_loading`` boxes are placed.
         edge: (n,) distances of these loads from the edges, m.
     """
     placed = [n_loading(outcome) for outcome in outcomes]
@@ -168,7 +171,7 @@ def contact_tilt_suspects(
         beyond = bool((edges < -KNIFE_EDGE_M).any())
         reach = (SURE if beyond else most_safety) * losses
         least = KNIFE_EDGE_M
-        if not (beyond or has_errors):  # worlds with errors differ from the plan
+        if not (beyond or has_errors):  # in worlds with errors, boxes are not at their planned places
             reach, least = np.maximum(reach, NEAR_M), 0.0
         return bool(((edges > least) & (edges <= reach)).any())
 
@@ -179,7 +182,7 @@ def contact_tilt_suspects(
 
 
 def _supports(bearing: Bearing) -> list[list[int]]:
-    """For each box, the boxes that carry it."""
+    """For each box, the numbers of the boxes that carry it."""
     under: list[list[int]] = [[] for _ in bearing.boxes.mass]
     for upper, lower in zip(bearing.upper.tolist(), bearing.lower.tolist(), strict=True):
         if lower != CARRIER:
@@ -188,7 +191,7 @@ def _supports(bearing: Bearing) -> list[list[int]]:
 
 
 def _pile_of(under: Sequence[Sequence[int]], box: int) -> list[int]:
-    """A box and all boxes that carry it, directly or through others."""
+    """The numbers of a box and of all boxes that carry it, directly or through other boxes."""
     pile, new = {box}, [box]
     while new:
         below = [lower for lower in under[new.pop()] if lower not in pile]

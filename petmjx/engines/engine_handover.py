@@ -1,9 +1,9 @@
-"""Engine handover: C MuJoCo, which hands worlds over to the kernels if they take too long.
+"""Engine handover: a run that begins on C MuJoCo continues in Warp kernels if worlds take longer than expected.
 
-``auto`` chooses this engine for little work on a machine without a GPU. The choice follows from an estimate that knows
-only the numbers of boxes. Plans that collapse take many times as long on C MuJoCo; in the kernels, the increase is
+``auto`` chooses this engine for a small amount of work on a machine without a GPU. The choice rests on an estimate of
+time from the numbers of boxes. Plans that collapse take many times as long on C MuJoCo; in the kernels, the increase is
 smaller. So the CPU time of finished worlds is compared with their expected time. If the kernels would finish the
-remaining worlds sooner, compilation included, these worlds go to the kernels.
+remaining worlds sooner, even with the time for compiling, these worlds go to the kernels.
 """
 
 from __future__ import annotations
@@ -31,33 +31,34 @@ from petmjx.world.job import Job, KeptState
 from petmjx.world.scene import Scene
 
 LEAST_WORLDS: Final = 20
-"""Smallest number of finished worlds for which their time is compared with the expected time: single worlds vary
-tenfold."""
+"""Smallest number of finished worlds for a comparison with the expected time. The times of single worlds vary by a
+factor of ten."""
 
 SLOWER: Final = 2.0
-"""Estimates hold within this factor. So worlds that are slower by less than this are no reason for a handover."""
+"""Smallest ratio of measured to expected time for a handover. Estimates of time may be wrong by this factor."""
 
 GAIN: Final = 1.5
-"""The kernels must be faster by this factor for the remaining worlds, since estimates of time are not more exact."""
+"""Factor by which the kernels must be faster for the remaining worlds, since estimates of time are uncertain."""
 
 Faster = TypeVar("Faster", bound=Engine)
 
 
 _Numbered = tuple[int, Job]
-"""A job with its number in the stream of the run."""
+"""A job and its number in the run's stream of jobs."""
 
 
 class HandoverEngine(Engine, Generic[Faster]):
     """C MuJoCo, until its worlds take longer than expected; then the kernels, for all jobs that have not begun.
 
-    Only first attempts change engines. C MuJoCo makes further attempts, which need double precision. Each outcome names
-    the engine that made it.
+    Only first attempts (first simulations of worlds) go to the kernels. C MuJoCo makes all further attempts, which need
+    double precision. Each outcome names the engine that made it.
 
     Args:
         mujoco: the engine with which the run begins.
-        make_faster: function that makes the other engine. If the function raises ``EngineUnavailable`` or
-            ``InputError``, the run stays with ``mujoco``.
-        costs: costs of both engines; ``costs.kernel_start_s`` is the time until the other engine starts to simulate.
+        make_faster: function that creates the engine with the kernels. If the function raises ``EngineUnavailable`` or
+            ``InputError``, the run stays on ``mujoco``.
+        costs: the estimated times of both engines. ``costs.kernel_start_s`` is the time until the kernels can start to
+            simulate.
     """
 
     name = MujocoEngine.name
@@ -67,7 +68,7 @@ class HandoverEngine(Engine, Generic[Faster]):
         self._mujoco, self._make_faster, self._costs = mujoco, make_faster, costs
         self._faster: Faster | None = None
         self._stays = False
-        """Whether the other engine turned out to be unavailable."""
+        """Whether the run stays on C MuJoCo, because the kernels turned out to be unavailable."""
         self._sim: Simulation | None = None
         self._worlds, self._spent_s, self._expected_s = 0, 0.0, 0.0
 
@@ -81,11 +82,11 @@ class HandoverEngine(Engine, Generic[Faster]):
         return self._mujoco.threads
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
-        """See ``Engine.open``; the worlds are on C MuJoCo."""
+        """See ``Engine.open``. C MuJoCo simulates these worlds."""
         return self._mujoco.open(scenes, sim, most_boxes)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """See ``Engine.paths``; the worlds are on C MuJoCo."""
+        """See ``Engine.paths``. C MuJoCo simulates these worlds."""
         return self._mujoco.paths(bodies, sim)
 
     def retire(self) -> None:
@@ -101,7 +102,7 @@ class HandoverEngine(Engine, Generic[Faster]):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """See ``Engine.run``. Jobs may start from states (``KeptState``) of either engine."""
+        """See ``Engine.run``. Jobs may start from settled states (``KeptState``) of either engine."""
         progress = progress if progress is not None else Progress()
         self._sim = self._sim or sim
         first_attempt = sim == self._sim and sim.solver is Solver.NEWTON
@@ -110,11 +111,12 @@ class HandoverEngine(Engine, Generic[Faster]):
             yield from run.on_mujoco() if run.next_is_mujoco else run.on_faster()
 
     def _slower(self) -> float:
-        """Time of finished worlds divided by their expected time."""
+        """CPU time of the finished worlds, divided by their expected time."""
         return self._spent_s / self._expected_s if self._expected_s > 0 else 1.0
 
     def _hands_over(self, waiting: Callable[[], Sequence[Job]], sim: Simulation, progress: Progress) -> bool:
-        """Whether the jobs that have not begun go to the other engine. If True, the other engine has been made.
+        """Whether the jobs that have not begun go to the kernels. If True, the engine with the kernels has been
+        created.
 
         Args:
             waiting: function that returns the jobs that have not begun.
@@ -145,7 +147,7 @@ class HandoverEngine(Engine, Generic[Faster]):
 
 
 class _Shared(Generic[Faster]):
-    """The jobs of one run, divided between the two engines."""
+    """The jobs of one run, divided between C MuJoCo and the kernels."""
 
     def __init__(
         self,
@@ -162,11 +164,11 @@ class _Shared(Generic[Faster]):
         self._mujoco, self._faster = deque[_Numbered](), deque[_Numbered]()
 
     def take(self, *, wait: bool = False) -> bool:
-        """Take jobs that can begin; returns whether there are any jobs. Jobs that C MuJoCo cannot begin yet stay in the
-        stream, in which jobs that follow from outcomes are taken first.
+        """Take the jobs that can begin now; returns whether there are any. Jobs that C MuJoCo cannot begin yet stay in
+        the stream. Jobs that follow from outcomes are taken first.
 
         Args:
-            wait: if there are no jobs, wait for some.
+            wait: whether to wait for jobs if there are none.
         """
         wait = wait and not self.next_is_mujoco and not self._faster
         room = 2 * self._engine.threads
@@ -178,20 +180,20 @@ class _Shared(Generic[Faster]):
 
     @property
     def next_is_mujoco(self) -> bool:
-        """Whether there are jobs for C MuJoCo."""
+        """Whether jobs wait for C MuJoCo."""
         return bool(self._mujoco)
 
     def _is_for_mujoco(self, job: Job) -> bool:
         stays = self._engine._faster is None or self._engine._stays
-        # an engine that repeats another engine's placement cannot move boxes to other poses afterwards
+        # an engine that must repeat another engine's placement cannot move the boxes to other poses afterwards
         starts_from_own_state = (
             job.poses is not None and isinstance(job.start, KeptState) and job.start.engine == self._engine.name
         )
         return stays or starts_from_own_state or job.scene.soft is not None or not self._first_attempt
 
     def on_mujoco(self) -> Iterator[Outcome]:
-        """Run jobs on C MuJoCo. C MuJoCo gets only jobs that it can begin at once, so that the remaining ones can still
-        be handed over."""
+        """Simulate jobs on C MuJoCo. It gets only jobs that it can begin at once, so that the other jobs can still go
+        to the kernels."""
         mujoco = self._engine._mujoco
         stream = JobStream[_Numbered]()
 
@@ -217,7 +219,7 @@ class _Shared(Generic[Faster]):
                 feed()
 
     def _count(self, job: Job, seconds: float) -> None:
-        """Count the time of a finished first attempt, and its expected time."""
+        """Add the time of a finished first attempt, and its expected time, to the engine's sums."""
         engine = self._engine
         if self._first_attempt:
             engine._worlds += 1
@@ -236,7 +238,7 @@ class _Shared(Generic[Faster]):
         return [job for _, job in self._mujoco] + self._jobs.peek(sys.maxsize)
 
     def on_faster(self) -> Iterator[Outcome]:
-        """Run jobs on the other engine. If it fails, C MuJoCo simulates the jobs without an answer."""
+        """Simulate jobs in the kernels. If the kernels fail, C MuJoCo simulates the jobs without an outcome."""
         faster, progress = self._engine._faster, self._progress
         assert faster is not None
         stream = JobStream[_Numbered](feedback=self._jobs.feedback, bounds=self._jobs.bounds)

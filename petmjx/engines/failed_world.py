@@ -1,4 +1,4 @@
-"""The outcome of a world whose simulation failed, by an exception or because its process ended."""
+"""The outcome of a world whose simulation ended with an exception, or whose process ended."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from petmjx.world.job import Job
 
 
 def failed_outcome(stream_number: int, job: Job, sim: Simulation, message: str) -> Outcome:
-    """An invalid outcome without metrics. ``message``: what happened, in one line."""
+    """An invalid outcome without metrics. ``message``: one line that says what happened."""
     scene = job.scene
     boxes = BoxMetrics.measured(scene.n_boxes, pos=scene.start_pos, quat=scene.start_quat)
     flags = Flag.FAILED | (Flag.FORKED if job.start is not None else Flag.NONE)

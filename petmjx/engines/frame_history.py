@@ -1,4 +1,4 @@
-"""Makes the history of a world from the frames that an engine took. All engines use it."""
+"""Makes the history of a world (its boxes' poses and forces over time) from the frames that an engine recorded."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ def history_of(
     time_s: Callable[[int], float],
     driven_from: int | None,
 ) -> History:
-    """The history of f frames, one after each of these steps. Values of boxes that are not yet placed are ignored.
+    """The history of f recorded frames. The values of boxes that are not placed yet become NaN.
 
     Args:
-        step: (f,) number of steps since the soft start, rising.
-        placed: (f,) number of boxes in the world.
+        step: (f,) number of the step after which each frame was recorded, counted from the end of the soft start,
+            rising.
+        placed: (f,) number of placed boxes.
         pose: (f, n, 7) positions (m) and quaternions of the boxes.
         top_force_n: (f, n) force on top of each box, N.
         carrier_pose: (f, 7) position (m) and quaternion of the carrier.
         time_s: function that returns the time after a step, s.
-        driven_from: the step after which the drive began; None: there was no drive.
+        driven_from: the step after which the drive (the motion of the carrier) began. None if there was no drive.
     """
     absent = np.arange(job.scene.n_boxes) >= placed[:, None]
     poses, forces = np.array(pose, np.float64), np.array(top_force_n, np.float64)
@@ -51,7 +52,7 @@ def history_of(
 
 
 def _drive(job: Job, step: NDArray[np.integer], driven_from: int | None) -> FloatArray:
-    """(f, 3) force or acceleration of the drive during these steps; zero before the drive and after its last sample."""
+    """(f, 3) force or acceleration of the drive at these steps: zero before the drive and after its last sample."""
     acting = np.zeros((len(step), 3))
     if job.drive is None or driven_from is None:
         return acting

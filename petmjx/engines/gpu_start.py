@@ -6,6 +6,7 @@ import importlib
 from contextlib import suppress
 
 from petmjx.common.warp_setup import set_up_warp
+from petmjx.engines.subprocess.kernel_builds import KernelBuilds, builds_if_missing, note_kept
 from petmjx.options.simulation import Simulation
 
 
@@ -21,8 +22,17 @@ def start_gpu() -> None:
         jax.jit(lambda x: x + 1).lower(0.0).compile()  # this loads the modules that lower and compile a program
 
 
-def compile_ahead(sim: Simulation) -> None:
-    """Compile the kernels of ``mjx-warp`` that most runs need. Call it after ``start_gpu``. The first time on a
-    machine, it takes about twenty seconds. Errors are ignored here: the engine reports them."""
+def begin_builds(sim: Simulation) -> KernelBuilds | None:
+    """Begin to compile the kernels of ``mjx-warp`` that most runs need, in processes; None if they are kept from an
+    earlier run. Errors are ignored here: the engine compiles what is missing, and reports its errors."""
     with suppress(Exception):
-        importlib.import_module("petmjx.engines.warp.programs").load_usual_kernels(sim)
+        return builds_if_missing(sim)
+    return None
+
+
+def compile_ahead(sim: Simulation, builds: KernelBuilds | None) -> None:
+    """Load the kernels of ``mjx-warp`` that most runs need, once the processes of ``begin_builds`` have compiled them.
+    Call it after ``start_gpu``. Errors are ignored here: the engine reports them."""
+    with suppress(Exception):
+        importlib.import_module("petmjx.engines.warp.programs").load_usual_kernels(sim, builds)
+        note_kept(sim)

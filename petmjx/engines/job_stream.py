@@ -1,4 +1,4 @@
-"""``JobStream``: the jobs of a run, on their way to an engine."""
+"""``JobStream``: a queue of the jobs (simulations) of a run, from which an engine takes jobs."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 from petmjx.world.job import Job
 
 WAIT_S: Final = 0.25
-"""Longest wait without an interruption, s. A signal that arrives just before a wait is noticed only after it."""
+"""Longest uninterrupted wait for a job, s. A signal, such as Ctrl-C, may be noticed this much later."""
 
 Tag = TypeVar("Tag")
 
 
 class JobBounds(NamedTuple):
-    """Bounds of all jobs of a run, for an engine that makes room before they come.
+    """Limits that hold for all jobs of a run. With them, an engine can reserve memory before the jobs come.
 
     Attributes:
         jobs: largest number of jobs that are ready at the same time.
-        box_counts: all numbers of boxes that the jobs' scenes have.
-        drive_steps: samples of the longest drive.
-        excitations: number of different excitations; None: as many as worlds.
-        wraps: whether film is around the boxes of some drives.
+        box_counts: all numbers of boxes that occur in the jobs' scenes.
+        drive_steps: number of samples of the longest drive (motion of the carrier).
+        excitations: number of different excitations (motions as arrays). If None, each world may have its own
+            excitation.
+        wraps: whether stretch film is around the boxes in some drives.
     """
 
     jobs: int
@@ -35,22 +36,22 @@ class JobBounds(NamedTuple):
 
 
 class JobStream(Generic[Tag]):
-    """The jobs of a run in order. Each has a tag, by which the run recognises the job. Thread-safe.
+    """The jobs of a run, in order. Each job has a tag, by which the run recognises the job's outcome. Thread-safe.
 
-    One thread puts the jobs of the run's worlds and waits while the stream is full. The thread that takes outcomes also
-    puts the jobs that follow from outcomes. These jobs are taken first, so that few worlds are half done at any time,
-    and few of their states wait in memory. An engine takes jobs when it has capacity.
+    One thread, the *source*, puts the jobs of the run's worlds into the stream, and waits while the stream is full. The
+    thread that takes outcomes puts in the jobs that follow from outcomes, such as the drives of a settled pallet. The
+    engine takes these jobs first. So few worlds are half done at any time, and few of their states wait in memory.
 
-    The stream number of a job is its place among the jobs that were taken since ``begin``.
+    The stream number of a job counts the jobs that were taken since ``begin``, from 0.
 
     Args:
-        most_boxes: ``put`` waits while the waiting jobs have at least this many boxes.
+        most_boxes: ``put`` waits while the waiting jobs have at least this number of boxes in total.
         feedback: whether jobs may follow from outcomes.
-        begin_with: number of jobs for which an engine that simulates many at once should wait at first.
-        bounds: bounds of all jobs, also of those that follow; None: unknown.
+        begin_with: number of jobs for which an engine that simulates many jobs at once should wait at first.
+        bounds: limits that hold for all jobs, including those that follow from outcomes. None if they are unknown.
 
     Attributes:
-        in_flight: stream number → tag of the jobs that were taken and have no outcome.
+        in_flight: stream number → tag, for the jobs that were taken and have no outcome yet.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class JobStream(Generic[Tag]):
 
     @classmethod
     def of(cls, jobs: Iterable[Job] | JobStream[Any]) -> JobStream[Any]:
-        """A closed stream with a list of jobs. If ``jobs`` is a stream already, it is returned unchanged."""
+        """A closed stream with the jobs of a list. If ``jobs`` is a stream already, it is returned unchanged."""
         if isinstance(jobs, JobStream):
             return jobs
         stream: JobStream[Any] = cls()
@@ -82,18 +83,18 @@ class JobStream(Generic[Tag]):
         return stream
 
     def begin(self) -> None:
-        """Begin a run of an engine with the waiting jobs: stream numbers begin at 0, and no job is in flight."""
+        """Begin an engine's run with the waiting jobs: stream numbers start at 0 again, and no job is in flight."""
         self.in_flight, self._taken, self._unfollowed = {}, 0, 0
 
     def put(self, job: Job, tag: Tag, *, bounded: bool = False) -> bool:
         """Add a job.
 
         Args:
-            bounded: wait while the stream is full, for jobs of the source. False: jobs that follow from outcomes never
-                wait, and are taken before those of the source.
+            bounded: if True, the job comes from the source, and the call waits while the stream is full. If False, the
+                job follows from an outcome: the call never waits, and the job is taken before the jobs of the source.
 
         Returns:
-            Whether the stream was open. A closed stream takes no job.
+            Whether the job was added. A closed stream accepts no jobs from the source.
         """
         with self._changed:
             while bounded and self._open and self._is_full:
@@ -105,29 +106,29 @@ class JobStream(Generic[Tag]):
             return self._open or not bounded
 
     def close(self) -> None:
-        """Declare that no more jobs come from the source. Jobs that follow from outcomes may still come."""
+        """Declare that the source has no more jobs. Jobs that follow from outcomes may still be put."""
         with self._changed:
             self._open = False
             self._changed.notify_all()
 
     def pause(self, paused: bool = True) -> None:
-        """Declare whether the source waits for something other than the engine. Meanwhile, ``take`` does not wait for
-        further jobs.
+        """Declare whether the source is waiting for something other than the engine. While it is, ``take`` does not
+        wait for further jobs.
         """
         with self._changed:
             self._paused = paused
             self._changed.notify_all()
 
     def take(self, most: int, *, least: int = 1, wait: bool = True) -> list[Job]:
-        """Take at most ``most`` jobs, in order.
+        """Take up to ``most`` jobs, in order.
 
         Args:
-            least: wait until this many jobs are ready, the stream is full, or no job comes from the source.
-            wait: False: return without a job instead of waiting.
+            least: wait until this number of jobs is ready, the stream is full, or the source has no more jobs.
+            wait: if False, return an empty list instead of waiting.
 
         Returns:
-            The jobs. With ``wait``, an empty list means the end of all jobs: an engine without jobs in flight ends its
-            run.
+            The jobs. With ``wait``, an empty list means that no further jobs come: an engine without jobs in flight
+            then ends its run.
         """
         with self._changed:
             if not self._ready(least, wait):
@@ -135,31 +136,31 @@ class JobStream(Generic[Tag]):
             return [self._pop(self._following or self._waiting) for _ in range(min(most, self.ready))]
 
     def take_peeked(self, jobs: Iterable[Job]) -> None:
-        """Take the first jobs of the last ``peek``. Jobs that were added since then keep waiting."""
+        """Take the first jobs of the last ``peek``. Jobs that were added after this ``peek`` stay in the stream."""
         with self._changed:
             for job in jobs:
                 follows = bool(self._following) and self._following[0][0] is job
                 self._pop(self._following if follows else self._waiting)
 
     def __iter__(self) -> Iterator[Job]:
-        """Take one job after another, and wait for each."""
+        """Take one job after another; wait for each job."""
         while jobs := self.take(1):
             yield jobs[0]
 
     def peek(self, most: int, *, least: int = 1, wait: bool = False) -> list[Job]:
-        """As ``take``, but the jobs stay in the stream."""
+        """Return the jobs that ``take`` would take, and leave them in the stream."""
         with self._changed:
             ready = chain(self._following, self._waiting) if self._ready(least, wait) else ()
             return [job for job, _ in islice(ready, most)]
 
     def wait_for(self, count: int) -> int:
-        """Wait as ``take`` for ``count`` jobs; returns the number of jobs that are ready."""
+        """Wait until ``count`` jobs are ready, under the conditions of ``take``. Returns the number of ready jobs."""
         with self._changed:
             self._ready(count, True)
             return self.ready
 
     def answered(self, stream_number: int) -> Tag:
-        """Note that a job has its outcome. Returns the job's tag.
+        """Note that the outcome of a job has arrived. Returns the job's tag.
 
         Raises:
             KeyError: the job is not in flight.
@@ -170,21 +171,21 @@ class JobStream(Generic[Tag]):
             return tag
 
     def followed(self) -> None:
-        """Declare that the jobs that follow from all outcomes so far have been put."""
+        """Declare that all jobs that follow from the outcomes so far have been put into the stream."""
         with self._changed:
             self._unfollowed = 0
             self._changed.notify_all()
 
     def wait_for_following(self, in_flight: Collection[int]) -> bool:
-        """Wait briefly for a job that follows from an outcome. Called by an engine without worlds, in a thread other
-        than the one that takes its outcomes.
+        """Wait briefly for a job that follows from an outcome. An engine without running worlds calls this method, in a
+        thread other than the thread that takes the engine's outcomes.
 
         Args:
             in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes
-                outcomes calls ``wake`` when it has changed them.
+                outcomes calls ``wake`` after each change of this collection.
 
         Returns:
-            Whether no job is ready, and jobs may still follow from outcomes.
+            Whether to wait again: no job is ready, and jobs may still follow from outcomes.
         """
         with self._changed:
             if self._may_follow(in_flight):
@@ -192,7 +193,7 @@ class JobStream(Generic[Tag]):
             return self._may_follow(in_flight)
 
     def wake(self) -> None:
-        """End a wait for jobs early."""
+        """End all waits for jobs early."""
         with self._changed:
             self._changed.notify_all()
 
@@ -203,17 +204,17 @@ class JobStream(Generic[Tag]):
 
     @property
     def taken(self) -> int:
-        """Number of jobs that were taken since ``begin``."""
+        """Number of jobs that have been taken since ``begin``."""
         return self._taken
 
     @property
     def closed(self) -> bool:
-        """Whether no more jobs come from the source."""
+        """Whether the source has no more jobs."""
         return not self._open
 
     @property
     def ended(self) -> bool:
-        """Whether no job is ready, and the source has ended."""
+        """Whether no job is ready and none comes from the source."""
         with self._changed:
             return not self.ready and not self._comes
 
@@ -222,7 +223,7 @@ class JobStream(Generic[Tag]):
         return self._open and not self._paused
 
     def _may_follow(self, in_flight: Collection[int]) -> bool:
-        """Whether no job is ready, and an outcome is left from which jobs may follow."""
+        """Whether no job is ready, but jobs may follow from an outcome that has not come or has not been processed."""
         return self.feedback and not self.ready and bool(in_flight or self._unfollowed)
 
     @property
@@ -230,7 +231,7 @@ class JobStream(Generic[Tag]):
         return self._most_boxes is not None and self._boxes >= self._most_boxes
 
     def _ready(self, least: int, wait: bool) -> bool:
-        """Whether ``least`` jobs are ready, or all jobs of the source."""
+        """Whether ``least`` jobs are ready, or the source brings no more jobs for now."""
         while self.ready < least and self._comes and not self._is_full:
             if not wait:
                 return False

@@ -1,4 +1,7 @@
-"""Finds the box that sets a world's flag ``knife-edge``, from the distances stored for the world."""
+"""Finds the box that sets the flag ``knife-edge`` of a world, from the distances that a run stores for the world.
+
+The distances are those of the boxes' loads from the edges of their supports.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +16,20 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
 
 KNIFE_EDGE_M: Final = 0.0005
-"""A load nearer to an edge than this sets the flag, m. Plans have whole millimetres, and boxes are smaller than planned
-by a tenth of a millimetre. In all verdicts that other simulators disputed, the centre of a box was nearer than this to
-an edge (docs/validation.md)."""
+"""A load nearer to an edge than this sets the flag, m. Plans have whole millimetres, and simulated boxes are smaller
+than planned by a tenth of a millimetre. In all verdicts in which other simulators disagreed, the centre of a box was
+nearer to an edge than this (docs/validation.md)."""
 
 NEAR_M: Final = 0.001
-"""A load nearer to an edge than this sets the flag, too, if the verdict contradicts statics, m: the world stands with
-the load beyond the edge, or falls with the load inside. (Small worlds whose boxes fall are also simulated again with
-stiffer contacts: petmjx.engines.contact_tilt.)"""
+"""If the verdict contradicts statics, a load nearer to an edge than this also sets the flag, m. The verdict contradicts
+statics if the world stands with the load beyond the edge, or falls with the load inside it. (Small worlds whose boxes
+fall are also simulated again with stiffer contacts: petmjx.engines.contact_tilt.)"""
 
 _ROUNDING_M: Final = 1e-9
-"""Rounding error of tables, m: they store distances of a millimetre as float32."""
+"""Largest rounding error of distances near an edge in tables, which store them as float32, m."""
 
 _SAME_M: Final = 1e-6
-"""Tolerance for equal distances, m: tables store places of boxes as float32, too."""
+"""Largest difference of two distances that count as equal, m. Tables store the places of boxes as float32."""
 
 BY_PLAN: Final = "by the plan"
 AT_REST: Final = "at rest"
@@ -34,13 +37,13 @@ WHILE_BUILT: Final = "while it is built"
 
 
 class KnifeEdge(NamedTuple):
-    """A load and its distance from an edge.
+    """The distance of a load from an edge of its supports.
 
     Attributes:
-        edge_m: distance from the edge, m; positive inside, negative beyond.
-        box: the box that has the load.
-        when: ``BY_PLAN``, ``AT_REST`` or ``WHILE_BUILT``.
-        step: for ``WHILE_BUILT``, the box after whose placement the load acts; else -1.
+        edge_m: distance of the load from the edge, m; positive inside the edge, negative beyond it.
+        box: number of the box whose load it is.
+        when: ``BY_PLAN`` (at the planned places), ``AT_REST`` or ``WHILE_BUILT``.
+        step: for ``WHILE_BUILT``, number of the box after whose placement the load acts; otherwise -1.
         own_weight: whether the load is only the box's own weight.
     """
 
@@ -54,11 +57,12 @@ class KnifeEdge(NamedTuple):
 def kept_edges(
     world: Mapping[str, Any], plan_edge_m: FloatArray | None, rest_edge_m: FloatArray | None
 ) -> Iterator[KnifeEdge]:
-    """The distances of loads from edges that a run stores for a world.
+    """The distances of loads from edges that a run stores for one world.
 
     Args:
-        world: columns of ``worlds``, or fields of ``petmjx.engines.verdict.Outcome``.
-        plan_edge_m, rest_edge_m: (n,) distances of the boxes' loads, m; None: they are not stored.
+        world: columns of the table ``worlds``, or fields of ``petmjx.engines.verdict.Outcome``.
+        plan_edge_m, rest_edge_m: (n,) distances of the boxes' loads, in the plan and at rest, m. None if they are not
+            stored.
     """
     for name, when, of_boxes in (
         ("plan", BY_PLAN, plan_edge_m),
@@ -73,16 +77,16 @@ def kept_edges(
 
 
 def edges_when(edge_m: FloatArray, when: str, own_weight: bool = False) -> Iterator[KnifeEdge]:
-    """The distances of the boxes' loads, except unknown (NaN) ones."""
+    """The distances of the boxes' loads. Boxes with an unknown distance (NaN) are left out."""
     for box in np.flatnonzero(~np.isnan(edge_m)).tolist():
         yield KnifeEdge(float(edge_m[box]), box, when, own_weight=own_weight)
 
 
 def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> KnifeEdge | None:
-    """The load that is nearest to an edge, on either side; None: there is no load.
+    """The load that is nearest to an edge, on either side. None if there is no load.
 
     Args:
-        verdict: consider only loads that set the flag of a world with this verdict; None: consider all loads.
+        verdict: if given, only loads that set the flag of a world with this verdict are considered.
     """
     return min(
         (edge for edge in edges if verdict is None or _edge_sets_flag(edge, verdict)),
@@ -92,13 +96,13 @@ def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> 
 
 
 def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float = 0.0) -> NDArray[np.bool_]:
-    """(…) whether loads at these distances from edges set the flag. A load near an edge sets the flag. A load a little
-    farther from an edge sets the flag only if it is on the side that the verdict contradicts. NaN does not set the
-    flag.
+    """(…) whether loads at these distances from edges set the flag. A load within ``KNIFE_EDGE_M`` of an edge sets it.
+    A load within ``NEAR_M`` sets it only on the side that contradicts the verdict: beyond the edge in a stable world,
+    inside in an unstable world. NaN does not set the flag.
 
     Args:
-        verdict: verdict of the world; None: the side does not count.
-        rounding_m: largest error of the distances, m; the limit of near distances is larger by this amount.
+        verdict: verdict of the world. If None, only ``KNIFE_EDGE_M`` is used.
+        rounding_m: largest rounding error of the distances, m. Both limits are enlarged by it.
     """
     away_m = np.abs(edge_m) - rounding_m
     is_near = away_m <= KNIFE_EDGE_M
@@ -109,19 +113,19 @@ def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float 
 
 
 def _edge_sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
-    """Whether a load whose distance a table stores sets the flag. At rest, the side does not count."""
+    """Whether a load at a stored distance sets the flag. At rest, only ``KNIFE_EDGE_M`` is used."""
     side = None if edge.when == AT_REST else verdict
     return bool(sets_flag(np.array([edge.edge_m]), side, rounding_m=_ROUNDING_M)[0])
 
 
 def is_same_edge(edge: KnifeEdge, kept: KnifeEdge) -> bool:
-    """Whether a recomputed distance equals the one that tables store for the same box at the same time."""
+    """Whether a recomputed distance equals the stored distance of the same box at the same time."""
     is_same = (edge.box, edge.when, edge.step) == (kept.box, kept.when, kept.step)
     return is_same and math.isclose(edge.edge_m, kept.edge_m, abs_tol=_SAME_M)
 
 
 def _float(value: Any) -> float:
-    """The number as float; NaN if it is null."""
+    """The value as a float. NaN if it is null."""
     try:
         return math.nan if value is None else float(value)
     except TypeError:  # the value is pandas.NA
@@ -129,5 +133,5 @@ def _float(value: Any) -> float:
 
 
 def _number(value: float) -> int:
-    """The number as the number of a box; -1 for NaN."""
+    """The value as the number of a box. -1 if it is NaN."""
     return -1 if math.isnan(value) else int(value)

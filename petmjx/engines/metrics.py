@@ -1,11 +1,11 @@
 """The table of all metrics: name, unit, type, meaning, time of sampling, and how boxes' values become a world's value.
 
-The table defines the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled
-(petmjx.results.world_rows), by which values two runs are compared (petmjx.analysis.run_comparison), and the tables of
-docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The arithmetic is in the packages of the engines, in
-NumPy and in JAX.
+Four places use this table: the columns of the tables ``boxes`` and ``worlds`` (petmjx.results.schema), the code that
+fills them (petmjx.results.world_rows), the comparison of two runs (petmjx.analysis.run_comparison), and the tables of
+docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The engines compute the values, in NumPy, JAX and
+Warp.
 
-How to add a metric, step by step: docs/extending.md.
+docs/extending.md explains step by step how to add a metric.
 """
 
 from __future__ import annotations
@@ -26,24 +26,25 @@ DIMENSIONLESS: Final = "1"
 """Unit of counts, indices and factors."""
 
 TEXT: Final = ""
-"""Unit of columns that have no quantity: texts and booleans."""
+"""Unit of columns that hold no quantity, but texts or booleans."""
 
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
-"""Forces on tops count in a step if it begins with a box faster than ``RESTLESS_M_S`` and accelerates a box upwards by
-more than ``RISING_M_S2``. In other steps, forces count only at looks for quiet (docs/rules.md, section 7). In the steps
-that are left out, forces exceed the weight on a top by at most a twentieth, since boxes press with more than their
-weight only while they are accelerated upwards."""
+"""The largest force on tops includes the force in a step if a box is faster than ``RESTLESS_M_S`` when the step begins,
+and a box accelerates upwards by more than ``RISING_M_S2``. Of all other steps, only those at which the rules check
+whether the pallet is quiet are included (docs/rules.md, section 7). In the steps that are left out, a force exceeds the
+weight on the top by at most a twentieth: boxes press with more than their weight only while they accelerate upwards."""
 
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5
-"""In some trials, the only question is whether the pallet stands. Such trials end at the look for quiet at which a box
-is *gone*: it is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift
-threshold. A box that begins at rest cannot rise again by itself."""
+"""If only the question whether the pallet stands matters, a trial simulation ends as soon as a box is *gone*. A box is
+gone if it is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift
+threshold. A box that starts at rest cannot rise again by itself. Boxes are examined at each check whether the pallet is
+quiet."""
 
 
 class SampleAt(StrEnum):
-    """The time in a run at which a metric is taken."""
+    """The time in a run at which a metric is measured."""
 
     PLAN = "plan"
     STEPS = "steps"
@@ -54,7 +55,7 @@ class SampleAt(StrEnum):
 
 
 class Reduction(StrEnum):
-    """How the values of a world's boxes become one value of the world. Boxes without a value are ignored."""
+    """How the values of a world's boxes become one value of the world. Boxes without a value are left out."""
 
     LARGEST = "largest magnitude"
     SMALLEST = "smallest"
@@ -63,13 +64,13 @@ class Reduction(StrEnum):
 
 @dataclass(frozen=True)
 class Column:
-    """One column of results.
+    """One column of a result table.
 
     Attributes:
         dtype: NumPy type of the column on disk.
-        meaning: one line, written into the Parquet file.
-        compared: whether a comparison of two runs shows |b - a| for this column.
-        relative: whether it also shows |b - a| / a.
+        meaning: the meaning of the column in one line, which is written into the Parquet file.
+        compared: whether a comparison of the runs a and b shows |b - a| for this column.
+        relative: whether this comparison also shows |b - a| / a.
     """
 
     name: str
@@ -82,7 +83,7 @@ class Column:
 
 @dataclass(frozen=True)
 class WorldReduction:
-    """The column of ``worlds`` that is computed from a metric of boxes."""
+    """The column of the table ``worlds`` that is computed from the boxes' values of a metric."""
 
     name: str
     reduction: Reduction
@@ -91,19 +92,19 @@ class WorldReduction:
 
 @dataclass(frozen=True)
 class BoxMetric:
-    """A quantity of boxes. It is one column of ``boxes``, or one column per component.
+    """A quantity that each box has. It is one column of the table ``boxes``, or one column per component.
 
     Attributes:
-        attribute: field of ``BoxMetrics`` that holds (n,) values or (n, components).
-        columns: name → meaning, for each component.
+        attribute: field of ``BoxMetrics`` that holds the values, as an array (n,) or (n, components).
+        columns: name → meaning of the column of each component.
         definition: the formula, for docs/metrics.md.
-        dtype: float32 for measured values (exact to 1 µm at 8 m; the MJX engines use it, too), float64 for times, bool
-            for yes or no.
+        dtype: type of the column. Measured values are float32 (exact to 1 µm at 8 m; the MJX engines use float32, too),
+            times are float64, and yes-or-no values are bool.
         of_world: the column of ``worlds`` that is computed from this metric, if any.
-        driven_only: whether only runs with profiles have this metric.
-        legs_only: whether only chains of several legs have this metric.
-        compared, relative: as in :class:`Column`. For metrics of type bool, only the number of boxes per world for
-            which the metric is true is compared.
+        driven_only: whether only runs with profiles (motions of the carrier) have this metric.
+        legs_only: whether only chains of several legs (parts of a journey) have this metric.
+        compared, relative: see :class:`Column`. For metrics of type bool, a comparison shows only the number of boxes
+            per world for which the metric is true.
     """
 
     attribute: str
@@ -119,13 +120,13 @@ class BoxMetric:
     relative: bool = False
 
     def nothing(self, *n: int) -> NDArray[np.float64] | NDArray[np.bool_]:
-        """Values of (…, n) boxes for which the metric was not measured: NaN, or False."""
+        """The values of (…, n) boxes for which the metric was not measured: NaN, or False for type bool."""
         shape = (*n, len(self.columns)) if len(self.columns) > 1 else n
         return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
 
     def world_columns(self) -> list[Column]:
-        """The metric's column of ``worlds``, if any. The measured values in this column are float64, since there are
-        few worlds."""
+        """The column of ``worlds`` that is computed from this metric, if any. Measured values in this column are
+        float64, since there are far fewer worlds than boxes."""
         if self.of_world is None:
             return []
         counts = self.of_world.reduction is Reduction.COUNT
@@ -135,8 +136,9 @@ class BoxMetric:
 
 @dataclass(frozen=True)
 class WorldMetric:
-    """A quantity of a whole world: a column of ``worlds`` and a field of ``Outcome`` with the same name. A whole number
-    is the number of a box or a step, from 0; -1 in the outcome becomes null in the table."""
+    """A quantity of a whole world. It is a column of the table ``worlds``, and a field of ``Outcome`` with the same
+    name. If the type is int32, the value is the number of a box or a step, from 0. The value -1 of the outcome becomes
+    null in the table."""
 
     name: str
     unit: str
@@ -158,14 +160,14 @@ class WorldMetric:
 def _largest(
     name: str, unit: str, when: SampleAt, definition: str, of_box: str, of_world: str, relative: bool = False
 ) -> BoxMetric:
-    """A metric with one column. ``worlds`` has the largest value in a column of the same name. ``of_box`` and
-    ``of_world`` are the meanings of the two columns."""
+    """A metric of boxes with one column. A column of ``worlds`` with the same name holds the largest value of the
+    world's boxes. ``of_box`` and ``of_world`` are the meanings of the two columns."""
     reduced = WorldReduction(name, Reduction.LARGEST, of_world)
     return BoxMetric(name, unit, {name: of_box}, when, definition, of_world=reduced, relative=relative)
 
 
 def _number(name: str, meaning: str, when: SampleAt) -> WorldMetric:
-    """A metric that is the number of a box or a step."""
+    """A metric of a world that is the number of a box or a step."""
     return WorldMetric(name, DIMENSIONLESS, meaning, when, np.int32, compared=False)
 
 
@@ -278,15 +280,16 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "n_steps", DIMENSIONLESS, "simulated steps after the soft start", SampleAt.END, np.int64, compared=False
     ),
 )  # fmt: skip
-"""All metrics, in the order of their columns. In ``boxes``, metrics with ``driven_only`` come last."""
+"""All metrics, in the order of their columns. In the table ``boxes``, metrics with ``driven_only`` come last."""
 
 
 @dataclass(eq=False)
 class BoxMetrics:
-    """The metrics of one world's n boxes, in packing order. ``METRICS`` has the meaning and unit of each.
+    """The metrics of the n boxes of one world, in packing order. ``METRICS`` defines the meaning and unit of each
+    metric.
 
-    ``shift_m`` and ``pos`` are (n, 3), ``quat`` is (n, 4) as (w, x, y, z), all others are (n,). NaN means that there is
-    no value.
+    ``shift_m`` and ``pos`` have the shape (n, 3), ``quat`` has (n, 4) with the order (w, x, y, z), all other fields
+    have (n,). NaN means that there is no value.
     """
 
     shift_m: FloatArray
@@ -306,10 +309,11 @@ class BoxMetrics:
 
     @classmethod
     def measured(cls, *n: int, **values: NDArray[Any]) -> BoxMetrics:
-        """Metrics of n boxes, or of (…, n), from the values that an engine has measured. Other metrics have no values.
+        """Metrics of n boxes, or of (…, n) boxes, from the values that an engine has measured. All other metrics are
+        NaN, or False for type bool.
 
         Raises:
-            TypeError: there is no metric with the name of a value.
+            TypeError: the name of a value is not the name of a metric.
         """
         missing: dict[str, Any] = {
             metric.attribute: metric.nothing(*n) for metric in box_metrics() if metric.attribute not in values
@@ -317,20 +321,22 @@ class BoxMetrics:
         return cls(**missing, **values)
 
     def with_edges(self, plan_edge_m: FloatArray, rest_edge_m: FloatArray) -> Self:
-        """These metrics with other distances from edges. ``dataclasses.replace`` would take ten times as long."""
+        """A copy of these metrics with other distances of loads from edges, m. ``dataclasses.replace`` would take ten
+        times as long."""
         other = object.__new__(type(self))
         vars(other).update(vars(self), plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy all metrics as one float64 array: eleven small arrays take two and a half times as long.
-        Attributes that are not metrics are lost."""
+        """Pickle and copy all metrics as one float64 array. Pickling eleven small arrays takes two and a half times as
+        long. Attributes that are not metrics are lost.
+        """
         values = [getattr(self, metric.attribute).ravel() for metric in box_metrics()]
         return _of_numbers, (type(self), np.concatenate(values, dtype=np.float64), self.max_tilt_deg.shape)
 
 
 def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, ...]) -> BoxMetrics:
-    """The metrics of (…, n) boxes, from their pickled array."""
+    """The metrics of (…, n) boxes from their pickled array. The function for unpickling."""
     values: dict[str, NDArray[Any]] = {}
     size, begin = math.prod(shape), 0
     for metric in box_metrics():
@@ -349,16 +355,16 @@ FORCE_INTERVAL: Final = tuple(
     )
     for name, word in (("rest_top_force_low_n", "least"), ("rest_top_force_high_n", "most"))
 )  # fmt: skip
-"""Optional columns of ``boxes``, after the metrics (petmjx.analysis.force_intervals)."""
+"""Optional columns of the table ``boxes``, which follow the metrics (petmjx.analysis.force_intervals)."""
 
 
 @functools.cache
 def box_metrics(driven: bool = True, legs: bool = True) -> tuple[BoxMetric, ...]:
-    """The metrics of boxes, in the order of their columns.
+    """All metrics of boxes, in the order of their columns.
 
     Args:
-        driven: include metrics that only runs with profiles have.
-        legs: include metrics that only chains of several legs have.
+        driven: include the metrics that only runs with profiles (motions of the carrier) have.
+        legs: include the metrics that only chains of several legs (parts of a journey) have.
     """
     every = (metric for metric in METRICS if isinstance(metric, BoxMetric))
     metrics = [m for m in every if (driven or not m.driven_only) and (legs or not m.legs_only)]
@@ -367,12 +373,12 @@ def box_metrics(driven: bool = True, legs: bool = True) -> tuple[BoxMetric, ...]
 
 @functools.cache
 def world_metrics() -> tuple[WorldMetric, ...]:
-    """The metrics of whole worlds."""
+    """All metrics of whole worlds."""
     return tuple(metric for metric in METRICS if isinstance(metric, WorldMetric))
 
 
 def box_columns(driven: bool = True, legs: bool = True) -> list[Column]:
-    """The columns of ``boxes`` that hold metrics."""
+    """The columns of the table ``boxes`` that hold metrics."""
     return [
         Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
         for m in box_metrics(driven, legs)
@@ -381,16 +387,16 @@ def box_columns(driven: bool = True, legs: bool = True) -> list[Column]:
 
 
 def world_columns() -> list[Column]:
-    """The columns of ``worlds`` that hold metrics."""
+    """The columns of the table ``worlds`` that hold metrics."""
     return [column for metric in METRICS for column in metric.world_columns()]
 
 
 def reduce_boxes(reduction: Reduction, values: FloatArray, starts: NDArray[np.int64]) -> FloatArray:
-    """One value for each world from the values of its boxes; if no box has a value: NaN, or 0 for counts.
+    """One value for each world from the values of its boxes. If no box has a value, the result is NaN, or 0 for counts.
 
     Args:
-        values: (rows, components) values of the boxes of all worlds, world after world; NaN: no value.
-        starts: (worlds,) first row of each world; every world has at least one box.
+        values: (rows, components) values of the boxes of all worlds, world after world. NaN means no value.
+        starts: (worlds,) number of the first row of each world. Every world has at least one box.
     """
     if not len(starts):
         return np.empty(0)
@@ -420,7 +426,7 @@ def markdown() -> str:
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Lines of a Markdown table; the first row is the header."""
+    """The lines of a Markdown table. The first row is the header."""
     for number, row in enumerate(rows):
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
         if number == 0:

@@ -1,4 +1,4 @@
-"""Open worlds: an engine's interface for packers, which place boxes one by one and fork worlds."""
+"""Open worlds: an engine's interface for packers, which place boxes one by one and try places in copies of worlds."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
-"""Default number of boxes for which an open world has room: the same as for the smaller worlds of mjx-warp."""
+"""Default number of boxes for which an open world reserves memory: the number of the smaller worlds of mjx-warp."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The current state of an open world, with its k placed boxes.
+    """The current state of an open world with k placed boxes.
 
     Attributes:
-        time_s: time since the world's soft start, s.
-        ended: True: the world has failed and no longer changes, because a box has dropped or the simulation was given
-            up.
-        flags: flags of the world. ``MOVING`` is also set if the world has paused because its time was up while boxes
-            were still moving.
-        pos, quat: (k, 3) middles of the placed boxes, m, and (k, 4) orientations (w, x, y, z).
+        time_s: simulated time since the end of the world's soft start, s.
+        ended: True if a box has dropped or the simulation was given up. The world then no longer changes.
+        flags: flags of the world. ``MOVING`` is also set if boxes were still moving when the time for coming to rest
+            was up, and the world paused for this reason.
+        pos, quat: (k, 3) centres of the placed boxes, m, and (k, 4) their orientations as quaternions (w, x, y, z).
         top_force_n: (k,) force on each box's top in the last step, N.
-        culprit: the first box that crossed a threshold at a sample; -1: no box did.
-        max_tilt_deg, max_top_force_n: (k,) largest tilt and force at samples.
-        dropped: (k,) whether the box had dropped at a sample.
+        culprit: number of the first box that was beyond a threshold at a sample (a measurement every 0.2 s), or -1 if
+            there is none.
+        max_tilt_deg, max_top_force_n: (k,) largest tilt (degrees) and largest force on the top (N) at samples.
+        dropped: (k,) whether each box had dropped at a sample.
     """
 
     time_s: float
@@ -53,14 +53,13 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The ``Reading`` of each of m open worlds, as arrays with k columns. k is the number of boxes of the fullest
-    world.
+    """The ``Reading`` of each of m open worlds, as arrays with k columns. k is the largest number of boxes of a world.
 
-    Beyond a world's placed boxes, numbers are NaN and ``dropped`` is False.
+    In columns beyond a world's placed boxes, numbers are NaN and ``dropped`` is False.
 
     Attributes:
-        placed: (m,) number of placed boxes.
-        target, half_size: (m, k, 3) planned middles and half extents, m.
+        placed: (m,) number of placed boxes of each world.
+        target, half_size: (m, k, 3) planned centres and half extents of the boxes, m.
     """
 
     placed: NDArray[np.int64]
@@ -79,7 +78,7 @@ class Readings:
 
     @classmethod
     def of(cls, readings: Sequence[Reading], scenes: Sequence[Scene]) -> Readings:
-        """The readings as arrays. ``scenes``: the scenes of the same worlds."""
+        """Several readings as arrays. ``scenes``: the scene of each reading's world."""
         placed = np.array([len(reading.pos) for reading in readings], np.int64)
         width = int(placed.max(initial=0))
 
@@ -110,18 +109,18 @@ class Readings:
 
     @classmethod
     def joined(cls, parts: Sequence[Readings]) -> Readings:
-        """The worlds of all parts, part after part."""
+        """The readings of the worlds of all parts, part after part."""
         return cls(**joined_records(parts, max(part.pos.shape[1] for part in parts)))
 
 
 def joined_records(parts: Sequence[Any], width: int) -> dict[str, NDArray[Any]]:
-    """The fields of several records of worlds, joined record after record and padded to ``width`` boxes."""
+    """The fields of several records about worlds, one record after another, padded to ``width`` boxes per world."""
     names = [field.name for field in fields(parts[0])]
     return {name: np.concatenate([widened_rows(getattr(part, name), width) for part in parts]) for name in names}
 
 
 def widened_rows(values: NDArray[Any], width: int) -> NDArray[Any]:
-    """An array over the boxes of worlds, padded to ``width`` boxes."""
+    """An array with one column per box, padded to ``width`` boxes with NaN or False."""
     if values.ndim == 1 or values.shape[1] == width:
         return values
     fill = False if values.dtype == bool else np.nan
@@ -130,12 +129,12 @@ def widened_rows(values: NDArray[Any], width: int) -> NDArray[Any]:
 
 
 def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -> None:
-    """Check that these worlds exist.
+    """Check that worlds with these numbers exist.
 
     Raises:
-        ValueError: a world does not exist, or occurs twice although worlds must be ``distinct``.
+        ValueError: a world does not exist, or a number occurs twice although ``distinct`` is set.
     """
-    numbers = np.asarray(worlds)  # NumPy checks thousands of worlds quickly; the loop below only names a wrong one
+    numbers = np.asarray(worlds)  # NumPy checks thousands of numbers quickly; the loop only names a wrong number
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= count)).any():
         for world in worlds:
             if not isinstance(world, int | np.integer) or not 0 <= world < count:
@@ -145,17 +144,17 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
 
 
 def _check_as_many(worlds: Sequence[int], others: Sized, noun: str) -> None:
-    """Raise ValueError unless ``others`` has one entry per world."""
+    """Raise ValueError unless ``others`` has one entry for each world."""
     if len(worlds) != len(others):
         raise ValueError(f"expected {len(worlds)} {noun}, one for each world, got {len(others)}")
 
 
 def _check_grown(before: Scene, after: Scene) -> None:
-    """Check that the scene ``after`` has all boxes of ``before``, on the same carrier, and further boxes.
+    """Check that the scene ``after`` has all boxes of the scene ``before``, on the same carrier, and further boxes.
 
     Raises:
-        ValueError: ``after`` lacks one of these boxes, has no further box, or has another carrier or other values for
-            pairs of surfaces.
+        ValueError: ``after`` lacks a box of ``before``, has no further box, has a different carrier, or has different
+            friction or landing values for pairs of surfaces.
     """
     n = before.n_boxes
     if after.n_boxes <= n:
@@ -174,24 +173,25 @@ def _check_grown(before: Scene, after: Scene) -> None:
 
 
 class OpenWorlds(ABC):
-    """Worlds that progress independently and keep their states between calls. Only one thread at a time may use them.
+    """Worlds that are simulated independently and keep their states between calls. Only one thread at a time may use
+    them.
 
-    Worlds are named by their numbers, from 0. A refused call changes nothing (ValueError: a world does not exist or is
-    named twice, or a scene is missing).
+    Each world has a number, from 0. A call with wrong arguments raises ValueError and changes nothing. Wrong arguments
+    are a number without a world, a number that occurs twice, or a missing scene.
 
-    A world follows the rules of the placement (docs/rules.md): each of its boxes is placed once the boxes before it are
-    at rest. When the last box is at rest, the world pauses, and more boxes can be added. What happens in a world
-    depends only on its scene, not on other worlds, nor on the number of calls in which its boxes were added. So a world
-    whose boxes do not come to rest pauses at the end of a short wait, since more boxes may follow; ``finish`` waits
-    longer.
+    A world follows the rules of placement (docs/rules.md): a box is placed when all boxes before it are at rest. When
+    the last box is at rest, the world pauses, and more boxes can be added. What happens in a world depends only on its
+    scene. It depends neither on the other worlds nor on how many calls added the boxes. A world whose last boxes do not
+    come to rest pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
 
-    This class has the checks that all engines share; engines implement the rest.
+    This class checks the arguments for all engines; each engine implements the abstract methods.
 
     Args:
-        scenes: the scenes of the worlds. They may have no boxes yet.
+        scenes: the scenes of the worlds. A scene may have no boxes yet.
 
     Raises:
-        ValueError: there are no scenes, or the schedule is fixed: it sets a world's end before its first box is placed.
+        ValueError: there are no scenes, or the schedule is fixed. The fixed schedule sets the end of a world before the
+            world's first box is placed.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation) -> None:
@@ -206,7 +206,7 @@ class OpenWorlds(ABC):
         return len(self._scenes)
 
     def reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """Start worlds again with these scenes, which may have no boxes yet."""
+        """Start worlds anew with these scenes, which may have no boxes yet."""
         _check_worlds(worlds, len(self))
         _check_as_many(worlds, scenes, "scenes")
         if len(worlds):
@@ -214,10 +214,10 @@ class OpenWorlds(ABC):
             self._scenes.set(worlds, scenes)
 
     def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """Put boxes into worlds. ``scenes`` are the scenes of the worlds with further boxes after the existing ones.
+        """Put boxes into worlds. Each scene has the boxes that its world already has, followed by the new boxes.
 
         Raises:
-            ValueError: a world has ended, or its scene has no further boxes.
+            ValueError: a world has ended, or its scene has no new boxes.
         """
         _check_worlds(worlds, len(self))
         _check_as_many(worlds, scenes, "scenes")
@@ -229,7 +229,7 @@ class OpenWorlds(ABC):
             self._scenes.set(worlds, scenes)
 
     def put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
-        """Put one box into each of these worlds. The boxes have no values except extents, places and masses.
+        """Put one box into each of these worlds. Only the extents, places and masses of the boxes are given.
 
         Raises:
             ValueError: a world has ended.
@@ -242,14 +242,14 @@ class OpenWorlds(ABC):
             self._scenes.add(worlds, boxes)
 
     def try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool = False) -> Readings:
-        """The states that worlds would have once one box was put into each and came to rest. The boxes are placed in
-        forks of the worlds. The forks are discarded afterwards. A world may be named several times, and must have
-        paused.
+        """Put one box into a copy (*fork*) of each world, simulate until the box is at rest, and return the states of
+        the forks. The forks are then discarded, and the worlds do not change. A world may be named several times. Each
+        world must have paused.
 
         Args:
-            until_lost: a fork ends as soon as a box is tilted too far at a sample, as in worlds with errors, or is gone
-                at a look for quiet (``petmjx.engines.metrics.GONE_TILT``). At that moment it is known that the pallet
-                does not stand, but not how it would end.
+            until_lost: if True, a fork ends as soon as the pallet certainly does not stand: a box is tilted too far at
+                a sample, or a box is gone (``petmjx.engines.metrics.GONE_TILT``). How the fork would have ended is then
+                unknown.
 
         Raises:
             ValueError: a world has ended.
@@ -262,8 +262,8 @@ class OpenWorlds(ABC):
     def try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
     ) -> list[Outcome]:
-        """Fork worlds with these scenes, and finish the forks as ``finish`` does. The scenes may differ from the worlds
-        in their friction, and in how new boxes are placed.
+        """Copy worlds with these scenes, and simulate the copies (*forks*) to their ends as ``finish`` does. A scene
+        may have other friction than its world, and may place its new boxes in another manner.
 
         Raises:
             ValueError: a world has ended.
@@ -274,11 +274,11 @@ class OpenWorlds(ABC):
         return self._try_scenes(worlds, scenes, drives or [None] * len(worlds)) if len(worlds) else []
 
     def with_next(self, worlds: Sequence[int], boxes: NextBoxes) -> list[Scene]:
-        """The scenes of worlds after one more box was added to each."""
+        """The scenes that worlds would have with one more box each."""
         return [self._blank.with_box(self._scenes[world], boxes, row) for row, world in enumerate(worlds)]
 
     def scene(self, world: int) -> Scene:
-        """The scene of a world."""
+        """The scene of one world."""
         return self._scenes[world]
 
     def _check_open(self, worlds: Sequence[int]) -> None:
@@ -287,11 +287,11 @@ class OpenWorlds(ABC):
 
     @abstractmethod
     def go_on(self) -> None:
-        """Simulate all worlds until they pause or end."""
+        """Simulate all worlds until each pauses or ends."""
 
     def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
-        """Copy the states of the worlds ``sources`` into the worlds ``into``. A source may be named several times. From
-        then on the worlds are independent."""
+        """Copy the states of the worlds ``sources`` into the worlds ``into``. A source may be named several times.
+        After the copy, the worlds are independent."""
         _check_worlds(sources, len(self), distinct=False)
         _check_worlds(into, len(self))
         _check_as_many(sources, into, "worlds to fork into")
@@ -300,7 +300,7 @@ class OpenWorlds(ABC):
             self._scenes.copy(sources, into)
 
     def read(self, worlds: Sequence[int]) -> list[Reading]:
-        """The readings of these worlds."""
+        """The ``Reading`` of each of these worlds."""
         _check_worlds(worlds, len(self), distinct=False)
         return self._read(worlds)
 
@@ -310,12 +310,13 @@ class OpenWorlds(ABC):
         return self._readings(worlds) if len(worlds) else Readings.of([], [])
 
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
-        """The outcomes of worlds if no further boxes follow, by all the rules, with or without a drive. The worlds
-        themselves do not change. ``Outcome.job`` is the index into ``worlds``.
+        """The outcomes that worlds have if no further boxes follow. A world may also be driven (moved by its carrier).
+        The worlds themselves do not change. ``Outcome.job`` is the index into ``worlds``.
 
-        Each outcome is one simulation, as in ``Engine.run``. Unlike in a score, no world is simulated again with other
-        settings (docs/rules.md, section 9). If a placement before a drive has failed without a dropped box, it waits as
-        it would without a drive. This wait may be some steps shorter than in a run.
+        Each outcome is the result of one simulation, as in ``Engine.run``. Unlike in ``petmjx.score``, no world is
+        simulated again with other settings (docs/rules.md, section 9). If a placement before a drive has failed without
+        a dropped box, the world waits as long as it would without a drive. This wait may be some steps shorter than in
+        ``Engine.run``.
 
         Raises:
             ValueError: a world has no boxes.
@@ -332,7 +333,7 @@ class OpenWorlds(ABC):
 
     @abstractmethod
     def _ended(self, worlds: Sequence[int]) -> list[bool]:
-        """Whether each of these worlds has failed and no longer changes."""
+        """For each of these worlds, whether it has failed and no longer changes."""
 
     @abstractmethod
     def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None: ...

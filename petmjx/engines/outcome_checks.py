@@ -1,9 +1,9 @@
-"""Checks of outcomes, the same for all engines. They find verdicts that soft contacts may have decided, boxes that came
-to rest otherwise than planned, and loads so near the edges of their supports that the verdict is on a knife's edge.
-The checks also compute the margin.
+"""Checks of outcomes, which are the same for all engines. The checks find verdicts that soft contacts may have decided,
+boxes that came to rest otherwise than planned, and loads so near the edges of their supports that the verdict is on a
+knife's edge. They also compute the margin of each world.
 
-If an engine runs in workers, each worker checks its own outcomes: for small worlds, the checks would be almost half of
-the work of the run's own process.
+If engines run in worker processes, each worker checks its own outcomes. Otherwise, for small worlds, the checks would
+take almost half of the time of the run's own process.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import TOUCH_M, Bearing, bearings_of
 
 LEANS_DEG: Final = 2.0
-"""A box of a stable world counts as leaning if its tilt at rest is larger than this, degrees. At this tilt a box of
-half a metre is 17 mm lower on one side. In worlds without the flag for leaning, soft contacts alone tilt no box by even
-a tenth of this."""
+"""Tilt at rest above which a box of a stable world counts as leaning, degrees. With this tilt, one side of a box of
+half a metre is 17 mm lower than the other side. Soft contacts alone tilt a box by less than a tenth of this, unless the
+world has a flag for soft contacts."""
 
 LOWER_M: Final = 0.005
-"""A box that lies lower than planned by more than this counts as leaning, too: soft contacts may give way by as much
-(``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
+"""A box also counts as leaning if it lies lower than planned by more than this, m. Soft contacts may lower a box by as
+much without a flag (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
 
 MOST_TOGETHER: Final = 256
-"""Largest number of outcomes that are checked at once; 256 take one or two tenths of a second. One by one, checks took
-longer than the simulation on a GPU."""
+"""Largest number of outcomes that are checked together. Checking 256 outcomes takes 0.1 to 0.2 s. Checking outcomes one
+by one took longer than their simulation on a GPU."""
 
 
 def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes with all values that follow from outcome and job. The verdict may change.
+    """The outcomes with all values that follow from an outcome and its job. The checks may change the verdict.
 
     Args:
-        jobs: the jobs of the engine, one for each outcome.
-        sim: the options of the engine.
+        jobs: the jobs as the engine simulated them, one for each outcome.
+        sim: the options with which the engine simulated.
     """
     noted = note_penetration(outcomes, jobs, sim)
     for outcome, margin in zip(noted, margins_of(noted, sim.thresholds), strict=True):
@@ -63,13 +63,13 @@ def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simula
 
 
 def contact_tilt_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """The boxes of a world at rest that lean by more than ``LEANS_DEG``, or lie more than ``LOWER_M`` lower than
-    planned. If contacts gave way so far that the world has a flag for it, lower boxes do not count."""
+    """The numbers of the boxes that lean by more than ``LEANS_DEG``, or lie more than ``LOWER_M`` lower than planned,
+    in a world at rest. If the world has ``Flag.SINKING``, boxes that lie lower are not included."""
     return np.flatnonzero(_leaning([outcome])[0])
 
 
 def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
-    """For each world, (n_placed,) which boxes lean or lie lower, by the rule of ``contact_tilt_boxes``."""
+    """For each world, (n_placed,) whether each box leans or lies lower, by the rule of ``contact_tilt_boxes``."""
     if not outcomes:
         return []
     placed = [outcome.n_placed for outcome in outcomes]
@@ -83,14 +83,15 @@ def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
 
 
 def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> None:
-    """Fill in the smallest distances of loads from edges: by the plan, at rest and while the plan is built. Also fill
-    in the distances of all boxes and two flags. Any box may set ``Flag.KNIFE_EDGE``; ``Flag.SINKING`` is set for worlds
-    that may have tipped over because contacts are soft.
+    """Compute the distances of the boxes' loads from the edges of their supports: in the plan, at rest and while the
+    plan is built. Write these distances of all boxes, the smallest ones of each world, and two flags into the outcomes.
+    ``Flag.KNIFE_EDGE`` is set if any box is too near an edge. ``Flag.SINKING`` is set for worlds that may have tipped
+    over because contacts are soft.
 
-    Distances at rest are computed for worlds that stand and were not shaken, in which the carrier is still at its
-    place. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
-    Worlds that stand after a further leg of a chain are left out: they keep the distances and the flag of the previous
-    leg.
+    Distances at rest are computed for worlds that stand and were not shaken, because in these the carrier is still at
+    its place. Distances while the plan is built are computed for plans whose boxes are placed in order and without
+    errors. In a chain, a world that still stands after a later leg (part of the journey) is left out. It keeps the
+    distances and the flag of the previous leg.
     """
     scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
     valid = [
@@ -100,7 +101,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     ]
     if not valid:
         return
-    # drives from the same placement share a scene, which is examined only once
+    # Drives (motions of the carrier) from the same placement share a scene, which is examined only once.
     keys = [(scenes[k], outcomes[k].n_placed, in_order and not jobs[k].has_errors) for k in valid]
     planned = {key: number for number, key in enumerate(dict.fromkeys(keys))}
     at_rest = [k for k in valid if outcomes[k].verdict is Verdict.STABLE and jobs[k].drive is None]

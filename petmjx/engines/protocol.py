@@ -1,4 +1,4 @@
-"""The protocol of engines: jobs in, outcomes and progress out."""
+"""The interface of engines: an engine gets jobs (worlds to simulate), and yields outcomes and progress."""
 
 from __future__ import annotations
 
@@ -20,23 +20,24 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
-"""Default number of worlds whose states an engine keeps on its device at the same time. On mjx-warp, a world of 80
-boxes takes 16 kB. A worker with one of these engines also gets at most this number of jobs at once."""
+"""Name of an engine → default number of worlds whose states the engine keeps on its device at the same time. On
+mjx-warp, a world of 80 boxes takes 16 kB. A worker process with one of these engines also gets at most this number of
+jobs at once."""
 
 
 @dataclass
 class Progress:
-    """Totals that an engine updates while it runs.
+    """Totals that an engine updates during its run.
 
     Attributes:
-        thread_s: CPU time of ``mujoco``'s threads for finished worlds, s.
-        message: what the engine is doing at the moment (compiling, …).
-        work_share: share of the run's work that is done, from 0 to 1; None: the share of finished worlds is used. Set
-            by the run.
-        at_hand: lower bound of the number of outcomes that will follow the last one without delay; None if the engine
-            does not report it. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
-        pauses: whether the engine may yield None while no world ends, so that the caller can do other work of the run.
-        notes: lines for the results about deviations from the options; each line occurs once.
+        thread_s: CPU time that the threads of the engine ``mujoco`` spent on finished worlds, s.
+        message: what the engine does at the moment, such as "compiling".
+        work_share: share of the run's work that is done, from 0 to 1. The run sets this share. If None, the share of
+            finished worlds is used.
+        at_hand: smallest number of outcomes that will follow the last outcome without delay. None if the engine does
+            not report it. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
+        pauses: whether the engine may yield None while no world ends, so that the caller can do other work.
+        notes: notes for the results about deviations from the options. Each note occurs once.
     """
 
     worlds_done: int = 0
@@ -55,26 +56,27 @@ Run = TypeVar("Run", bound=Callable[..., Iterator[Outcome]])
 
 
 def says_at_hand(run: Run) -> Run:
-    """Mark a ``run`` that keeps ``Progress.at_hand`` up to date, and yields None while it waits if
-    ``Progress.pauses`` is set.
+    """Mark a method ``run`` that keeps ``Progress.at_hand`` up to date. If ``Progress.pauses`` is set, this method also
+    yields None while it waits.
 
-    The method is marked, not the engine, since an engine that inherits from petmjx's engines may delay outcomes.
+    The mark is on the method and not on the engine: a user's engine that inherits from an engine of petmjx may delay
+    outcomes.
     """
     run.says_at_hand = True  # type: ignore[attr-defined]  # functions accept further attributes
     return run
 
 
 def takes_stream(run: Run) -> Run:
-    """Mark a ``run`` that takes jobs from a ``JobStream`` while it simulates other jobs (``StreamEngine``). Any other
-    ``run`` gets lists of jobs. The method is marked, not the engine, as by ``says_at_hand``."""
+    """Mark a method ``run`` that takes jobs from a ``JobStream`` while it simulates other jobs (``StreamEngine``). Any
+    other ``run`` gets lists of jobs. The mark is on the method, for the reason given at ``says_at_hand``."""
     run.takes_stream = True  # type: ignore[attr-defined]  # functions accept further attributes
     return run
 
 
 class RunLock:
-    """Allows only one run at a time on an engine that keeps data between runs, such as compiled programs.
+    """Allows only one run at a time on an engine. Such an engine keeps data between runs, such as compiled programs.
 
-    Runs are generators. A run begins when its first outcome is requested, and ends with its last outcome or when the
+    A run is a generator. A run begins when its first outcome is requested. It ends after its last outcome, or when the
     generator is closed.
     """
 
@@ -98,7 +100,7 @@ class RunLock:
 
 
 class Capability(enum.Flag):
-    """What an engine can do."""
+    """The abilities of an engine."""
 
     FLOAT64 = enum.auto()
     """The engine computes in double precision."""
@@ -107,14 +109,14 @@ class Capability(enum.Flag):
     SHEETS = enum.auto()
     """The engine supports interlayer sheets, and pallets among the boxes."""
     KINETIC_PAIRS = enum.auto()
-    """The engine supports kinetic friction by pairs of materials."""
+    """The engine supports kinetic friction that is given for pairs of materials."""
     SOFT = enum.auto()
-    """The engine supports boxes that are flex bodies."""
+    """The engine supports soft boxes, which are flex bodies of MuJoCo."""
     CHECKS = enum.auto()
-    """The engine checks its outcomes itself (petmjx/engines/outcome_checks.py)."""
+    """The engine checks its outcomes itself, with petmjx/engines/outcome_checks.py."""
     MIXED = enum.auto()
-    """The engine consists of several engines. Each outcome names the engine that made it. Start states of jobs are
-    ``KeptState`` objects, which name the engine that made the state."""
+    """The engine consists of several engines. Each outcome names the engine that simulated it. The start states of jobs
+    are ``KeptState`` objects, which name the engine that made the state."""
 
 
 _PAIRS: Final = Capability.SHEETS | Capability.KINETIC_PAIRS
@@ -125,59 +127,60 @@ PHYSICS: Final[Mapping[str, Capability]] = {
     "mjx-warp": _PAIRS,
     "mjx-warp-cpu": _PAIRS,
 }
-"""Engine → its capabilities, in workers as well. An engine with any other name is assumed to have all capabilities
-except soft boxes.
+"""Name of an engine → its capabilities. An engine in a worker process has the same capabilities. An engine with any
+other name is assumed to have all capabilities except soft boxes.
 """
 
 
 @runtime_checkable
 class MinimalEngine(Protocol):
-    """The smallest interface of a user's own engine. Outcomes may come in any order, as worlds finish; ``Outcome.job``
-    is the index of the job."""
+    """The smallest interface of an engine that a user writes. Outcomes may come in any order, as worlds finish.
+    ``Outcome.job`` is the index of the job in ``jobs``."""
 
     name: str
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once, with ``sim.solver``. petmjx/engines/attempt_stream.py makes further attempts."""
+        """Simulate each job once, with the solver ``sim.solver``. petmjx/engines/attempt_stream.py repeats a world if
+        needed."""
         ...
 
 
 class StreamEngine(Protocol):
-    """An engine whose ``run`` is marked with ``takes_stream``."""
+    """An engine whose method ``run`` is marked with ``takes_stream``."""
 
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
         """See ``MinimalEngine``. The stream number of a job is its position among the jobs that the run takes.
 
-        A run takes jobs while it has capacity. The run ends when it has no job in flight, and ``JobStream.take`` has no
-        more jobs for it.
+        The run takes jobs while it has capacity. The run ends when all its jobs have outcomes, and ``JobStream.take``
+        returns no further jobs.
         """
         ...
 
 
 class Engine(MinimalEngine, Protocol):
-    """The full interface of an engine. A class that inherits from ``Engine`` gets defaults for everything that it does
-    not define.
+    """The full interface of an engine. A class that inherits from ``Engine`` gets a default for each member that it
+    does not define.
 
-    Several threads may use one engine. An engine that can do only one run at a time, such as the MJX engines, lets the
+    Several threads may use one engine. An engine that can do only one run at a time, such as an MJX engine, lets the
     other threads wait (``RunLock``).
 
     Attributes:
-        devices: number of GPUs that simulate at the same time. The number of worlds that the engine gets at once is
-            multiplied by this number.
+        devices: number of GPUs that simulate at the same time. The largest number of worlds that the engine gets at
+            once is multiplied by this number.
     """
 
     devices: int = 1
 
     @property
     def capabilities(self) -> Capability:
-        """The capabilities of this engine. By default, those of the engine with the same name."""
+        """The capabilities of this engine. The default is those of petmjx's engine with the same name."""
         return PHYSICS.get(self.name, _PHYSICS)
 
     @property
     def device(self) -> str:
-        """The name of the device on which worlds run, for the results."""
+        """The name of the device on which the engine simulates, for the results."""
         return device_name(self.name)
 
     @property
@@ -191,27 +194,28 @@ class Engine(MinimalEngine, Protocol):
         return getattr(self.run, "takes_stream", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
-        """Make open worlds, to which boxes can be added.
+        """Make open worlds, which are worlds to which boxes can be added.
 
         Args:
-            most_boxes: largest number of boxes that a world will ever have. Engines with tables reserve room for this
-                number of boxes.
+            most_boxes: largest number of boxes that a world will ever have. Engines with fixed tables reserve memory
+                for this number of boxes.
 
         Raises:
             InputError: this engine has no open worlds.
-            ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
+            ValueError: the schedule is fixed. The fixed schedule sets the end of a world before its first box is
+                placed.
         """
         raise InputError(
             f"engine {self.name} has no open worlds, to which boxes can be added; use mujoco, mjx-warp or mjx-warp-cpu"
         )
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """Release boxes in worlds without rules of placement, and follow them. Contacts and steps are the same as in
-        all other worlds.
+        """Release boxes in worlds without the rules of placement, and record their motion. Contacts and steps are the
+        same as in all other worlds.
 
         Returns:
-            (n, s, k, 7) places, m, and orientations of the boxes after each of ``bodies.steps``. NaN after a step in
-            which numbers were not finite or buffers were too small.
+            (n, s, k, 7) positions (m) and quaternions of the k boxes of n worlds, after each of the s steps in
+            ``bodies.steps``. NaN from the first step on in which numbers were not finite or buffers were too small.
 
         Raises:
             InputError: this engine cannot release boxes.
@@ -221,10 +225,10 @@ class Engine(MinimalEngine, Protocol):
         )
 
     def retire(self) -> None:
-        """Start to free the resources that are held between runs, such as workers. Returns at once. No run may
-        follow."""
+        """Start to free the resources that are kept between runs, such as worker processes. Returns at once. No further
+        run may begin."""
         return None
 
     def close(self) -> None:
-        """Free the resources as ``retire`` does, and wait until this is done."""
+        """Free the resources as ``retire`` does, and wait until they are free."""
         return self.retire()

@@ -16,7 +16,7 @@ from petmjx.common.machine import cpu_threads, cuda_devices, device_name
 from petmjx.common.processes import defer_signals
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine, options_of
-from petmjx.engines.gpu_start import compile_ahead, start_gpu
+from petmjx.engines.gpu_start import begin_builds, compile_ahead, start_gpu
 from petmjx.engines.machine_speed import costs_here
 from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
 from petmjx.engines.protocol import Capability, Engine, MinimalEngine, Progress
@@ -112,9 +112,10 @@ def _may_be_gpu(options: RunOptions, plans: object) -> bool:
 
 def _start_if_gpu(sim: Simulation) -> None:
     if cuda_devices():  # this call of the driver takes time, too
+        builds = begin_builds(sim)
         start_gpu()
-        # The kernels are compiled in another thread, for which the run does not wait: worlds are made meanwhile.
-        threading.Thread(target=compile_ahead, args=(sim,), name="petmjx-kernels").start()
+        # Another thread waits for the kernels and loads them, while worlds are made.
+        threading.Thread(target=compile_ahead, args=(sim, builds), name="petmjx-kernels").start()
 
 
 def _bytes_of(plans: object) -> int:

@@ -26,7 +26,7 @@ class Verdict(StrEnum):
 
 
 class Reason(StrEnum):
-    """Why a world is not stable; empty for stable worlds."""
+    """Why a world is not stable. Empty for stable worlds."""
 
     NONE = ""
     NONFINITE = "nonfinite"
@@ -42,7 +42,7 @@ class Reason(StrEnum):
 
 
 class Flag(IntFlag):
-    """Events in a world that the metrics do not show. The flags are the bits of the column ``flags``."""
+    """Events in a world that the metrics do not show. Each flag is a bit of the column ``flags``."""
 
     NONE = 0
     NONFINITE = 1
@@ -51,12 +51,12 @@ class Flag(IntFlag):
     EXPLOSION = 8
     EARLY_STOP = 16
     RERUN_AFTER_OVERFLOW = 32
-    """An engine simulated the world again with larger buffers. Whether buffers overflow depends on other worlds of the
-    batch, so results never have this flag (petmjx.engines.outcome_checks)."""
+    """An engine simulated the world again with larger buffers. Whether buffers overflow depends on the worlds that are
+    simulated at the same time, so petmjx.engines.outcome_checks removes this flag from all results."""
     OUT_OF_MEMORY = 64
     OTHER_OVERFLOW = 128
     FORKED = 256
-    """The world started from a settled state that another world had reached."""
+    """The world started from a settled state that the simulation of another world had reached."""
     SINKING = 512
     """Boxes sank into their supports so far that the depth may have decided the verdict
     (petmjx.engines.contact_penetration)."""
@@ -65,25 +65,28 @@ class Flag(IntFlag):
     TIMEOUT = 2048
     """The world took longer than ``RunOptions.world_timeout_s``."""
     MOVING = 4096
-    """Boxes were still moving when the time was up, at the end of the world or when the next box was placed. So the
+    """Boxes were still moving when the time was up, at the end of the world or before the next box was placed. So the
     verdict may depend on how long the world is simulated."""
     KNIFE_EDGE = 8192
-    """The load of a box acts within half a millimetre of the edge of its supports (petmjx.engines.outcome_checks)."""
+    """The load of a box acts within half a millimetre of an edge of the box's supports, or within one millimetre if the
+    verdict contradicts statics (petmjx.engines.knife_edges)."""
     TIMESTEP = 16384
     """With half the timestep, the verdict is different (``Simulation.check_timestep``)."""
     LEANS = 32768
-    """The world is stable, but not as planned: a box leans or lies lower (petmjx.engines.outcome_checks)."""
+    """The world is stable, but a box leans or lies lower than planned (petmjx.engines.outcome_checks)."""
     NOT_PLACED = 65536
-    """A hand found no room for a box: it released the box farther than ``MISSED_M`` from its place
-    (petmjx.world.approach_paths), before any box had crossed a threshold."""
+    """A hand (the force that carries a box to its place) found no room for a box: it released the box farther than
+    ``MISSED_M`` from its place (petmjx.world.approach_paths), before any box had crossed a threshold."""
 
 
 @dataclass(eq=False)
 class Outcome:
-    """The outcome of one world. ``culprit`` is the index of a box (packing order, from 0); −1: no box."""
+    """The outcome of one world. ``culprit`` is the number of a box in packing order, from 0, or −1 if there is no
+    culprit."""
 
     job: int
-    """The stream number of the job (``JobStream``); if jobs are a list, the index in the list."""
+    """The stream number of the job (``JobStream``). If the jobs are a list, this number is the index of the job in the
+    list."""
     verdict: Verdict
     reason: Reason
     culprit: int
@@ -95,15 +98,16 @@ class Outcome:
     flags: Flag
     boxes: BoxMetrics
     n_at_sign: int = 0
-    """Number of boxes that were placed when the culprit crossed a threshold; 0: no box did before the end."""
+    """Number of boxes that were placed when the culprit crossed a threshold. It is 0 if no box did so before the
+    end."""
     solver: str = "newton"
     attempt: int = 1
     engine: str = ""
-    """The engine that made this attempt; set by petmjx.engines.attempt_runner."""
+    """Name of the engine that made this attempt. Set by petmjx.engines.attempt_runner."""
     state: KeptState | EngineState | None = None
-    """The settled state, if the job requests it. Outside the engine it is a ``KeptState``."""
+    """The settled state, if the job requests it. Outside the engine, the type is ``KeptState``."""
     margin: float = math.nan
-    """The margin (:func:`margin_of`), which petmjx.engines.outcome_checks sets for all engines."""
+    """The margin (:func:`margin_of`). petmjx.engines.outcome_checks sets it for all engines."""
     plan_edge_m: float = math.nan
     plan_edge_box: int = -1
     rest_edge_m: float = math.nan
@@ -111,11 +115,11 @@ class Outcome:
     build_edge_m: float = math.nan
     build_edge_box: int = -1
     build_edge_step: int = -1
-    """For the fields above, from ``plan_edge_m`` to ``build_edge_step``: the smallest distances of loads from edges, m;
-    the boxes that have these loads; and the box after whose placement ``build_edge_m`` is reached. -1: no box.
-    petmjx.engines.outcome_checks sets these fields, and the distances of all boxes."""
+    """The fields from ``plan_edge_m`` to ``build_edge_step`` have the smallest distances of loads from edges (m), the
+    numbers of the boxes that have these loads, and the number of the box after whose placement ``build_edge_m`` occurs,
+    or -1 if there is no such box. petmjx.engines.outcome_checks sets these fields, and the distances of all boxes."""
     message: str = ""
-    """The reason why there is no result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
+    """One line that says why there is no result, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None
     """The recorded frames, if the job requests them."""
 
@@ -128,13 +132,14 @@ INVALID_FLAGS: Final = (
     (Flag.EXPLOSION, Reason.EXPLOSION),
     (Flag.TIMEOUT, Reason.TIMEOUT),
 )
-"""Flags that make a world invalid, each with its reason. If several are set, the first one in this order decides."""
+"""The flags that make a world invalid, each with its reason. If several flags are set, the first in this order
+decides."""
 
 _INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
 
 
 class Signs(NamedTuple):
-    """The metrics of (…, n) boxes that decide whether they fail, as in ``BoxMetrics``."""
+    """The metrics of (…, n) boxes that decide whether a box fails. They are defined as in ``BoxMetrics``."""
 
     shift_m: FloatArray
     max_tilt_deg: FloatArray
@@ -143,8 +148,8 @@ class Signs(NamedTuple):
 
 
 def failures(boxes: Any, thresholds: Thresholds) -> Iterator[tuple[Reason, Any]]:
-    """Pairs of a reason and (…, n) flags, which tell whether each box fails for this reason. The pairs are in the order
-    in which reasons are checked.
+    """Pairs of a reason and an array (…, n), which tells whether each box fails for this reason. The pairs have the
+    order in which the reasons are checked.
 
     Args:
         boxes: an object with the fields of ``Signs`` for (…, n) boxes, as arrays of NumPy or JAX.
@@ -163,18 +168,19 @@ def judge(
     sank: bool = False,
     placement: tuple[Verdict, Reason] = (Verdict.STABLE, Reason.NONE),
 ) -> tuple[Verdict, Reason]:
-    """The verdict of a world, and its reason. No other function decides verdicts (docs/metrics.md, section "Verdict").
+    """The verdict of a world, and its reason. All verdicts come from this function (docs/metrics.md, section
+    "Verdict").
 
-    An engine calls this function with its measurements. Callers that later learn more about the world call it again.
+    An engine calls this function with its measurements. Later checks that learn more about the world call it again.
 
-    Metrics may come from float32. With the default thresholds, comparisons in float64 and in float32 agree: 20 is exact
-    in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
+    Metrics may be float32 numbers. With the default thresholds, comparisons in float32 and in float64 agree. 20 is
+    exact in float32. The float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
 
     Args:
-        sank: whether boxes sank into their supports so far that there is no verdict. ``Flag.SINKING`` does not show
-            this, since worlds that keep their verdict may have this flag, too.
-        placement: for a world that was shaken, verdict and reason before the shaking. A world that did not stand then
-            has not passed, even if its boxes end at their planned places.
+        sank: whether boxes sank so far into their supports that the world is invalid. ``Flag.SINKING`` alone does not
+            make a world invalid.
+        placement: for a world that was shaken, its verdict and reason before the shaking. A world that had failed then
+            stays failed, even if its boxes end at their planned places.
     """
     for bits, reason in INVALID_FLAGS if int(flags) & _INVALID_BITS else ():
         if flags & bits:
@@ -190,11 +196,11 @@ def judge(
 def judge_all(
     flags: NDArray[np.int64], boxes: Signs | BoxMetrics, thresholds: Thresholds
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
-    """The verdicts and reasons of many worlds, the same as from ``judge``.
+    """The verdicts and reasons of many worlds, the same as ``judge`` returns for each.
 
     Args:
         flags: (m,) flags of the worlds.
-        boxes: metrics with one row per world: (m, n) instead of (n,). Boxes that are not placed have no values.
+        boxes: metrics with one row per world: (m, n) instead of (n,). Boxes that are not placed have NaN or False.
     """
     invalid = [(Verdict.INVALID, reason, (flags & int(bits)) != 0) for bits, reason in INVALID_FLAGS]
     unstable = [(Verdict.UNSTABLE, reason, failed.any(axis=1)) for reason, failed in failures(boxes, thresholds)]
@@ -204,26 +210,26 @@ def judge_all(
 
 
 DROPPED_EXCESS: Final = 2.0
-"""Smallest excess of a dropped box. With this excess, the margin is at most -1: the box may end near its place, but a
-drop always counts as beyond the threshold."""
+"""Smallest excess (how far a box is beyond its thresholds) of a dropped box. With it, the margin is at most -1. A
+dropped box may end near its planned place, but its world always counts as beyond the threshold."""
 
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 
 
 def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> float:
-    """Distance of a world from the nearest threshold, as a share of this threshold: 1 − the largest excess of any
+    """Distance of a world from the nearest threshold, as a share of this threshold: 1 minus the largest excess of any
     placed box.
 
-    1: nothing moved; 0: on the threshold; negative: beyond it, at most -1 if a box dropped. In a stable world the
-    margin is never negative, and in an unstable world always. The margin is NaN for invalid worlds. More:
-    docs/metrics.md, section "Margin".
+    The margin is 1 if nothing moved, 0 on the threshold, and negative beyond the threshold. If a box dropped, the
+    margin is at most -1. The margin is never negative in a stable world, always negative in an unstable world, and NaN
+    in an invalid world. See docs/metrics.md, section "Margin".
     """
     return _margins([(verdict, boxes, n_placed)], thresholds)[0]
 
 
 def margins_of(outcomes: Sequence[Outcome], thresholds: Thresholds) -> list[float]:
-    """``margin_of`` for many outcomes, computed together."""
+    """The result of ``margin_of`` for each of many outcomes, computed together."""
     return _margins([(outcome.verdict, outcome.boxes, outcome.n_placed) for outcome in outcomes], thresholds)
 
 
@@ -240,14 +246,15 @@ def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thre
     largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped)
     begins = np.cumsum(placed) - np.array(placed)
     for k, margin in zip(valid, (1.0 - np.maximum.reduceat(largest, begins)).tolist(), strict=True):
-        # on the threshold, the verdict decides the sign: `judge` may have compared float32, and the quotient is rounded
+        # On the threshold, the verdict decides the sign: `judge` may have compared float32, and the quotient is
+        # rounded.
         margins[k] = max(margin, 0.0) if worlds[k][0] is Verdict.STABLE else min(margin, -_EPSILON)
     return margins
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """One attempt at a world. The last attempt gives the verdict."""
+    """The record of one attempt (simulation) of a world. The last attempt gives the verdict."""
 
     attempt: int
     engine: str
@@ -260,7 +267,7 @@ class Attempt:
 
     @classmethod
     def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
-        """The record of an outcome that was simulated with ``timestep_s`` (s)."""
+        """The record of an outcome that was simulated with the timestep ``timestep_s``, s."""
         return cls(
             outcome.attempt,
             outcome.engine,

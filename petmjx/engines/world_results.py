@@ -11,8 +11,7 @@ from petmjx.world.job import Job
 
 
 class NamedJob(Protocol):
-    """A world of any run: its job, and its name in notes. The world is simulated once, and again if its outcome is
-    invalid."""
+    """A world of any run: its job (the input of the engine), and its name in notes."""
 
     @property
     def job(self) -> Job: ...
@@ -22,13 +21,13 @@ class NamedJob(Protocol):
 
     @property
     def variant(self) -> int:
-        """Number of the variant; 0: the plan without errors and other changes."""
+        """Number of the variant. 0 means the plan without errors and other changes."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One plan with one of its variants."""
+    """One plan in one of its variants."""
 
     plan: Plan
     variant: int
@@ -36,7 +35,7 @@ class World:
 
     @property
     def name(self) -> str:
-        """The name in notes."""
+        """The name of the world in notes."""
         return f"{self.plan.plan_id}, variant {self.variant}" if self.variant else self.plan.plan_id
 
 
@@ -45,7 +44,7 @@ AnyWorld = TypeVar("AnyWorld", bound=NamedJob)
 
 @dataclass(frozen=True, eq=False)
 class WorldResult(Generic[AnyWorld]):
-    """A world, the outcome of its last attempt, and all its attempts in order (often only one)."""
+    """A world, the outcome of its last attempt, and the records of all its attempts in order (often only one)."""
 
     world: AnyWorld
     outcome: Outcome

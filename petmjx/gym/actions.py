@@ -1,4 +1,5 @@
-"""Action tables: one row per episode, with places for the boxes that may come next and whether each place is legal."""
+"""Action tables of environments. For each episode, a table lists the places at which the next box may be put, and
+whether each place is legal."""
 
 from __future__ import annotations
 
@@ -17,31 +18,32 @@ from petmjx.loop.pallets import Pallets
 from petmjx.loop.placement_bounds import STANDS
 
 FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
-"""Features of a candidate: its index among the visible boxes, whether it is turned by 90°, its corner and extents in
-mm, its mass in kg, the supported share of its base, and the margin that the pallet has with it if the mask uses physics
-(else 0)."""
+"""Features of a candidate, which is a box at a place: the index of the box among the visible boxes, whether the box is
+turned by 90°, its corner and its extents in mm, its mass in kg, and the supported share of its base. The last feature
+is the pallet's margin of stability with this box, if the mask of legal actions uses physics (else 0)."""
 
 UPRIGHT: Final = "upright"
 PALLET: Final = "pallet"
-"""Further features, in environments in which actions choose them: which size is vertical (0: height, 1: width, 2:
-length), and the number of the pallet."""
+"""Further features of a candidate: which size of the box is vertical (0: height, 1: width, 2: length), and the number
+of the pallet. Only environments in which an action chooses the vertical size or the pallet have these features."""
 
 SIDES: Final = np.array([(0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)])
-"""(6, 3) for each side on which a box can stand, the sizes along x, y and z (0: length, 1: width, 2: height). The two
-rows of a pair differ by a turn about the vertical."""
+"""(6, 3) the six orientations of a box. Each row tells which size is along x, y and z (0: length, 1: width, 2: height).
+In each pair of rows, the same size is vertical, and the two rows differ by a turn of 90° about the vertical."""
 
 
 @dataclass(eq=False)
 class Table:
-    """The table of n episodes × a actions. All values of an illegal action are 0.
+    """The actions of n episodes, with a actions each. All values of an illegal action are 0.
 
     Attributes:
         legal: (n, a) mask of legal actions.
-        box: (n, a) index among the visible boxes; ``size_mm``, ``corner_mm``: (n, a, 3) size and corner as placed;
-            ``mass_kg``: (n, a).
-        side: (n, a) index into ``SIDES``; ``pallet``: (n, a) number of the pallet in its episode.
-        support: (n, a) supported share of the base; ``margin``: (n, a) the pallet's margin if the mask uses physics,
-            else 0.
+        box: (n, a) index of the box among the visible boxes; ``size_mm``, ``corner_mm``: (n, a, 3) extents and
+            front-left-bottom corner of the box as placed; ``mass_kg``: (n, a) mass of the box.
+        side: (n, a) orientation of the box, as an index into ``SIDES``; ``pallet``: (n, a) number of the pallet within
+            the episode.
+        support: (n, a) supported share of the box's base; ``margin``: (n, a) the pallet's margin of stability after the
+            action if the mask uses physics, else 0.
     """
 
     legal: NDArray[np.bool_]
@@ -71,17 +73,18 @@ class Table:
         )
 
     def clear(self, rows: NDArray[np.int64]) -> None:
-        """Clear the actions of some episodes."""
+        """Make all actions of the episodes in these rows illegal."""
         for values in vars(self).values():
             values[rows] = 0
 
     def copy(self, rows: NDArray[np.int64], table: Table, sources: NDArray[np.int64]) -> None:
-        """Copy the episodes ``sources`` of another table to the given rows of this one."""
+        """Copy the rows ``sources`` of another table to the given rows of this table."""
         for name, values in vars(self).items():
             values[rows] = getattr(table, name)[sources]
 
     def features(self, rows: NDArray[np.int64], names: Sequence[str]) -> NDArray[np.float32]:
-        """(m, a, f) features of some episodes: ``FEATURES``, and further ones if ``names`` has them."""
+        """(m, a, f) the features of all actions of m episodes: ``FEATURES``, and the further features that ``names``
+        has."""
         features = np.empty((len(rows), self.legal.shape[1], len(names)), np.float32)
         extra_columns = {UPRIGHT: self.side // 2, PALLET: self.pallet}
         at = 0
@@ -96,17 +99,18 @@ class Table:
 
 
 def features_of(options: PalletizingOptions, orders: Orders) -> tuple[str, ...]:
-    """The names of the features that a candidate has with these options."""
+    """The names of the features that each candidate has with these options."""
     extra_features = ((UPRIGHT, options.sides == ALL or orders.lie), (PALLET, options.open_pallets > 1))
     return (*FEATURES, *(name for name, is_on in extra_features if is_on))
 
 
 class Actions:
-    """Fills action tables. Episode i has ``open_pallets`` pallets, of which the first is i × ``open_pallets``.
+    """Finds the legal actions of episodes, and writes them into tables. Each episode has ``open_pallets`` pallets. The
+    first pallet of episode i has the number i × ``open_pallets``.
 
     Attributes:
-        count: number of actions of an episode.
-        strength_n: (n, k) the loads that the boxes on the pallets can bear, N; NaN if unknown.
+        count: number of actions of each episode, legal or not.
+        strength_n: (n, k) largest load that each box on each pallet can bear, N; NaN if unknown.
     """
 
     def __init__(self, pallets: Pallets, options: PalletizingOptions, orders: Orders) -> None:
@@ -117,14 +121,14 @@ class Actions:
         corners: FloatArray = np.indices(self._cells).reshape(2, -1).T.astype(np.float64) * cell
         self._grid = None if options.actions == CANDIDATES else corners
         self._sides = SIDES if options.sides == ALL or orders.lie else SIDES[:2]
-        # at least one action for each box of the buffer
+        # at least one action for each box that may come next
         most = max(options.n_candidates, options.buffer)
         ways = options.open_pallets * options.buffer * len(self._sides)
         self.count = most if self._grid is None else ways * len(corners)
 
     @property
     def asks_physics(self) -> bool:
-        """Whether the mask depends on whether the pallets would stand after a placement."""
+        """Whether an action is legal only if the pallet stands after the action."""
         return self._options.mask in (SURE, PHYSICS, LOADS)
 
     def fill(
@@ -139,10 +143,10 @@ class Actions:
         """Fill some rows of a table with the actions of their episodes.
 
         Args:
-            rows: (m,) rows of the table; ``episodes``: (m,) the episodes on whose pallets the boxes are placed; None:
-                the same numbers as ``rows``.
-            size_mm: (m, k, 3) sizes of the visible boxes; ``mass_kg``: (m, k), 0 if there is no box; ``upright``: (m,
-                k, 3) which of the sizes may be vertical.
+            rows: (m,) rows of the table; ``episodes``: (m,) for each row, the episode on whose pallets the boxes are
+                placed. If None, the numbers of the episodes are ``rows``.
+            size_mm: (m, k, 3) sizes of the visible boxes; ``mass_kg``: (m, k) masses of the boxes, 0 if there is no
+                box; ``upright``: (m, k, 3) whether each size may be vertical.
         """
         table.clear(rows)
         at, box = np.nonzero(mass_kg[:, : self._options.buffer])
@@ -196,7 +200,8 @@ class Actions:
         table.margin[into] = margin[stands]
 
     def _sides_of(self, size_mm: FloatArray, upright: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(b, s) the sides on which boxes may stand. Sides that give the same sizes as an earlier one are left out."""
+        """(b, s) which of s orientations each of b boxes may have. An orientation is left out if the box looks the same
+        as in an earlier orientation."""
         sizes = size_mm[:, self._sides]
         may = np.ones(sizes.shape[:2], bool)
         if self._options.sides != ALL:
@@ -207,12 +212,13 @@ class Actions:
         return may
 
     def _overloads(self, pallets: NDArray[np.int64], force_n: FloatArray) -> NDArray[np.bool_]:
-        """(c,) whether a box on the pallet would bear more than its strength. ``force_n``: (c, k), N. The last box is
-        the candidate, whose top is free."""
+        """(c,) for each candidate, whether a box on the pallet would bear more than its strength. ``force_n`` (c, k) is
+        the force on the top of each box, N. The last box is the candidate itself, on which nothing lies."""
         return np.asarray((force_n > self.strength_n[pallets, : force_n.shape[1]]).any(axis=1))
 
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) whether the mask allows a place before physics is tested."""
+        """(c,) whether each place is legal as far as geometry decides. If the mask uses physics, legal places are then
+        tested."""
         if places.centred is not None:
             return places.centred
         return places.support > 0 if self.asks_physics else np.ones(len(places.row), bool)
@@ -226,9 +232,9 @@ class Actions:
         side: NDArray[np.intp],
         pallet: NDArray[np.intp],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """Two arrays (c,): the episode of each place, and the number of its action. A number of ``count`` or more means
-        that the place has no action. Candidates are numbered box by box, the lowest places first. Cells are numbered by
-        pallet, box, side and cell."""
+        """Two arrays (c,): the row of each place's episode, and the number of the place's action. If the number is
+        ``count`` or more, the place has no action. If actions are candidates, they are numbered box by box, with the
+        lowest places of a box first. If actions are cells, they are numbered by pallet, box, orientation and cell."""
         source = places.row[chosen]
         row = at[source]
         if self._grid is not None:
@@ -237,7 +243,7 @@ class Actions:
             way = (pallet[source] * self._options.buffer + box[source]) * len(self._sides) + side[source]
             return row, (way * nx + x) * ny + y
         corner = places.corner_mm[chosen]
-        box_number = row * self._options.buffer + box[source]  # within a box, places are already sorted along x
+        box_number = row * self._options.buffer + box[source]  # the places of each box are already sorted along x
         order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], box_number))
         number = np.full(len(row), self.count)
         selected = order[_in_turn(row[order], box_number[order], self.count)]
@@ -246,13 +252,13 @@ class Actions:
 
 
 def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Choose at most ``most`` places of each episode: first one place for each box, then a second one for each, and so
-    on. If a box has few places, the other boxes get more.
+    """Choose at most ``most`` places for each episode: first the best place of each box, then the second-best place of
+    each box, and so on. If one box has few places, more places of the other boxes are chosen.
 
     Args:
         row: (c,) episode of each place, in ascending order.
-        seen: (c,) box of each place, in ascending order. Boxes of different episodes have different numbers. For each
-            box the best places come first.
+        seen: (c,) number of each place's box, in ascending order. Boxes of different episodes have different numbers.
+            The places of a box are sorted, with the best place first.
 
     Returns:
         Indices of the chosen places, in ascending order.
@@ -262,6 +268,7 @@ def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArra
 
 
 def _ranks(of: NDArray[np.intp]) -> NDArray[np.int64]:
-    """The ranks 0, 1, 2, … of the entries within each group of equal values. Equal values must be adjacent."""
+    """For each entry, its position (0, 1, 2, …) within the group of entries with the same value. Entries with the same
+    value must be adjacent."""
     first = np.flatnonzero(np.diff(of, prepend=-1))
     return np.arange(len(of)) - np.repeat(first, np.diff(first, append=len(of)))

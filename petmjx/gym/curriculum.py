@@ -1,4 +1,5 @@
-"""Curricula: the orders and the errors of episodes depend on the level of the episode, from 0 to 1."""
+"""Curricula: each episode has a level of difficulty from 0 to 1, on which its order (the list of boxes to pack) and its
+errors depend."""
 
 from __future__ import annotations
 
@@ -22,13 +23,15 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Curriculum:
-    """Properties of episodes at levels 0 and 1. Between these levels they change linearly.
+    """Properties of episodes, each as a pair of values: at level 0 and at level 1. Between these levels, the values
+    change linearly.
 
     Attributes:
-        boxes: largest number of boxes of an order; all further boxes are dropped. None: all boxes.
-        sizes: how different the boxes of an order are. At 0 all have the order's mean size and mass; at 1 they are as
-            in the order.
-        errors: the strength of errors, as in the option ``errors``.
+        boxes: largest number of boxes of an order. All further boxes of the order are dropped. If None, no boxes are
+            dropped.
+        sizes: how much the boxes of an order differ. At 0, all boxes have the mean size and mass of the order's boxes;
+            at 1, they have their own sizes and masses.
+        errors: size of the random placement errors, as in the option ``errors``.
     """
 
     boxes: Range | None = None
@@ -37,10 +40,11 @@ class Curriculum:
 
     @classmethod
     def of(cls, options: PalletizingOptions) -> Self:
-        """The curriculum of an environment. Without a curriculum, all levels are equal.
+        """The curriculum that the options of an environment define. If they define none, episodes are the same at all
+        levels.
 
         Raises:
-            InputError: an entry is unknown, or is not two numbers within its range.
+            InputError: an entry is unknown, or is not a pair of numbers within the allowed range.
         """
         entries = {} if options.curriculum is None else options.curriculum
         if not isinstance(entries, Mapping):
@@ -55,7 +59,7 @@ class Curriculum:
         return cls(**ranges)
 
     def order(self, boxes: Boxes, level: float) -> Boxes:
-        """An order as it is at a level."""
+        """The order as it is used in an episode of this level."""
         size, mass = boxes.size_mm.mean(axis=0), boxes.mass_kg.mean()
         if self.boxes is not None:
             boxes = boxes.take(slice(round(_between(self.boxes, level))))
@@ -70,20 +74,19 @@ class Curriculum:
         )
 
     def error_strength(self, level: FloatArray) -> FloatArray:
-        """(m,) strength of errors at each of these levels."""
+        """(m,) size of the placement errors at each of m levels, as in the option ``errors``."""
         low, high = self.errors
         return np.asarray(low + level * (high - low), np.float64)
 
 
 def level_of(options: object, n: int, *others: str) -> FloatArray | None:
-    """(n,) the level that the options of ``reset`` set; None: the level stays as it is.
+    """(n,) the levels that the options of ``reset`` set for n environments; None if they set no level.
 
     Args:
-        others: names of other options of the environment.
+        others: names of the other options that ``reset`` of the environment has.
 
     Raises:
-        InputError: the options are no dict, the environment does not have one of them, or there are neither one nor n
-            levels.
+        InputError: the options are not a dict, an option does not exist, or the number of levels is neither 1 nor n.
     """
     if options is None:
         return None

@@ -1,4 +1,4 @@
-"""``petmjx/Palletizing-v0``: an environment with one pallet, on which each step places one box."""
+"""``petmjx/Palletizing-v0``: an environment with one pallet. Each step places one box on the pallet."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FIRST: Final = np.zeros(1, np.int64)
 
 
 def spaces_of(episodes: Episodes) -> tuple[spaces.Dict, spaces.Discrete]:
-    """The spaces of observations and actions of one episode."""
+    """The Gymnasium spaces of the observations and of the actions of one episode."""
     boxes: dict[str, spaces.Space[Any]] = {
         name: spaces.Box(low, high, shape, kind) for name, (shape, low, high, kind) in episodes.spaces.items()
     }
@@ -29,15 +29,15 @@ def spaces_of(episodes: Episodes) -> tuple[spaces.Dict, spaces.Discrete]:
 
 
 class PalletizingEnv(gym.Env[Observation, np.int64]):
-    """Boxes arrive one after another. Each action places one of them on the pallet, and physics decides whether the
+    """Boxes arrive one after another. Each action places one box on the pallet, and a simulation decides whether the
     pallet stands.
 
-    An episode ends when the pallet does not stand, or when no remaining box has a legal place. Boxes without a legal
-    place are left out. docs/loop.md has the details.
+    An episode ends when the pallet does not stand, or when no remaining box has a legal place. Boxes for which there is
+    no legal place are left out. docs/loop.md has the details.
 
     Args:
-        render_mode: None; "rgb_array": pictures of 480 × 480 pixels per pallet (needs EGL and the extra ``show``); or
-            "human": pictures in a window after each step (needs a display).
+        render_mode: "rgb_array" for pictures of 480 × 480 pixels per pallet (needs EGL and the extra ``show``); "human"
+            for pictures in a window after each step (needs a display); None for no pictures.
         options: fields of ``petmjx.gym.environment_options.PalletizingOptions``, arguments of ``petmjx.Pallets``, and
             fields of ``petmjx.Simulation``.
 
@@ -62,7 +62,8 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         """Begin an episode. Equal seeds give equal episodes.
 
         Args:
-            options: ``level``, from 0 to 1, sets the level of the curriculum from this episode on.
+            options: a dict that may have the entry ``level``, from 0 to 1. It sets the level of difficulty of this and
+                all later episodes.
         """
         super().reset(seed=seed)
         if (level := level_of(options, 1)) is not None:
@@ -73,7 +74,7 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         return self._observed(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Place a box on the pallet. An action that the mask excludes changes nothing."""
+        """Place a box on the pallet. An illegal action changes nothing."""
         if not self.action_space.contains(action):
             raise InputError(
                 f"action must be a whole number from 0 to {self.episodes.n_actions - 1}, {shown_value(action)}"
@@ -88,7 +89,7 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         return self._observed(), float(stepped.reward[0]), *ends, self._info() | terms
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture of the pallet. None if it is shown in a window."""
+        """A picture of the pallet; None if the picture is shown in a window."""
         if self.render_mode == "rgb_array":
             return self.episodes.picture(0)
         self._show()
@@ -101,7 +102,7 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
             self._window.show(self.episodes.picture(0))
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """(a,) mask of legal actions. Libraries for masked policies expect it under this name."""
+        """(a,) mask of legal actions. Libraries for policies with masks call a method of this name."""
         masks: NDArray[np.bool_] = self.episodes.table.legal[0].copy()
         return masks
 
@@ -119,6 +120,6 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
 
 
 def check_render_mode(render_mode: str | None, modes: Sequence[str] = PalletizingEnv.metadata["render_modes"]) -> None:
-    """Check the mode. Raises InputError unless it is None or one of ``modes``."""
+    """Raise InputError unless the mode is None or one of ``modes``."""
     if render_mode is not None and render_mode not in modes:
         raise InputError(f"render_mode must be None or {' or '.join(modes)}, got {render_mode!r}")

@@ -1,4 +1,4 @@
-"""Options of the environment, with their defaults, checks and meanings."""
+"""The options of the environment ``petmjx/Palletizing-v0``: their meanings, defaults and checks."""
 
 from __future__ import annotations
 
@@ -23,45 +23,49 @@ CENTRE: Final = "centre"
 OF_ORDER: Final = "order"
 ALL: Final = "all"
 MOST_OPEN: Final = 64
-"""Largest number of pallets in an episode. A robot could not reach more pallets."""
+"""Largest number of pallets in an episode. A robot cannot reach more pallets."""
 MOST_ERRORS: Final = 10.0
-"""Largest multiple of the errors of a common robot. This multiple gives errors of 20 mm. With larger ones, a box would
-no longer stand where it was meant to."""
+"""Largest value of the option ``errors``, which is a multiple of a common robot's placement errors. The largest value
+gives errors of 20 mm. With larger errors, a box would no longer stand at its intended place."""
 SUPPORT: Final = {f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}
 MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, SURE, PHYSICS, LOADS)
 
 
 @dataclass(frozen=True)
 class PalletizingOptions:
-    """Options of ``petmjx/Palletizing-v0``, in addition to those of ``petmjx.Pallets``.
+    """Options of ``petmjx/Palletizing-v0``. The environment also has the options of ``petmjx.Pallets``.
 
     Attributes:
-        orders: where boxes come from (``petmjx.loop.order_sources.Orders``).
-        orders_seed: seed of the generator of orders.
-        orders_units, orders_columns, orders_density: how a file of orders is read that is not in BED-BPP's form, as in
-            the fields of ``petmjx.RunOptions``; None: the most plausible reading.
-        articles: a table of articles (docs/loads.md), which has the strengths of the orders' boxes.
-        look_ahead: number of visible boxes. 1 is online packing; all boxes of an order is offline packing.
-        buffer: number of boxes among which the next box may be chosen: the first ones of the visible boxes.
-        actions: ``candidates``: an action is one of the listed places, which have features; ``cells``: an action is a
-            box, an orientation and a cell of the carrier.
-        n_candidates: largest number of listed places; at least one is listed for each box of the buffer. The list has
-            the lowest place of each box, then the second lowest of each, and so on.
-        action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
-        mask: which of the actions on the carrier and below ``max_height_mm`` are legal: ``geometry``: all of them; a
-            criterion of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial;
-            ``sure``: actions that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
-        max_height_mm: highest top of a box.
-        gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
-        rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
+        orders: source of the orders, which are lists of boxes to pack (``petmjx.loop.order_sources.Orders``).
+        orders_seed: seed of the generator of random orders.
+        orders_units, orders_columns, orders_density: how to read a file of orders that is not in BED-BPP's form, as in
+            the fields of ``petmjx.RunOptions``. If None, the most plausible reading is used.
+        articles: a table of articles (docs/loads.md), from which the strengths of boxes are read.
+        look_ahead: number of boxes that are visible in an observation. 1 means online packing. A number as large as the
+            order means offline packing.
+        buffer: number of boxes from which an action may choose. They are the first of the visible boxes.
+        actions: if ``candidates``, an action selects a place from a list of places with features. If ``cells``, an
+            action selects a box, an orientation and a cell of the carrier.
+        n_candidates: largest number of places in the list. The list begins with the lowest place of each box, then has
+            the second-lowest place of each box, and so on. It has at least one place for each box of the buffer.
+        action_cell_mm: side of the cells of actions, mm; ``cell_mm``: side of the cells of observed maps, mm.
+        mask: which actions are legal, among those that keep the box on the carrier and below ``max_height_mm``.
+            ``geometry``: all of them. The name of a criterion of docs/criteria.md (``support_75``, … or ``centre``):
+            those that fulfil the criterion. ``physics``: those after which the pallet stands in a trial simulation.
+            ``sure``: those after which the pallet stands beyond doubt, so that no trial is needed. ``loads``: those
+            after which the pallet stands in a trial simulation and no box is overloaded.
+        max_height_mm: largest allowed height of a box's top, mm.
+        gap_mm: free space that a robot needs between a box and its neighbours along x and y, mm.
+        rewards: weights of the terms of the reward (``petmjx.loop.rewards.TERMS``).
         most_illegal: number of illegal actions after which an episode is truncated.
-        scaled: whether observations are scaled to 0 to 1 (``petmjx.gym.observation_spaces``).
-        sides: on which sides boxes may stand: ``order``: those that the order allows, or only the base if the order
-            gives none; ``all``: all sides.
-        open_pallets: number of pallets of an episode. Each of them may get the next box.
-        errors: how inaccurately boxes are placed, as a multiple of the errors of ``petmjx score --confidence``.
-        curriculum: properties that change with the level of an episode (``petmjx.gym.curriculum.Curriculum``).
-        level: the level of episodes, from 0 to 1, which ``reset(options={"level": …})`` changes.
+        scaled: whether observations are scaled to the range from 0 to 1 (``petmjx.gym.observation_spaces``).
+        sides: on which of their sides boxes may stand. ``order``: the sides that the order allows, or only the base if
+            the order states no sides. ``all``: all sides.
+        open_pallets: number of pallets of an episode. An action may put the next box on any of them.
+        errors: size of the random placement errors, as a multiple of the errors of ``petmjx score --confidence``.
+        curriculum: properties of episodes that depend on their level of difficulty
+            (``petmjx.gym.curriculum.Curriculum``).
+        level: the level of difficulty of episodes, from 0 to 1. ``reset(options={"level": …})`` changes it.
     """
 
     orders: Any = ENDLESS
@@ -90,7 +94,7 @@ class PalletizingOptions:
 
     @classmethod
     def of(cls, arguments: dict[str, Any]) -> tuple[Self, dict[str, Any]]:
-        """Split ``arguments`` into these options and the remaining entries.
+        """Split ``arguments`` into the options of this class and the remaining entries.
 
         Raises:
             InputError: a value is unusable.
@@ -126,7 +130,7 @@ class PalletizingOptions:
         """Read the orders.
 
         Raises:
-            InputError: the orders cannot be read, or lack strengths, which the mask ``loads`` needs.
+            InputError: the orders cannot be read, or the mask is ``loads`` and the orders' boxes have no strengths.
         """
         reading = order_reading(self.orders_units, self.orders_columns, self.orders_density)
         orders = Orders(self.orders, self.orders_seed, self.articles, reading)

@@ -1,4 +1,5 @@
-"""n episodes side by side: their states, and the steps that placements make. Environments wrap this class."""
+"""n episodes that run side by side: their states, and their steps. The environments are built on the class
+``Episodes``."""
 
 from __future__ import annotations
 
@@ -26,10 +27,12 @@ from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.rewards import TERMS, Placement
 
 _MOST_ORDERS: Final = 100
-"""Largest number of orders drawn until one has a box that fits on the empty carrier."""
+"""Largest number of orders that are drawn for an episode. A new order is drawn if no box of an order fits on the empty
+carrier."""
 
 _MOST_KINDS: Final = 16
-"""Largest number of kinds of boxes behind the next box that one call examines, for each episode."""
+"""Largest number of kinds of boxes (boxes with equal size and mass) that one search for a placeable box examines, for
+each episode."""
 
 PICTURE: Final = (480, 480)
 """Width and height of a pallet's picture, in pixels."""
@@ -40,8 +43,9 @@ class EpisodeStep:
     """The results of one step of m episodes.
 
     Attributes:
-        reward: (m,) weighted sum of the terms; ``terms``: the unweighted terms, each (m,).
-        terminated, truncated: (m,) whether the episode ended, as Gymnasium defines these.
+        reward: (m,) reward of each episode, which is the weighted sum of the terms; ``terms``: name of each term of the
+            reward → its values (m,) without the weight.
+        terminated, truncated: (m,) whether each episode was terminated or truncated, as Gymnasium defines these words.
     """
 
     reward: FloatArray
@@ -51,10 +55,10 @@ class EpisodeStep:
 
 
 class Episodes:
-    """n episodes side by side. Every pallet belongs to one of the episodes.
+    """n episodes that run side by side. Every pallet belongs to one of the episodes.
 
     Args:
-        given: options of ``PalletizingOptions`` and arguments of ``petmjx.Pallets``.
+        options: options of ``PalletizingOptions`` and arguments of ``petmjx.Pallets``.
 
     Raises:
         InputError: an option is unusable.
@@ -91,7 +95,7 @@ class Episodes:
     # ------------------------------------------------------------------ events
 
     def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
-        """Begin some episodes, each with a random order from its own generator.
+        """Begin new episodes in these rows. The order of each episode is drawn with the episode's own random generator.
 
         Raises:
             InputError: no box of the orders fits on the empty carrier.
@@ -123,7 +127,7 @@ class Episodes:
         )
 
     def step(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> EpisodeStep:
-        """Place a box in each of these episodes, which must be running."""
+        """Carry out one action in each of these episodes, which must be running."""
         m = len(rows)
         legal = self.table.legal[rows, actions]
         terms: dict[str, FloatArray] = {name: np.zeros(m) for name in self.weights}
@@ -153,7 +157,7 @@ class Episodes:
         last = self.pallets.n_boxes[on]
         queues: list[NDArray[Any]] = []
 
-        def go_on() -> None:  # updates that depend only on where boxes are placed
+        def go_on() -> None:  # updates that need only the places of boxes, not the results of the simulation
             self._actions.strength_n[on, last] = self._queues.take(rows, box)
             self._maps.add(on, last, size, corner)
             queues.extend(self._queues.kept(rows))
@@ -165,7 +169,7 @@ class Episodes:
         )
         if self._actions.asks_physics:
             self._look(rows[report.stable & ~self._are_full(rows)])
-        fallen = ~report.stable  # an episode that has ended leaves out no further boxes
+        fallen = ~report.stable  # boxes that were left out after a pallet had fallen do not count
         self._queues.restore(rows[fallen], [values[fallen] for values in queues])
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[on], 0.0)
@@ -186,18 +190,18 @@ class Episodes:
         return x * y * self.options.max_height_mm * self._several
 
     def _pallets_of(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(m, p) the pallets of each episode."""
+        """(m, p) the numbers of the p pallets of each episode."""
         pallets: NDArray[np.int64] = rows[:, None] * self._several + np.arange(self._several)
         return pallets
 
     def _are_full(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """(m,) whether no pallet of an episode has room for another box."""
+        """(m,) whether all pallets of each episode have the largest allowed number of boxes."""
         full: NDArray[np.bool_] = self.pallets.n_boxes[self._pallets_of(rows)].min(axis=1) >= self.pallets.most_boxes
         return full
 
     def _drawn_errors(self, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Draw the errors of the episodes' next boxes, as arguments of ``Pallets.place``. Empty if there are no
-        errors."""
+        """Draw the placement errors of the next boxes, in the form of arguments of ``Pallets.place``. The result is
+        empty if there are no errors."""
         if not self._errors[rows].any():
             return {}
         rngs = [self._rngs[row] for row in rows.tolist()]
@@ -205,7 +209,8 @@ class Episodes:
         return {"error": np.array(numbers, np.int64), "error_strength": self._errors[rows]}
 
     def _look(self, rows: NDArray[np.int64]) -> None:
-        """Find the actions of episodes. If an episode has no action, the boxes that may come next are left out."""
+        """Find the legal actions of these episodes. If an episode has no legal action, the boxes from which it may
+        choose are left out, and the search is repeated with the boxes that follow."""
         while len(rows):
             self._actions.fill(self.table, rows, *self._queues.seen(rows))
             stuck = rows[~self.table.legal[rows].any(axis=1)]
@@ -216,11 +221,12 @@ class Episodes:
             self._queues.leave_out(rows, self.options.buffer)
 
     def _look_ahead(self, rows: NDArray[np.int64]) -> None:
-        """Find the first box behind the next one that has an action, and leave out all boxes before it. Boxes of one
-        kind have the same actions, since no pallet changes meanwhile. One call examines several kinds, and each further
-        call more of them, because a call takes time even for few boxes."""
+        """Find the first box after the next box for which there is a legal action, and leave out all boxes before the
+        found box. Only one box of each kind (equal size and mass) is examined, because equal boxes have equal actions.
+        Several kinds are examined in one call, and their number grows from call to call, because even a call for few
+        boxes takes time."""
         later = {row: self._queues.kinds(row) for row in rows.tolist()}
-        first = dict.fromkeys(later, 1)  # the kind of the next box is known to have no action
+        first = dict.fromkeys(later, 1)  # kind 0, that of the next box, is known to have no action
         most = 1
         while first:
             numbers = {row: range(begin, min(begin + most, len(later[row][0]))) for row, begin in first.items()}
@@ -247,7 +253,7 @@ class Episodes:
     # ------------------------------------------------------------------ observations
 
     def observed(self, rows: NDArray[np.int64]) -> Observation:
-        """The observations of episodes, as arrays of m rows."""
+        """The observations of m episodes, as arrays of m rows."""
         size, mass, _ = self._queues.seen(rows)
         on = rows if self._several == 1 else self._pallets_of(rows)
         observation: Observation = {
@@ -265,7 +271,7 @@ class Episodes:
         return self._spaces.scaled(observation)
 
     def info_of(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """The values of ``info`` for episodes after a step."""
+        """The values of Gymnasium's ``info`` for these episodes after a step."""
         return {
             "verdict": self._verdict[rows].astype(object),
             "reason": self._reason[rows].astype(object),
@@ -279,14 +285,16 @@ class Episodes:
 
     @property
     def spaces(self) -> dict[str, Space]:
-        """The space of each observation, by its name."""
+        """The space (shape, bounds and type) of each part of an observation, by name."""
         return self._spaces.spaces
 
     def set_level(self, rows: NDArray[np.int64], level: Any) -> None:
-        """Set the level of some environments from their next episodes on. The level is one number, or (m,).
+        """Set the level of difficulty of some environments, from their next episodes on. The level is one number, or an
+        array (m,) with a number for each environment.
 
         Raises:
-            InputError: a level is not from 0 to 1, there are neither one nor m levels, or there is no curriculum.
+            InputError: a level is not from 0 to 1, the number of levels is neither 1 nor m, or the environment has no
+                curriculum.
         """
         values = np.atleast_1d(np.asarray(level, object))
         if values.shape not in ((1,), (len(rows),)):

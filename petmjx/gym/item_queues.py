@@ -1,4 +1,4 @@
-"""Queues, stored in arrays, of the boxes that episodes still have to place."""
+"""The queues of the boxes that episodes still have to place, stored in arrays."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.order_sources import Boxes
 
 _MORE: Final = 32
-"""Number of boxes that the table holds beyond the visible ones. A row is refilled after this many boxes were
-removed."""
+"""Number of boxes that the table holds for each episode in addition to the visible boxes. When this number of boxes has
+been removed, the row is refilled."""
 
 
 _STRENGTH: Final = 4
-"""Column of ``Boxes.rows`` with the strength."""
+"""Index of the column of ``Boxes.rows`` that has the strength of a box."""
 
 
 def parts_of(boxes: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Split rows of boxes (…, 8) into (…, 3) sizes, mm, (…) masses, kg, and (…, 3) whether each of the sizes may be
-    vertical."""
+    """Split an array (…, 8), whose rows describe boxes, into three arrays: the sizes (…, 3), mm; the masses (…), kg;
+    and (…, 3) whether each size may be vertical."""
     return boxes[..., :3], boxes[..., 3], boxes[..., 5:] > 0
 
 
@@ -30,35 +30,36 @@ class Queues:
     """The boxes that n episodes still have to place.
 
     Args:
-        seen: number of visible boxes per episode.
+        seen: number of visible boxes of each episode.
 
     Attributes:
-        counts: (n,) number of remaining boxes.
-        left_out: (n,) number of boxes that were left out because they had no legal place.
+        counts: (n,) number of remaining boxes of each episode.
+        left_out: (n,) number of boxes of each episode that were left out because there was no legal place for them.
     """
 
     def __init__(self, n: int, seen: int) -> None:
         self._boxes: list[Boxes] = [Boxes(np.zeros((0, 3)), np.zeros(0), np.zeros(0))] * n
         self._seen = seen
-        # (n, k, 8) the next boxes, from column `first` on, in the form of ``Boxes.rows``; 0 after the last box
+        # (n, k, 8) the next boxes of each episode, in the form of ``Boxes.rows``. The first remaining box is at index
+        # `_first`. Values are 0 after the last box.
         self._next: FloatArray = np.zeros((n, seen + _MORE, 8))
         self._first: NDArray[np.int64] = np.zeros(n, np.int64)
-        self._behind: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes not in the table yet
+        self._behind: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes that are not in the table yet
         self.counts: NDArray[np.int64] = np.zeros(n, np.int64)
         self.left_out: NDArray[np.int64] = np.zeros(n, np.int64)
 
     def begin(self, row: int, boxes: Boxes) -> None:
-        """Begin an episode with these boxes."""
+        """Begin an episode in this row, with these boxes to place."""
         self._boxes[row], self.left_out[row] = boxes, 0
         self.counts[row] = self._behind[row] = len(boxes)
         self._fill(row)
 
     def take(self, rows: NDArray[np.int64], places: NDArray[np.int64]) -> FloatArray:
-        """Remove one box from each of some queues, at the given places. Returns the boxes' strengths, (m,) N; NaN if
-        unknown."""
+        """Remove one box from each of m queues, at the given positions. Returns (m,) the strengths of the removed
+        boxes, N; NaN if unknown."""
         first = self._first[rows]
         strength: FloatArray = self._next[rows, first + places, _STRENGTH]
-        for place in range(int(places.max(initial=0)), 0, -1):  # move the boxes before the removed one
+        for place in range(int(places.max(initial=0)), 0, -1):  # move the boxes before the removed box by one position
             is_after = places >= place
             at = rows[is_after], first[is_after] + place
             self._next[at] = self._next[at[0], at[1] - 1]
@@ -66,26 +67,26 @@ class Queues:
         return strength
 
     def leave_out(self, rows: NDArray[np.int64], count: int) -> None:
-        """Leave out the first ``count`` boxes of each of some queues."""
+        """Remove the first ``count`` boxes of each of these queues, and count them as left out."""
         n_removed = np.minimum(self.counts[rows], count)
         self.left_out[rows] += n_removed
         self._go_on(rows, n_removed)
 
     def kinds(self, row: int) -> tuple[NDArray[np.intp], FloatArray]:
-        """The first box of each kind among the remaining boxes of a queue: (k,) their numbers, in ascending order, and
-        (k, 8) their rows. Boxes of a kind differ at most in strength. Until this call, boxes must have been taken from
-        the queue only in sequence."""
+        """The first box of each kind among the remaining boxes of a queue. Boxes of the same kind differ at most in
+        strength. Returns (k,) the positions of these boxes in the queue, in ascending order, and (k, 8) their rows. The
+        method may only be used if all boxes so far were taken from the front of the queue."""
         boxes = self._boxes[row].rows
         boxes = boxes[len(boxes) - int(self.counts[row]) :]
         first = np.sort(np.unique(np.delete(boxes, _STRENGTH, axis=1), axis=0, return_index=True)[1])
         return first, boxes[first]
 
     def kept(self, rows: NDArray[np.int64]) -> list[NDArray[Any]]:
-        """A copy of the state of some queues, for ``restore``."""
+        """A copy of the states of these queues, as an argument of ``restore``."""
         return [values[rows] for values in self._arrays]
 
     def restore(self, rows: NDArray[np.int64], kept: Iterable[NDArray[Any]]) -> None:
-        """Restore the state of some queues."""
+        """Set the states of these queues to a copy made by ``kept``."""
         for values, before in zip(self._arrays, kept, strict=True):
             values[rows] = before
 
@@ -94,7 +95,8 @@ class Queues:
         return self._next, self._first, self._behind, self.counts, self.left_out
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """The visible boxes, split by ``parts_of`` into arrays (m, k, …). Values are 0 after the last box."""
+        """The k visible boxes of each of m episodes, split by ``parts_of`` into arrays (m, k, …). Values are 0 after
+        the last box."""
         return parts_of(self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)])
 
     def _go_on(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:
@@ -104,9 +106,9 @@ class Queues:
             self._fill(row)
 
     def _fill(self, row: int) -> None:
-        """Move the boxes of a row to its first column, and append boxes until the row is full."""
+        """Move the remaining boxes of a row to the row's beginning, and append boxes until the row is full."""
         boxes, table = self._boxes[row], self._next[row]
-        # There are fewer boxes if some were left out although the table had all of them.
+        # If more boxes were left out than the table held, fewer boxes remain to be added than ``_behind`` states.
         behind = min(int(self._behind[row]), int(self.counts[row]))
         n_items, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:n_items] = table[first : first + n_items].copy()

@@ -1,4 +1,5 @@
-"""Observed maps of pallets: the height above each cell of the carrier, and the load on the boxes in each cell."""
+"""Maps of pallets for observations: the height of the pile above each cell of the carrier, and the load on the boxes
+above each cell."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from petmjx.loop.growing_tables import FIRST_COLUMNS, widened_table
 from petmjx.loop.height_maps import spans
 
 _AT_ONCE: Final = 512
-"""Number of pallets whose maps are computed at a time, so that they fit into a core's cache."""
+"""Number of pallets whose maps are computed at a time. The maps of this number of pallets fit into the cache of a CPU
+core."""
 
 _MOST: Final = float(np.finfo(np.float32).max)
 
@@ -21,29 +23,32 @@ Map = NDArray[np.float32]
 
 
 class Maps:
-    """The maps of n pallets. Each new box updates them. The maps have the precision of observations.
+    """The maps of n pallets. They are updated with each new box, and are in single precision like all observations.
 
     Attributes:
-        heights: (n, x, y) the highest top, mm; ``loads``: (n, x, y) the largest force on a box's top, N.
+        heights: (n, x, y) height of the highest top of a box above each cell, mm; ``loads``: (n, x, y) largest force on
+            the top of a box above each cell, N.
     """
 
     def __init__(self, n: int, cells: tuple[int, int], cell_mm: float) -> None:
         self._cell_mm = cell_mm
         self.heights: Map = np.zeros((n, *cells), np.float32)
         self.loads: Map = np.zeros((n, *cells), np.float32)
-        self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)  # the cells that each box covers
+        # the ranges of cells that each box covers
+        self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)
 
     def clear(self, rows: NDArray[np.int64]) -> None:
-        """Clear the maps of some pallets."""
+        """Set the maps of these pallets to those of empty pallets."""
         self.heights[rows] = self.loads[rows] = 0.0
 
     def add(
         self, rows: NDArray[np.int64], number: NDArray[np.int64], size_mm: FloatArray, corner_mm: FloatArray
     ) -> None:
-        """Add a box to each of some pallets.
+        """Add a box to each of m pallets.
 
         Args:
-            number: (m,) number of the box on its pallet, from 0; ``size_mm``, ``corner_mm``: (m, 3).
+            number: (m,) number of the new box on its pallet, from 0; ``size_mm``, ``corner_mm``: (m, 3) extents and
+                corner of the new box.
         """
         self._spans = widened_table(self._spans, int(number.max(initial=0)) + 1)
         self._spans[rows, number] = box_spans = spans(size_mm, corner_mm, self._cell_mm)
@@ -52,14 +57,15 @@ class Maps:
         self.heights[rows] = np.maximum(self.heights[rows], (tops * over_x[:, None] * over_y).transpose(2, 0, 1))
 
     def load(self, rows: NDArray[np.int64], top_force_n: FloatArray) -> None:
-        """Update the loads on the boxes of some pallets.
+        """Update the maps of loads of m pallets.
 
         Args:
             top_force_n: (m, k) force on the top of each box, N; NaN after the last box of a pallet.
         """
         force = np.minimum(np.nan_to_num(top_force_n), _MOST).astype(np.float32)
         count = (force > 0).sum(axis=1)
-        fullest = np.argsort(-count, kind="stable")  # sorting gives groups with similar numbers of boxes
+        # pallets with similar numbers of loaded boxes are computed together
+        fullest = np.argsort(-count, kind="stable")
 
         def load(some: NDArray[np.intp]) -> None:
             most = int(count[some].max(initial=0))
@@ -77,10 +83,11 @@ class Maps:
         on_threads(load, np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE)))
 
     def _over(self, box_spans: NDArray[np.integer]) -> tuple[Map, Map]:
-        """1 for the columns (x, m) and rows (y, m) of cells that boxes cover, else 0.
+        """Two arrays (x, m) and (y, m), for the cells along x and along y: 1 if the box of each of m pallets covers
+        these cells, else 0.
 
         Args:
-            box_spans: (m, 2, 2) the ranges of cells of one box per pallet, from ``spans``.
+            box_spans: (m, 2, 2) the ranges of cells that one box of each pallet covers, from ``spans``.
         """
         low, high = box_spans.transpose(1, 2, 0)
         x, y = (

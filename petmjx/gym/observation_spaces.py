@@ -1,4 +1,5 @@
-"""Spaces of observations: their shapes, their bounds, and the scales that map all values to the range from 0 to 1."""
+"""The spaces of observations: shapes and bounds of all values, and scales that map the values to the range from 0 to
+1."""
 
 from __future__ import annotations
 
@@ -16,12 +17,12 @@ LOAD_N: Final = 500.0
 BOX_KG: Final = 10.0
 PALLET_KG: Final = 300.0
 LEFT: Final = 20.0
-"""The value ``half`` of each scale x / (x + half), which maps ``half`` to 0.5 and all values to less than 1. The values
-are typical loads and masses in orders of groceries (docs/loop.md)."""
+"""Constants of the scales x / (x + half), which map the constant ``half`` to 0.5 and all other positive values to
+numbers between 0 and 1. The constants are a typical load on a box, N, a typical mass of a box and of a pallet, kg, and
+a typical number of remaining boxes, in orders of groceries (docs/loop.md)."""
 
 LARGEST_N: Final = 1e6
-"""Largest force in observations, N. Larger forces are replaced by this value. A pallet of 100 t presses with this
-force."""
+"""Largest force in observations, N: the weight of a pallet of 100 t. Larger forces are replaced by this value."""
 
 _LENGTHS: Final = ("x", "y", "z", "length_x", "length_y", "height")
 
@@ -29,7 +30,7 @@ Observation = dict[str, NDArray[Any]]
 
 
 class Space(NamedTuple):
-    """The shape of an observation, its smallest and largest values, and its type."""
+    """The shape of a part of an observation, its smallest and its largest value, and its type."""
 
     shape: tuple[int, ...]
     low: Any
@@ -38,7 +39,7 @@ class Space(NamedTuple):
 
 
 class ObservationSpaces:
-    """The spaces of an environment and its scales.
+    """The spaces and the scales of the observations of an environment.
 
     Args:
         cells: numbers of cells of the maps along x and y; ``n_actions``: number of actions; ``features``: names of the
@@ -84,7 +85,8 @@ class ObservationSpaces:
         self.spaces = spaces
 
     def scaled(self, observation: Observation) -> Observation:
-        """The observations in the form of the environment: unscaled, or scaled to the range from 0 to 1."""
+        """The observations in the form that the environment returns: unscaled, or scaled to the range from 0 to 1,
+        depending on its options."""
         if not self._options.scaled:
             return {**observation, "load_map": np.minimum(observation["load_map"], np.float32(LARGEST_N))}
         boxes = observation["boxes"]
@@ -117,5 +119,5 @@ class ObservationSpaces:
 
 
 def _saturated(values: NDArray[Any], half: float) -> NDArray[Any]:
-    """Map values from [0, inf) to [0, 1); the value ``half`` maps to 0.5."""
+    """Map values from [0, inf) to [0, 1), so that the value ``half`` is mapped to 0.5."""
     return np.asarray(values / (values + np.float32(half)))

@@ -1,6 +1,5 @@
-"""``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: n pallets per step on one engine.
-
-The environment provides the masks for MaskablePPO of sb3-contrib. This module needs the extra ``sb3``.
+"""``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: in each step, one engine simulates n pallets.
+The environment provides masks of legal actions for MaskablePPO of sb3-contrib. This module needs the extra ``sb3``.
 """
 
 from __future__ import annotations
@@ -29,12 +28,13 @@ except ImportError as error:
 
 
 class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where Stable-Baselines3 is not installed
-    """n pallets for ``MaskablePPO("MultiInputPolicy", env)`` and the other algorithms of Stable-Baselines3.
+    """n environments with a pallet each, for ``MaskablePPO("MultiInputPolicy", env)`` and other algorithms of
+    Stable-Baselines3.
 
     When an episode ends, the next one begins in the same step. The last observation of the ended episode is
-    ``info["terminal_observation"]``. ``info["episode"]`` has its return ``r``, length ``l`` and time ``t`` in s, in the
-    form of ``VecMonitor``, so no monitor is needed. ``info["TimeLimit.truncated"]`` distinguishes an end through
-    illegal actions from a failure.
+    ``info["terminal_observation"]``. ``info["episode"]`` has the return ``r`` of the ended episode, its length ``l``
+    and the time ``t`` in s, in the form of ``VecMonitor``, so no monitor is needed. ``info["TimeLimit.truncated"]`` is
+    true if the episode ended because of too many illegal actions.
 
     Args:
         num_envs: number n of environments.
@@ -54,7 +54,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         self._began_s = time.monotonic()
 
     def reset(self) -> dict[str, NDArray[Any]]:
-        """Begin all episodes, with the seeds set by ``seed`` if it was called."""
+        """Begin all episodes. If ``seed`` was called before, the episodes have the seeds that it set."""
         level = [options["level"] for options in self._options if "level" in options]
         if len(level) not in (0, self.num_envs):
             raise InputError("options: give all environments a level, or none")
@@ -66,11 +66,11 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return observed
 
     def set_options(self, options: Any = None) -> None:
-        """Options of the next reset: a dict for all environments, or a list with a dict for each. A dict may have the
-        entry ``level``.
+        """Set the options of the next reset: one dict for all environments, or a list with a dict for each environment.
+        A dict may have the entry ``level``, the level of difficulty from 0 to 1.
 
         Raises:
-            InputError: an option is unknown, or a level is no number.
+            InputError: an option is unknown, or a level is not a number.
         """
         for single in options if isinstance(options, list) else [options]:
             level_of(single, 1)
@@ -81,7 +81,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         self._actions = actions
 
     def step_wait(self) -> tuple[dict[str, NDArray[Any]], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Place a box on each pallet."""
+        """Carry out the stored actions, which place a box on each pallet."""
         observed, reward, terminated, truncated, info = self.env.step(self._actions)
         over = terminated | truncated
         self._return += reward
@@ -108,7 +108,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         self.env.close()
 
     def action_masks(self, row: int) -> NDArray[np.bool_]:
-        """(a,) mask of legal actions of one environment."""
+        """(a,) mask of the legal actions of one environment."""
         masks: NDArray[np.bool_] = self.env.episodes.table.legal[row].copy()
         return masks
 
@@ -117,44 +117,47 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return self.env.render() or ()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of each environment: ``level``, ``action_masks``, or an attribute that all have in common, such
-        as ``render_mode``."""
+        """A list with an attribute of each environment: ``level``, ``action_masks``, or an attribute that is the same
+        for all environments, such as ``render_mode``."""
         rows = self._rows(indices)
         if attr_name == "level":
             return [float(self.env.episodes.level[row]) for row in rows]
         if attr_name in self._methods:
             return [partial(self._methods[attr_name], row) for row in rows]
-        value = getattr(self.env, attr_name)  # has_attr turns the AttributeError of a missing attribute into False
+        # if the attribute is missing, has_attr turns the AttributeError into False
+        value = getattr(self.env, attr_name)
         return [value for _ in rows]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set ``level``, the level of the curriculum from the next episode on: one number, or one for each environment.
-        No other attribute can be set.
+        """Set the attribute ``level``, which is the level of difficulty from the next episode on. The value is one
+        number, or a number for each environment. No other attribute can be set.
 
         Raises:
-            InputError: the name is not ``level``, there is no curriculum, a value is no level, the number of levels is
-                wrong, or an environment does not exist.
+            InputError: the name is not ``level``, there is no curriculum, a level is not from 0 to 1, the number of
+                levels is wrong, or an environment does not exist.
         """
         if attr_name != "level":
             raise InputError(f"set_attr: only level can be set, got {attr_name!r}")
         self.env.episodes.set_level(np.asarray(self._rows(indices), np.int64), value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """The results of ``action_masks`` or ``render`` of each environment."""
+        """Call the method ``action_masks`` or ``render`` of each environment, and return the results."""
         if method_name not in self._methods:
             raise AttributeError(f"an environment has only the methods {', '.join(self._methods)}, got {method_name!r}")
         return [self._methods[method_name](row, *method_args, **method_kwargs) for row in self._rows(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Whether each environment does what a wrapper does: True for ``Monitor``, False for all others."""
+        """Whether each environment already does what a wrapper would do: True for the wrapper ``Monitor``, False for
+        all other wrappers."""
         return [wrapper_class is Monitor for _ in self._rows(indices)]
 
     def _rows(self, indices: Any) -> list[int]:
-        """The numbers of environments. Negative numbers count from the end, as in a list. A boolean mask is refused.
+        """The numbers of the environments that ``indices`` selects. Negative numbers count from the end, as in a list.
+        A boolean mask is refused.
 
         Raises:
-            InputError: the indices are neither a whole number nor a list of them, an environment does not exist, or it
-                is named twice.
+            InputError: the indices are neither a whole number nor a list of whole numbers, an environment does not
+                exist, or an environment is named twice.
         """
         n = self.num_envs
         some = range(n) if indices is None else [indices] if isinstance(indices, int | np.integer) else indices
@@ -175,7 +178,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return {"action_masks": self.action_masks, "render": self.env.episodes.picture}
 
     def _separate(self, info: dict[str, Any]) -> list[dict[str, Any]]:
-        """Split the information from arrays for all environments into one dict for each environment."""
+        """Split ``info``, which has arrays for all environments, into one dict for each environment."""
         names = [name for name in info if not name.startswith(("_", "final_"))]
         columns = [info[name].tolist() for name in names]
         if not names:

@@ -1,4 +1,4 @@
-"""``petmjx/Palletizing-v0`` as a vector environment: n pallets per step on one engine."""
+"""``petmjx/Palletizing-v0`` as a vector environment: in each step, one engine simulates n pallets."""
 
 from __future__ import annotations
 
@@ -24,14 +24,16 @@ Info = dict[str, Any]
 
 
 class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any]]):
-    """Bit-identical to n ``PalletizingEnv``, but with all pallets simulated in one call.
+    """n environments with a pallet each. The results are bit-identical to those of n ``PalletizingEnv``, but all
+    pallets are simulated in one call.
 
     Args:
         num_envs: number n of environments.
-        autoreset_mode: when the next episode begins: in the next step, which then does nothing else; in the same step,
-            with the last observation and information in ``info``; or when ``reset`` is called.
-        render_mode: None or "rgb_array"; ``options``: as for ``PalletizingEnv``. The engine is ``auto`` unless it is
-            named.
+        autoreset_mode: when a new episode begins after an episode has ended. NEXT_STEP: in the next step, which ignores
+            the action. SAME_STEP: in the same step; the last observation and information of the ended episode are then
+            in ``info``. DISABLED: when ``reset`` is called.
+        render_mode: None or "rgb_array"; ``options``: as for ``PalletizingEnv``, except that the default engine is
+            ``auto``.
 
     Raises:
         InputError: an option is unusable.
@@ -69,13 +71,14 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
-        """Begin all episodes, or those for which ``options["reset_mask"]``, (n,), is true.
+        """Begin the episodes of all environments, or only of those for which the mask ``options["reset_mask"]`` (n,) is
+        true.
 
         Args:
-            options: ``reset_mask``, and ``level``, which sets the level of the curriculum from these episodes on: one
-                number or (n,), from 0 to 1.
-            seed: seed of the first environment; each further environment has the next number. Or a list with a seed for
-                each.
+            options: a dict with the entries ``reset_mask`` and ``level``. ``level`` is one number or an array (n,),
+                from 0 to 1, and sets the level of difficulty from these episodes on.
+            seed: seed of the first environment, to which 1 is added for each further environment. Or a list with a seed
+                for each environment.
         """
         level = level_of(options, self.num_envs, "reset_mask")
         mask = None if options is None else options.get("reset_mask")
@@ -94,7 +97,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return self.episodes.observed(self._all), self._info(rows)
 
     def step(self, actions: Any) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """Place a box on each pallet whose episode is running."""
+        """Carry out the actions of all environments whose episode is running. Each action places a box."""
         chosen = np.asarray(actions)
         if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
             raise InputError(f"actions must be {self.num_envs} whole numbers, got shape {chosen.shape}")
@@ -140,8 +143,8 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return self._spread(rows, self.episodes.info_of(rows))
 
     def _spread(self, rows: NDArray[np.int64], values: dict[str, NDArray[Any]]) -> Info:
-        """The values of some environments in Gymnasium's form: arrays for all environments, with masks that tell which
-        environments have a value."""
+        """Convert values of some environments to Gymnasium's form: arrays for all environments, and masks that tell
+        which environments have a value."""
         info: Info = {}
         known = np.zeros(self.num_envs, bool)
         known[rows] = True
@@ -154,7 +157,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return info
 
     def _final(self, rows: NDArray[np.int64], so_far: Info) -> Info:
-        """The last observations and information of episodes that ended in this step."""
+        """The last observations and information of the episodes that ended in this step, in Gymnasium's form."""
         observations = self.episodes.observed(rows)
         last = np.full(self.num_envs, None, object)
         for at, row in enumerate(rows.tolist()):

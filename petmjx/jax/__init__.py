@@ -1,12 +1,14 @@
-"""Pallets as pure functions on pytrees, for programs under ``jax.jit`` and ``jax.lax.scan``.
+"""Simulated pallets for JAX programs: pure functions that can be used under ``jax.jit`` and ``jax.lax.scan``. The state
+of the pallets is a pytree.
 
     state = petmjx.jax.empty(64, engine="mujoco")
     state, told = petmjx.jax.place(state, size_mm, corner_mm, mass_kg)
     told = petmjx.jax.try_all(state, size_mm, corner_mm, mass_kg, pallet)
 
-With ``mjx-warp``, the kernel runs inside the jitted program, and states never leave the device. With ``mujoco``, C
-MuJoCo runs behind a callback. Lengths are in millimetres and masses in kilograms, as in ``petmjx.Pallets``.
-``Palletizing`` is an environment made of pure functions. See docs/loop.md.
+With the engine ``mjx-warp``, the GPU kernel runs inside the jitted program, and states never leave the device. With the
+engine ``mujoco``, MuJoCo runs on the CPU, in a callback of the program. Lengths are in millimetres and masses in
+kilograms, as in ``petmjx.Pallets``. ``Palletizing`` is a reinforcement learning environment made of pure functions. See
+docs/loop.md.
 """
 
 import warnings
@@ -32,7 +34,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name == "Told":  # the name of PlacementArrays in version 0.2
+    if name == "Told":  # the name of the class PlacementArrays in version 0.2
         warnings.warn("petmjx.jax.Told is now petmjx.jax.PlacementArrays", FutureWarning, stacklevel=2)
         return PlacementArrays
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

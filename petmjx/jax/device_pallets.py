@@ -1,5 +1,5 @@
-"""Pallets on ``mjx-warp``, for jitted programs. The pytree is the state of the pallets on the device, and the kernel
-runs inside the program."""
+"""Pallets for jitted programs, simulated by the engine ``mjx-warp``. The pytree holds the state of the simulated worlds
+on the device, and the kernel runs inside the program."""
 
 from __future__ import annotations
 
@@ -31,15 +31,16 @@ from petmjx.world.scene import IDENTITY_QUAT
 from petmjx.world.supports import TOUCH_M
 
 ROOM: Final = 2
-"""Factor by which buffers are larger than usual, since a jitted program cannot enlarge them. A pallet that still
-overflows them is invalid."""
+"""Factor by which buffers are larger than usual, because a jitted program cannot enlarge them. If a pallet needs still
+larger buffers, its result is invalid."""
 
 
 _EPSILON: Final = float(np.finfo(np.float32).eps)
 
 
 class Device:
-    """The constant part of a state: the kernel, and the number of boxes and boards for which it has room."""
+    """The constant part of a state: the options, the simulator with its kernel, and the numbers of boards and boxes for
+    which it has room."""
 
     def __init__(self, sim: Simulation, simulator: Simulator, boards: int, width: int) -> None:
         self.sim, self.simulator, self.boards, self.width = sim, simulator, boards, width
@@ -54,7 +55,7 @@ class Device:
         self._pulls = jnp.asarray(pulls_m_s2(physics.solref, physics.solimp, physics.timestep_s), jnp.float32)
 
     def new_box(self, open_: OpenState, size_mm: jax.Array, corner_mm: jax.Array, mass: jax.Array) -> NewBox:
-        """``petmjx.engines.warp.next_boxes.new_box``, in single precision."""
+        """The same as ``petmjx.engines.warp.next_boxes.new_box``, as a JAX function in single precision."""
         sim, worlds = self.sim, open_.worlds
         m = len(mass)
         falls = float(sim.physics.falls_into_place)
@@ -75,7 +76,8 @@ class Device:
     def _released(
         self, worlds: Any, half: jax.Array, target: jax.Array, mass: jax.Array
     ) -> tuple[Int[Array, " world"], Float[Array, " world"]]:
-        """The support of each box, and the height of its centre at release (petmjx/world/release_places.py)."""
+        """The body on which each new box lies, and the height of the new box's centre when the hand releases it, m
+        (petmjx/world/release_places.py)."""
         physics = self.sim.physics
         present = jnp.arange(self.width) < worlds.n_boxes[:, None]
         low, high = target - half, target + half
@@ -92,10 +94,10 @@ class Device:
         return support, target[:, 2] - jnp.where(support != NOTHING, depth, 0.0)
 
     def placed(self, open_: OpenState, box: NewBox, gets: jax.Array) -> OpenState:
-        """The worlds after each of them got one more box and came to rest. Rows for which ``gets`` is false do not
-        change.
+        """The worlds after each of them has received one more box and come to rest. Worlds for which ``gets`` is false
+        do not change.
 
-        Under ``jax.vmap``, the worlds of all states are simulated side by side.
+        Under ``jax.vmap``, the worlds of all states in the batch are simulated side by side.
         """
 
         @jax.custom_batching.custom_vmap
@@ -118,7 +120,8 @@ class Device:
         return after
 
     def results(self, open_: OpenState, known: jax.Array) -> PlacementArrays:
-        """The results of worlds. Worlds that are not ``known`` have the reason ``ended`` and no numbers."""
+        """The results of worlds. If ``known`` is false for a world, the world's reason is ``ended``, and its numbers
+        are 0 or -1."""
         state, worlds, limits = open_.state, open_.worlds, self.sim.thresholds
         here = jnp.arange(self.width) < state.placed[:, None]
         middle, quat = motion.middles(state.qpos, worlds.middle), state.qpos[..., 3:]
@@ -162,7 +165,7 @@ class Device:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DeviceState:
-    """n pallets, as worlds on the device."""
+    """The state of n pallets: simulated worlds on the device."""
 
     open: OpenState
     device: Device = field(metadata={"static": True})
@@ -191,15 +194,15 @@ class DeviceState:
         return self.device.results(after, gets)
 
     def _can(self, open_: OpenState) -> jax.Array:
-        """(n,) whether each pallet may get another box."""
+        """(n,) whether each pallet may receive another box."""
         return (open_.state.status == Status.PAUSED) & (open_.worlds.n_boxes < self.most_boxes)
 
 
 def empty_device(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> DeviceState:
-    """n empty pallets.
+    """The state of n empty pallets.
 
     Raises:
-        InputError: with these options, boxes do not simply appear at their places.
+        InputError: the option ``placing`` moves boxes to their places, instead of letting them appear there.
     """
     blank = EmptyCarrier(sim)
     if not blank.scene.placing.appears:
@@ -216,5 +219,5 @@ def empty_device(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> De
 
 
 def _rounded(metres: jax.Array) -> jax.Array:
-    """The same as ``petmjx.common.units.round_to_micrometre``."""
+    """The same as ``petmjx.common.units.round_to_micrometre``, as a JAX function."""
     return jnp.floor(jnp.round(metres * MICROMETRES_PER_M, 2) + 0.5) / MICROMETRES_PER_M

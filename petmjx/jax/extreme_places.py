@@ -1,10 +1,10 @@
-"""Candidates for a box at the extreme points of a pile, as seen from all four corners of the carrier, as an array
-program.
+"""Finds candidate places for a box at the extreme points of a pile (points at which a box touches other boxes or the
+carrier's edges), as seen from all four corners of the carrier. This is an array program in JAX.
 
-The points are those of ``petmjx.packers.learned_candidates``: Crainic, Perboli, Tadei (2008), "Extreme point-based
-heuristics for three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384, in the pile and in its three
-mirror images. With the points of only one corner, the free space of a pile would end up as slivers along the opposite
-edges.
+The extreme points are those of ``petmjx.packers.learned_candidates``: Crainic, Perboli, Tadei (2008), "Extreme
+point-based heuristics for three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384, computed for the
+pile and for its three mirror images. If only points as seen from one corner were used, narrow useless strips would
+remain along the opposite edges of the carrier.
 """
 
 from __future__ import annotations
@@ -21,30 +21,35 @@ from petmjx.jax.pile_statics import Statics, contacts_of, hull_planes, least_m, 
 from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
 
 FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
-"""Features of a candidate: whether the box is turned by 90°; its corner and extents, mm; its mass, kg; the supported
-share of its base; how far its weight acts inside the hull of its contacts, mm; and the smallest such distance of the
-loads of all boxes below, mm. The distances are at most 200 mm, and negative outside."""
+"""Features of a candidate (a box at a place): whether the box is turned by 90°; its corner and its extents, mm; its
+mass, kg; and the supported share of its base. ``inside`` is the distance of the box's centre of mass from the edge of
+the hull of its contacts, mm. ``below`` is the smallest distance, among all boxes below, of the load's point of action
+from the edge of the hull of a box's contacts, mm. Both distances are positive inside a hull, negative outside, and at
+most 200 mm."""
 
 _PER_ASIDE: Final = 0.01
-"""Cost of a millimetre of distance from the nearest edges, as mm of height. Of equally low places, the one nearest to
-the edges comes first (``cost_mm`` of petmjx/packers/learned_candidates.py)."""
+"""Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Among equally low
+places, the place nearest to the edges is therefore preferred (``cost_mm`` of petmjx/packers/learned_candidates.py)."""
 
 LOOKED_AT: Final = 3
-"""Number of cheapest places that are examined per candidate, since some of them have too little support."""
+"""Number of places that are examined for each candidate. More places than candidates are examined because some places
+have too little support."""
 
 _FAR: Final = 1e9
-"""Cost of a place that does not exist. The value also serves as a coordinate beyond every carrier, mm."""
+"""Cost of a place that cannot be used. The value is also the coordinate of points that do not exist, which is beyond
+every carrier, mm."""
 
 
 class Points(NamedTuple):
-    """(p, 2) extreme points as seen from a corner of the carrier, mm, and (p, 2) whether x and y are mirrored."""
+    """The extreme points of a pile. ``at`` (p, 2) has their x and y as seen from a corner of the carrier, mm.
+    ``mirrored`` (p, 2) tells whether x and y are mirrored, which identifies the corner."""
 
     at: Float[Array, "point 2"]
     mirrored: Bool[Array, "point 2"]
 
 
 class View(NamedTuple):
-    """The values that do not depend on which box is next: the points, the pile, and its balance."""
+    """Values that do not depend on the next box: the extreme points, the pile, and the pile's balance."""
 
     points: Points
     pile: Pile
@@ -52,16 +57,18 @@ class View(NamedTuple):
 
 
 class Candidates:
-    """The n places of lowest cost for a box: low, well supported, and near the carrier's edges.
+    """Finds the n places for a box that have the lowest cost: low places, with much support, near the carrier's edges.
 
     Args:
-        extent_mm: extent of the carrier; ``gap_mm``: free space between a box and its neighbours along x and y.
-        least_support: smallest share of a base that must be supported; None: any share.
-        inside_mm: how far the load of each box must act inside the hull of its contacts, or a fifth of the shorter side
-            of its base if that is less; 0: anywhere.
+        extent_mm: extent of the carrier along x and y; ``gap_mm``: free space between a box and its neighbours along x
+            and y.
+        least_support: smallest share of a box's base that must be supported. If None, any share is sufficient.
+        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. For
+            small boxes, a fifth of the shorter side of the base is required instead, if it is less. 0 means that loads
+            may act anywhere.
 
     Attributes:
-        count: number of actions; ``features``: names of the features of an action.
+        count: number n of actions; ``features``: names of the features of an action.
     """
 
     features = FEATURES
@@ -77,27 +84,29 @@ class Candidates:
     ) -> None:
         self.count, self._highest, self._least = count, max_height_mm, least_support or 0.0
         self._gap = jnp.array([[gap_mm, gap_mm, 0.0]], jnp.float32)
-        # The extent is larger by the gap that follows the last box.
+        # The extent includes the gap that follows the last box.
         self._extent = jnp.asarray([extent_mm], jnp.float32) + gap_mm
         self._inside = inside_mm
 
     def no_boxes(self, most: int) -> Statics:
-        """The balance of an empty pile, with room for this number of boxes."""
+        """The balance of an empty pile, with room for ``most`` boxes."""
         return no_boxes(most)
 
     def put(
         self, statics: Statics, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile
     ) -> Statics:
-        """The balance after one more box in this row; a row beyond the end is dropped. ``pile``: without the box."""
+        """The balance of the pile after one more box, whose values are stored in this row. If the row is beyond the
+        end, the box is ignored. ``pile`` does not contain the new box."""
         contacts = contacts_of(size_mm[None], corner_mm[None], pile)
         return with_box(statics, row, contacts, mass_kg, least_m(size_mm[None], self._inside)[0])
 
     def view(self, pile: Pile, statics: Statics) -> View:
-        """The part of ``ways`` that does not depend on the next box."""
+        """Compute the part of ``ways`` that does not depend on the next box."""
         return View(self._points(pile), pile, statics)
 
     def _points(self, pile: Pile) -> Points:
-        """The points of a pile: those of each box, for which only earlier boxes are obstacles."""
+        """The extreme points of a pile. Each box has its own points, for which only the boxes placed before it are
+        obstacles."""
         k = len(pile.present)
         low, high = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
         earlier = (jnp.arange(k)[None] < jnp.arange(k)[:, None]) & pile.present[None]
@@ -114,7 +123,7 @@ class Candidates:
         return Points(at.reshape(-1, 2), jnp.broadcast_to(mirrors[:, None], at.shape).reshape(-1, 2))
 
     def ways(self, view: View, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:
-        """The actions for a box of this size; there are none if the size is 0."""
+        """The actions for a box of this size. If the size is 0, there are no legal actions."""
         points, pile, statics = view
         sizes = jnp.stack([size_mm, size_mm[jnp.array([1, 0, 2])]])
         bases = (sizes + self._gap)[:, None, :2]
@@ -144,7 +153,8 @@ class Candidates:
     def _costs(
         self, corner: Float[Array, "place 2"], base: Float[Array, "place 2"], pile: Pile
     ) -> tuple[Float[Array, " place"], Float[Array, " place"]]:
-        """(p,) costs of places, and (p,) heights of their bottoms, mm. Sizes of boxes include their free space here."""
+        """(p,) the cost of each place, and (p,) the height at which the box's bottom would be, mm. In this method,
+        sizes of boxes include the gap to their neighbours."""
         lows, highs = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
         end = corner + base
         area = jnp.broadcast_to(jnp.where(pile.present[None], 1.0, 0.0), (len(corner), len(lows)))
@@ -163,8 +173,9 @@ class Candidates:
     def _cheapest(
         self, cost: Float[Array, " place"], corner: Float[Array, "place 2"], z: Float[Array, " place"], turned: Array
     ) -> tuple[Array, Bool[Array, " action"]]:
-        """(q,) the places of lowest cost, each only once, and whether there is such a place. Several points may be the
-        same place, so the places are taken one by one. On a GPU, this is also faster than sorting all of them."""
+        """(q,) the indices of the q places with the lowest cost, and (q,) whether each place can be used. Each place is
+        listed once, although several points may give the same place. Therefore, the cheapest place is taken repeatedly,
+        which on a GPU is also faster than sorting all places."""
 
         def take(cost: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
             best = cost.argmin()
@@ -181,15 +192,16 @@ def _corner_points(
     top: Float[Array, " box"],
     earlier: Bool[Array, "box box"],
 ) -> Float[Array, "7 box 2"]:
-    """``petmjx.packers.candidate_points.corner_points`` for all boxes of one pile.
+    """The same as ``petmjx.packers.candidate_points.corner_points`` for all boxes of one pile, as an array program.
 
     Args:
-        start, end: corners of boxes along x and y; ``bottom``, ``top``: heights of boxes.
-        earlier: in row i, the boxes that may be obstacles for the points of box i.
+        start, end: lowest and highest x and y of the boxes; ``bottom``, ``top``: heights of the boxes' bottoms and
+            tops.
+        earlier: row i tells which boxes may be obstacles for the points of box i.
     """
     (x, y), (x_end, y_end) = start.T, end.T
-    # Beside the box, points slide from its end in x towards −y, and from its end in y towards −x. On the box, they
-    # slide from (x, y) in both directions.
+    # Points beside a box start at the box's end in x and slide towards −y until they meet an obstacle, or start at its
+    # end in y and slide towards −x. Points on top of a box start at (x, y) and slide in both directions.
     axes, levels = jnp.array([1, 0, 0, 1]), jnp.stack([bottom, bottom, top, top])[..., None]
     begins, across = jnp.stack([y, x, x, y])[..., None], jnp.stack([x_end, y_end, y, x])[..., None]
     lows, highs, ends = start.T[1 - axes][:, None], end.T[1 - axes][:, None], end.T[axes][:, None]

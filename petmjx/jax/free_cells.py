@@ -1,4 +1,5 @@
-"""Free cells of a carrier for a box, as an array program in single precision, as in all of ``petmjx.jax``."""
+"""Finds the cells of a carrier at which a box can be placed. This is an array program in JAX, in single precision like
+all of ``petmjx.jax``."""
 
 from __future__ import annotations
 
@@ -9,15 +10,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 TOUCH_MM: Final = 0.01
-"""Tops whose heights differ by less than this count as equally high. In single precision, heights of 10 m are exact to
-0.001 mm."""
+"""If the heights of two tops differ by less than this length, they count as equal. In single precision, heights of 10 m
+are exact to 0.001 mm."""
 
 TURNS: Final = 2
-"""Number of orientations of a box: along x, or turned by 90°."""
+"""Number of orientations of a box: as given, or turned by 90° about the vertical."""
 
 
 class Pile(NamedTuple):
-    """The boxes on a pallet, in rows that are ``present``: sizes, and front-left-bottom corners, mm."""
+    """The sizes and the front-left-bottom corners of the boxes on a pallet, mm. Only rows for which ``present`` is true
+    hold a box."""
 
     size_mm: Float[Array, "box 3"]
     corner_mm: Float[Array, "box 3"]
@@ -29,7 +31,7 @@ class Ways(NamedTuple):
 
     Attributes:
         legal: (a,) whether each action is legal.
-        size_mm, corner_mm: (a, 3) extents and corner of the box after the action.
+        size_mm, corner_mm: (a, 3) extents and front-left-bottom corner that the box has after each action.
         features: (a, f) features of the actions; 0 for illegal actions.
     """
 
@@ -40,10 +42,12 @@ class Ways(NamedTuple):
 
 
 class Cells:
-    """The cells of a carrier: for each orientation all cells, along x and then along y.
+    """Actions that put a box into a cell of the carrier. They are numbered by orientation, then by cell along x, then
+    by cell along y.
 
     Args:
-        side_mm: side of a cell; ``least_support``: smallest share of a base that must be supported; None: any share.
+        side_mm: side of a cell; ``least_support``: smallest share of a box's base that must be supported. If None, any
+            share is sufficient.
         gap_mm: free space between a box and its neighbours along x and y.
 
     Attributes:
@@ -69,23 +73,23 @@ class Cells:
         self.count = TURNS * len(corners)
 
     def no_boxes(self, most: int) -> None:
-        """The balance of an empty pile: None, since cells need only the boxes of a pile."""
+        """The balance of an empty pile. It is None, because this class does not need the balance."""
 
     def put(self, statics: None, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile) -> None:
-        """The balance after one more box: None, as for an empty pile."""
+        """The balance of the pile after one more box. It is None, because this class does not need the balance."""
 
     def view(self, pile: Pile, statics: None) -> Pile:
-        """The part of ``ways`` that does not depend on the next box."""
+        """Compute the part of ``ways`` that does not depend on the next box, which is the pile."""
         return pile
 
     def ways(self, pile: Pile, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:
-        """The actions for a box of this size; there are none if the size is 0."""
+        """The actions for a box of this size. If the size is 0, there are no legal actions."""
         size = jnp.where(self._turned[:, None], size_mm[jnp.array([1, 0, 2])][None], size_mm[None])
         low, high = self._corners, self._corners + size[:, :2]
         ends = pile.corner_mm + pile.size_mm
         start = jnp.maximum(low[:, None], pile.corner_mm[None, :, :2])
         side = jnp.minimum(high[:, None], ends[None, :, :2]) - start
-        # a box with its free space extends farther by the gap
+        # the gap is part of the space that a box needs
         under = (side + self._gap > TOUCH_MM).all(axis=2) & pile.present[None]
         tops = jnp.broadcast_to(ends[None, :, 2], under.shape)
         z = jnp.where(under, tops, 0.0).max(axis=1)

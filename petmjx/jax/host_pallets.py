@@ -1,7 +1,9 @@
-"""Pallets on C MuJoCo, for jitted programs. The pytree holds the boxes; the settled worlds are behind a callback.
+"""Pallets for jitted programs, simulated by MuJoCo on the CPU. The pytree holds only the boxes. The simulated worlds
+are kept outside the program, which reaches them through a callback.
 
-The state of a pallet depends only on its boxes, so the boxes identify the state. The most recently used settled worlds
-are cached by their boxes. A world that is no longer cached is built again, bit-identical.
+The state of a pallet depends only on its boxes and their sequence, so the boxes identify the state. The settled worlds
+(pallets at rest) that were used most recently are kept in a cache, with their boxes as the key. If a world is needed
+that is not in the cache, it is simulated again, with a bit-identical result.
 """
 
 from __future__ import annotations
@@ -24,20 +26,21 @@ from petmjx.loop.placements import Placements
 from petmjx.options.simulation import Simulation
 
 KEPT_PER_PALLET: Final = 4
-"""Number of settled worlds that are cached for each pallet of a state."""
+"""Number of settled worlds in the cache for each pallet of a state."""
 
 
 MOST_ASKED: Final = 64
-"""Number of additional cached worlds, for candidates on pallets other than those of the last states."""
+"""Number of additional worlds in the cache, for candidates on pallets of older states."""
 
 
 _BEYOND: Final = (2, 2, 1, 0, 1, 1, 0, 0, 0)
-"""Number of axes after the axis of pallets, for each argument: the arrays of boxes, their counts, the new boxes, and
-the two masks."""
+"""Number of axes that each argument of the callback has after the axis of pallets. The arguments are the three arrays
+of boxes (sizes, corners, masses), the counts of boxes, the same three arrays of the new boxes, and two masks."""
 
 
 class Host:
-    """A cache of settled pallets. The key of a pallet is made from its boxes. A lock admits one thread at a time."""
+    """A cache of settled pallets (pallets at rest). The key of a pallet is made from its boxes. Only one thread at a
+    time can use the cache."""
 
     def __init__(self, n: int, sim: Simulation, engine: Engine, most_boxes: int) -> None:
         self.most_boxes = most_boxes
@@ -47,22 +50,23 @@ class Host:
         self._begin(slots)
 
     def _begin(self, slots: int) -> None:
-        """Make an empty cache with room for this number of settled worlds."""
+        """Make an empty cache with room for this number of settled pallets."""
         self._pallets = Pallets(slots, engine=self._engine, most_boxes=self.most_boxes, **dict(self._sim))
         self._slots: OrderedDict[bytes, int] = OrderedDict()
         self._free = list(range(slots))
 
     def place(self, *arguments: Any) -> list[NDArray[Any]]:
-        """The results of pallets that get one box each. The arguments are their earlier boxes and the new ones."""
+        """Put one box onto each pallet, and return the results. The arguments describe the boxes on each pallet and the
+        new boxes."""
         return self._of_all(arguments, keeps=True)
 
     def try_all(self, *arguments: Any) -> list[NDArray[Any]]:
-        """The same as ``place``, but the new worlds are not kept."""
+        """The same as ``place``, but the pallets with the new boxes are not kept."""
         return self._of_all(arguments, keeps=False)
 
     def _of_all(self, arguments: tuple[Any, ...], *, keeps: bool) -> list[NDArray[Any]]:
-        """Place all rows in one call. Under ``jax.vmap``, arrays have leading axes; such an axis has length 1 if all
-        its entries are the same."""
+        """Place the boxes of all rows in one call. Under ``jax.vmap``, arrays have additional leading axes. An
+        additional axis has length 1 if the array is the same for the whole batch."""
         arrays = [(np.asarray(argument), beyond) for argument, beyond in zip(arguments, _BEYOND, strict=True)]
         shape = np.broadcast_shapes(*(values.shape[: values.ndim - beyond] for values, beyond in arrays))
         rows = []
@@ -123,13 +127,13 @@ class Host:
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            self._slots.update(world_of_key)  # only now do the pallets have their boxes
+            self._slots.update(world_of_key)  # after the placements, because only now the pallets have the new boxes
             write_results(columns, rows, self._pallets.results(np.array(into)))
         return columns
 
     def _placed(self, request: Placements, bases: NDArray[np.int64]) -> None:
-        """Make free pallets copies of other pallets, and add one box to each. If the request is refused, they stay
-        free."""
+        """Copy the states of the pallets ``bases`` to free pallets, and put one box onto each copy. If this raises an
+        error, the free pallets stay free."""
         try:
             self._pallets.fork(bases, request.pallet)
             self._pallets.place(**vars(request))
@@ -138,7 +142,8 @@ class Host:
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
-        """The pallet that has these boxes. The pallet is added to ``pinned``, so that it is not reused meanwhile."""
+        """The number of a pallet in the cache that has these boxes. If there is none, it is simulated. The number is
+        added to ``pinned``, so that the pallet is not reused for other boxes during this call."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
         n_cached = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
         slot = self._slots[keys[n_cached]] if n_cached >= 0 else -1
@@ -159,7 +164,8 @@ class Host:
         return slot
 
     def _spare(self, pinned: set[int]) -> int:
-        """A pallet that is not needed at the moment: a free one, or else the least recently used one."""
+        """The number of a pallet in the cache that can be reused: a free pallet, or else the pallet whose last use was
+        longest ago."""
         if not self._free:
             oldest = next(key for key, slot in self._slots.items() if slot not in pinned)
             self._free.append(self._slots.pop(oldest))
@@ -173,7 +179,7 @@ def _key(size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any]) -> bytes:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class HostState:
-    """n pallets: their boxes, with room for k boxes each, and whether each pallet has fallen."""
+    """The state of n pallets: the boxes on each pallet, with room for k boxes, and whether the pallet has fallen."""
 
     size_mm: Float[Array, "pallet box 3"]
     corner_mm: Float[Array, "pallet box 3"]
@@ -216,7 +222,7 @@ class HostState:
 
 
 def empty_host(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> HostState:
-    """n empty pallets."""
+    """The state of n empty pallets."""
     three, one = jnp.zeros((n, most_boxes, 3)), jnp.zeros((n, most_boxes))
     host = Host(n, sim, engine, most_boxes)
     return HostState(three, three, one, jnp.zeros(n, jnp.int32), jnp.zeros(n, bool), host)

@@ -21,7 +21,8 @@ from petmjx.options.run_options import AUTO
 from petmjx.options.simulation import Simulation
 
 State = Any
-"""A pytree: ``petmjx.jax.host_pallets.HostState`` or ``petmjx.jax.device_pallets.DeviceState``."""
+"""The state of pallets, a pytree: ``petmjx.jax.host_pallets.HostState`` or
+``petmjx.jax.device_pallets.DeviceState``."""
 
 
 def empty(
@@ -32,7 +33,7 @@ def empty(
     most_boxes: int = 40,
     **options: Any,
 ) -> State:
-    """n empty pallets. Do not call this function under ``jit``, since it loads the engine.
+    """Make the state of n empty pallets. This function must not be called under ``jit``, because it loads the engine.
 
     Args:
         engine: ``mujoco``, ``mjx-warp``, ``mjx-warp-cpu``, or ``auto`` as in ``petmjx.Pallets``.
@@ -62,15 +63,15 @@ def place(
     mass_kg: Float[Array, " pallet"],
     active: Bool[Array, " pallet"] | None = None,
 ) -> tuple[State, PlacementArrays]:
-    """Put one box onto each pallet, and let the pallets come to rest.
+    """Put one box onto each pallet, and simulate the pallets until they are at rest.
 
     Args:
-        size_mm: extents of the boxes as they stand; ``corner_mm``: front-left-bottom corners.
-            active: mask of the pallets that get a box; None: all. Pallets that have fallen or are full never get
-                another box.
+        size_mm: extents of the boxes as they stand; ``corner_mm``: front-left-bottom corners of the boxes.
+        active: mask of the pallets that receive a box. If None, all pallets receive one. Pallets that have fallen or
+            are full never receive another box.
 
-        Returns:
-            The pallets, and their results. Pallets that had already fallen have only the reason ``ended``.
+    Returns:
+        The new state, and the results of the pallets. A pallet that had fallen before has only the reason ``ended``.
     """
     n = _pallets(state)
     boxes = _boxes(size_mm, corner_mm, mass_kg, n)
@@ -90,9 +91,11 @@ def try_all(
     mass_kg: Float[Array, " candidate"],
     pallet: Int[Array, " candidate"],
 ) -> PlacementArrays:
-    """For each candidate, the results after one more box is put onto a pallet. A pallet may have several candidates.
+    """Put each candidate (a box at a place) onto a copy of its pallet, and return the results. Each candidate is tried
+    alone, and a pallet may have several candidates.
 
-    A candidate for a pallet that has fallen, is full, or does not exist is not stable, and its reason is ``ended``.
+    If the pallet of a candidate has fallen, is full or does not exist, the candidate counts as not stable, and its
+    reason is ``ended``.
     """
     rows = _of_kind(pallet, "pallet", jnp.integer, "whole numbers").astype(jnp.int32)
     if rows.ndim != 1:
@@ -104,14 +107,14 @@ def try_all(
 
 
 def _pallets(state: State) -> int:
-    """The number of pallets of a state. Raises InputError for any other object."""
+    """The number of pallets of a state. Raises InputError if the object is not a state."""
     if not isinstance(getattr(state, "n", None), int):
         raise InputError(f"state must be a state from petmjx.jax.empty or petmjx.jax.place, {shown_value(state)}")
     return int(state.n)
 
 
 def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
-    """The values as an array. Raises InputError if the type of the values is not of this kind."""
+    """The values as an array. Raises InputError if the array's type is not of the kind ``kind``."""
     try:
         array = jnp.asarray(values)
     except (TypeError, ValueError) as error:
@@ -122,8 +125,8 @@ def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
 
 
 def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The boxes as arrays. Raises InputError for wrong shapes. Numbers are not checked: under ``jit`` they are
-    unknown."""
+    """The boxes as arrays. Raises InputError for wrong shapes. The numbers are not checked, because they are unknown
+    under ``jit``."""
     arrays = []
     for name, values, shape in (
         ("size_mm", size_mm, (m, 3)),
@@ -141,8 +144,8 @@ def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Arra
 
 
 def _check_numbers(boxes: tuple[jax.Array, ...], requested: jax.Array) -> None:
-    """Raise InputError if a requested box has a number out of range. Under ``jit``, numbers are unknown and not
-    checked."""
+    """Raise InputError if a size, coordinate or mass of a requested box is out of range. Under ``jit``, nothing is
+    checked, because the numbers are unknown."""
     if any(isinstance(array, jax.core.Tracer) for array in (*boxes, requested)):
         return
     for name, values in zip(("size_mm", "corner_mm", "mass_kg"), boxes, strict=True):

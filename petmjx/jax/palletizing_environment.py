@@ -1,4 +1,5 @@
-"""``petmjx.jax.Palletizing``: an environment of pure functions, for ``jax.jit``, ``jax.vmap`` and ``jax.lax.scan``."""
+"""``petmjx.jax.Palletizing``: a reinforcement learning environment of pure functions, for ``jax.jit``, ``jax.vmap`` and
+``jax.lax.scan``."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ from petmjx.options.simulation import Simulation
 
 GEOMETRY: Final = "geometry"
 MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}}
-"""Name of a mask → smallest share of a base that must be supported; None: any share."""
+"""Name of a mask of legal actions → smallest share of a box's base that must be supported. None if any share is
+sufficient."""
 
 CELLS: Final = "cells"
 CANDIDATES: Final = "candidates"
@@ -38,11 +40,12 @@ ACTIONS: Final = (CELLS, CANDIDATES)
 MOST_CANDIDATES: Final = 512
 
 _DRAWN: Final = 256
-"""An endless source of orders is replaced by this number of its orders, since a program has arrays of fixed sizes."""
+"""Number of orders that are taken from an endless source of orders. All orders are stored in arrays of fixed size, so
+their number must be finite."""
 
 _EDGE: Final = 1e-4
-"""Tolerance as a share of a cell, in single precision. A box that ends this close to a cell's edge counts as ending
-there."""
+"""Tolerance of single precision, as a share of a cell's side. If a box ends this close to the edge of a cell, it counts
+as ending at the edge."""
 
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
@@ -51,11 +54,12 @@ class Observation(NamedTuple):
     """The observation of a pallet.
 
     Attributes:
-        height_map: highest top over each cell of the carrier, mm; ``load_map``: largest force on a box's top, N.
+        height_map: height of the highest top of a box over each cell of the carrier, mm; ``load_map``: largest force on
+            the top of a box over each cell, N.
         boxes: length, width and height, mm, and mass, kg, of the next boxes; 0 after the last box.
-        left: number of remaining boxes; ``mass``: mass on the pallet, kg.
+        left: number of remaining boxes; ``mass``: total mass of the boxes on the pallet, kg.
         action_mask: (a,) whether each action is legal.
-        candidates: (a, f) features of the candidates, see ``Palletizing.features``; 0 for illegal actions.
+        candidates: (a, f) features of the candidates (``Palletizing.features`` has their names); 0 for illegal actions.
     """
 
     height_map: Float[Array, "x y"]
@@ -68,9 +72,10 @@ class Observation(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state of an episode. ``order`` is the number of its order, and ``next`` the number of the next box. Boxes on
-    the pallet are stored as requested, with 0 after the last box. ``ways`` are the actions for the next box.
-    ``statics`` is the balance of the pile, if candidates need it."""
+    """The state of an episode. ``order`` is the number of the episode's order (its list of boxes), and ``next`` is the
+    number of the next box in this order. ``size_mm``, ``corner_mm``, ``mass_kg`` and ``force_n`` describe the boxes on
+    the pallet at their requested places, and are 0 after the last box. ``ways`` has the actions for the next box.
+    ``statics`` is the balance of the pile, or None if actions are cells."""
 
     key: jax.Array
     pallet: Pallet
@@ -95,25 +100,30 @@ class State(NamedTuple):
 
 
 class Palletizing:
-    """One pallet, one box per step, as in ``petmjx/Palletizing-v0``.
+    """An environment with one pallet, on which each step places one box, as in ``petmjx/Palletizing-v0``.
 
-    ``state, timestep = env.reset(key)``; ``state, timestep = env.step(state, action)``. Both are pure functions.
-    Methods and classes have the same names as in jumanji, which need not be installed. Under ``jax.vmap``, all pallets
-    are simulated in one call.
+    ``state, timestep = env.reset(key)`` begins an episode, and ``state, timestep = env.step(state, action)`` carries
+    out an action. Both functions are pure. Methods and classes have the same names as in the library jumanji, which
+    need not be installed. Under ``jax.vmap``, all pallets are simulated in one call.
 
     Args:
-        orders: as in ``petmjx/Palletizing-v0``; ``endless``: 256 orders of the generator.
+        orders: as in ``petmjx/Palletizing-v0``, except that ``endless`` means 256 orders from the generator of random
+            orders.
         orders_seed: seed of the generator; ``look_ahead``: number of visible boxes.
         orders_units, orders_columns, orders_density: as in ``petmjx/Palletizing-v0``.
-        actions: ``cells``: two orientations × cells of the carrier; ``candidates``: ``n_candidates`` places at extreme
-            points, as seen from all four corners of the carrier, with features; low and well supported places come
-            first.
-        mask: ``geometry``, or ``support_50`` … ``support_100``.
+        actions: if ``cells``, an action selects one of two orientations and a cell of the carrier. If ``candidates``,
+            an action selects one of ``n_candidates`` places, which have features. These places are at extreme points
+            (points at which a box touches other boxes or the carrier's edges), as seen from all four corners of the
+            carrier. Low and well supported places come first.
+        mask: which actions are legal. ``geometry``: all actions that keep the box on the carrier and below
+            ``max_height_mm``. ``support_50`` … ``support_100``: those of them after which at least 50 % … 100 % of the
+            box's base is supported.
         gap_mm: free space that a robot needs between a box and its neighbours along x and y.
-        inside_mm: how far the load of each box must act inside the hull of its contacts, or a fifth of the shorter side
-            of its base if that is less; 0: anywhere. For candidates only. The packer ``balanced`` uses 20 mm.
-        action_cell_mm, cell_mm: side of the cells of actions, and of maps.
-        rewards: weights of reward terms.
+        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. For
+            small boxes, a fifth of the shorter side of the base is required instead, if it is less. 0 means that loads
+            may act anywhere. This option is only for candidates. The packer ``balanced`` uses 20 mm.
+        action_cell_mm, cell_mm: side of the cells of actions, and side of the cells of observed maps.
+        rewards: weights of the terms of the reward.
         most_illegal: number of illegal actions after which an episode is truncated; an illegal action changes nothing.
         most_boxes: largest number of boxes on a pallet.
         carrier, engine: as in ``petmjx.jax.empty``.
@@ -158,7 +168,7 @@ class Palletizing:
         self._empty = empty(1, carrier=carrier, engine=engine, most_boxes=most_boxes, **options)
         sim = Simulation(**{"carrier": carrier, **options})
         extent = extent_m(sim.carrier)
-        assert extent is not None  # otherwise ``empty`` has raised an error
+        assert extent is not None  # otherwise ``empty`` would have raised an error
         self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
         gap, inside = (
             number_of(value, name, 0.0, LARGEST_GAP_MM)
@@ -176,14 +186,16 @@ class Palletizing:
         read.check_sizes(sim.size_reduction_mm)
         of_orders = self._usable(read)
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
-        longest = int(self._counts.max()) + self._seen  # the added rows are zeros, visible after an order's end
+        # the added rows are zeros, which are visible after the last box of an order
+        longest = int(self._counts.max()) + self._seen
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
-        # also needed by ``observation_spec``, which may be called in a jitted program
+        # computed here, because ``observation_spec`` needs this number and may be called in a jitted program
         self._largest = max(float(table.max(initial=0.0)) for table in rows)
         self._boxes = jnp.array([np.pad(table, ((0, longest - len(table)), (0, 0))) for table in rows], jnp.float32)
 
     def _usable(self, orders: Orders) -> list[Boxes]:
-        """The orders that have at least one box that fits on the empty carrier."""
+        """The orders that have at least one box that fits on the empty carrier. Orders without such a box are left
+        out."""
         drawn_orders = orders.some(_DRAWN)
         ways = np.sort(self._extent)
 
@@ -199,8 +211,9 @@ class Palletizing:
     # ------------------------------------------------------------------ episodes
 
     def reset(self, key: jax.Array, order: Int[Array, ""] | int | None = None) -> tuple[State, TimeStep[Observation]]:
-        """Start an episode, with an order drawn by ``key``, or with the order number ``order`` (from 0, below
-        ``num_orders``; a number out of range selects the first or the last order). The same key gives the same episode.
+        """Begin an episode. The order is drawn with ``key``, unless ``order`` gives the number of the order, from 0 to
+        ``num_orders`` - 1. (A number out of range selects the first or the last order.) The same key gives the same
+        episode.
 
         Raises:
             InputError: the order is not a whole number.
@@ -233,8 +246,8 @@ class Palletizing:
         return state, TimeStep(first, jnp.float32(0.0), jnp.float32(1.0), self._observed(state), extras)
 
     def step(self, state: State, action: Int[Array, ""] | int) -> tuple[State, TimeStep[Observation]]:
-        """Put the next box onto the pallet. An action that the mask excludes changes nothing, and neither does any
-        action after the end of the episode. Raises InputError if the action is not a whole number."""
+        """Put the next box onto the pallet. An illegal action changes nothing, and neither does an action after the end
+        of the episode. Raises InputError if the action is not a whole number."""
         chosen = _whole(action, "action")
         valid = (chosen >= 0) & (chosen < self.num_actions)
         at = jnp.clip(chosen, 0, self.num_actions - 1)
@@ -243,7 +256,8 @@ class Palletizing:
         size, corner = state.ways.size_mm[at], state.ways.corner_mm[at]
         pallet, outcome = place(state.pallet, size[None], corner[None], mass[None], legal[None])
         outcome = jax.tree.map(lambda values: values[0], outcome)
-        row = jnp.where(legal, state.placed, self._most_boxes)  # a row beyond the end is dropped
+        # the box of an illegal action gets a row beyond the end, which is dropped
+        row = jnp.where(legal, state.placed, self._most_boxes)
         after = state._replace(
             pallet=pallet,
             next=state.next + legal,
@@ -279,10 +293,11 @@ class Palletizing:
         return Ways(jnp.zeros(a, bool), jnp.zeros((a, 3)), jnp.zeros((a, 3)), jnp.zeros((a, len(self.features))))
 
     def _looked(self, state: State, most: int | None = None) -> State:
-        """The state with the actions for the next box. Boxes without a legal place are left out.
+        """The state with the actions for the next box. Boxes for which there is no legal place are left out.
 
         Args:
-            most: largest number of boxes on the pallet at this moment, if it is known: the program is then smaller.
+            most: largest number of boxes that the pallet can have at this moment, if this is known. It makes the
+                program smaller.
         """
         statics: Any = state.statics if most is None else self._actions.no_boxes(most)
         view: Any = self._actions.view(self._pile(state, most), statics)
@@ -298,7 +313,8 @@ class Palletizing:
             ways = self._actions.ways(view, box[:3], box[3])
             return state._replace(ways=ways._replace(legal=ways.legal & ~state.over)), jnp.array(False)
 
-        small = state._replace(pallet=None, statics=None)  # the loop does not change these two fields
+        # the loop does not change these two fields, so they are left out
+        small = state._replace(pallet=None, statics=None)
         looked, _ = jax.lax.while_loop(goes_on, look, (small, jnp.array(True)))
         return looked._replace(pallet=state.pallet, statics=state.statics)
 
@@ -308,7 +324,7 @@ class Palletizing:
         return Pile(*(values[:most] for values in (state.size_mm, state.corner_mm, present)))
 
     def _terms(self, before: State, after: State, outcome: PlacementArrays, legal: jax.Array) -> dict[str, jax.Array]:
-        """The reward terms, without their weights, as in ``petmjx.loop.rewards.TERMS``."""
+        """The terms of the reward, without their weights, as in ``petmjx.loop.rewards.TERMS``."""
         stands = legal & outcome.stable
         tops = [(state.corner_mm + state.size_mm)[:, 2].max() for state in (before, after)]
         terms = {
@@ -372,18 +388,18 @@ class Palletizing:
 
     @property
     def num_orders(self) -> int:
-        """Number of orders with a box that fits on the empty carrier."""
+        """Number of orders that have a box that fits on the empty carrier."""
         return len(self._counts)
 
     @property
     def features(self) -> tuple[str, ...]:
-        """The names of the features of candidates; empty for cells."""
+        """The names of the features of candidates; empty if actions are cells."""
         return self._actions.features
 
     @property
     def action_spec(self) -> Spec:
-        """An action is a whole number: the number of a candidate, or the number of a cell, which is (orientation ×
-        cells along x + x) × cells along y + y."""
+        """The specification of an action. An action is a whole number: the number of a candidate, or (orientation ×
+        number of cells along x + cell along x) × number of cells along y + cell along y."""
         return Spec("action", (), jnp.int32, 0, self.num_actions - 1, self.num_actions)
 
     @property
@@ -403,17 +419,18 @@ class Palletizing:
 
     @property
     def reward_spec(self) -> Spec:
-        """The specification of a reward: any number."""
+        """The specification of a reward, which can be any number."""
         return Spec("reward", (), jnp.float32, -_LARGEST, _LARGEST)
 
     @property
     def discount_spec(self) -> Spec:
-        """The specification of a discount: 0 or 1."""
+        """The specification of a discount, which is 0 or 1."""
         return Spec("discount", (), jnp.float32, 0.0, 1.0)
 
 
 def _whole(value: Any, name: str) -> Int[Array, ""]:
-    """A whole number, also one of a traced program. Raises InputError for anything else."""
+    """The value as a JAX array, if it is a whole number. It may be a traced value of a jitted program. Raises
+    InputError for anything else."""
     is_numeric = isinstance(value, int | np.generic | np.ndarray | jax.Array)
     try:
         number = jnp.asarray(value) if is_numeric else None

@@ -1,8 +1,9 @@
-"""Static balance of a pile, as an array program: ``petmjx.packers.pile_balance`` in single precision. The docstring of
-that module names the sources.
+"""Static balance of a pile of boxes, as an array program in JAX. The method is that of ``petmjx.packers.pile_balance``,
+whose docstring names the sources, but in single precision.
 
-A load is a vector (F, F·x, F·y), in kg and metres. A box passes its load to the boxes below it as a plane of pressures.
-This plane is linear in the load, so there is a 3 × 3 matrix for each pair of boxes. One more box therefore needs only
+A load is a vector (F, F·x, F·y) in kg and kg·m, where F acts at (x, y). A box presses on the boxes below it with a
+pressure that is a linear function of x and y. This pressure is linear in the load. So a 3 × 3 matrix for each pair of
+boxes computes the part of the load on one box that reaches the other box. Adding a box to the pile therefore needs only
 one product of matrices.
 """
 
@@ -20,27 +21,27 @@ from petmjx.jax.free_cells import TOUCH_MM, Pile
 from petmjx.packers.pile_balance import FAR_M, MARGIN_SHARE
 
 _ANGLES: Final = np.arange(32) * (2 * np.pi / 32)
-"""Directions in which the corners of a hull are searched for. A corner that reaches farthest in none of them is missed.
-So a computed hull may be too small, but never too large."""
+"""Directions in which the corners of a hull are searched for. Each direction finds the corner that reaches farthest in
+it. Other corners are missed, so a computed hull may be too small, but never too large."""
 
 _NO_EDGE: Final = -1e3
-"""Offset of the plane of a missing edge, m. Every load is far inside this plane."""
+"""Offset of an edge that does not exist, m. Every load is far inside such an edge."""
 
 _EXACT: Final = jax.lax.Precision.HIGHEST
-"""The precision of products. With JAX's default, GPUs round the factors to 10 bits."""
+"""Precision of matrix products. With JAX's default precision, GPUs round the factors to 10 bits."""
 
 Planes = Float[Array, "*rows 32 3"]
-"""Edges (d, n_x, n_y) of hulls. A point p is beyond an edge by d + n · p."""
+"""Edges of hulls, each as (d, n_x, n_y). A point p is outside an edge by the distance d + n · p."""
 
 
 class Statics(NamedTuple):
     """The balance of a pile of at most k boxes.
 
     Attributes:
-        load: (k, 3) load of each box: its own weight, and all loads from above.
-        passed: (k, k, 3, 3) matrices from a load on each box to the load that reaches each box below it.
+        load: (k, 3) load of each box: its own weight and all loads from above.
+        passed: (k, k, 3, 3) matrices that compute, from a load on each box, the load that reaches each box below.
         planes: (k, 32, 3) edges of the hull of each box's contacts.
-        least: (k,) how far inside its hull the load of each box must act, m.
+        least: (k,) smallest distance inside the hull at which the load of each box must act, m.
     """
 
     load: Float[Array, "box 3"]
@@ -50,13 +51,15 @@ class Statics(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """The contacts of q boxes with a pile. Lengths are in metres; coordinates are relative to the middle of each base.
+    """The contacts of q boxes with a pile of k boxes. Lengths are in metres. Coordinates are relative to the middle of
+    each box's base, except those of ``middle``.
 
     Attributes:
-        middle: (q, 2) the middle of the base.
-        start, end: (q, k, 2) the rectangle that a box shares with each box of the pile that ``bears`` it.
+        middle: (q, 2) the middle of each box's base.
+        start, end: (q, k, 2) lowest and highest x and y of the rectangle in which a box overlaps each box of the pile.
+        bears: (q, k) whether the box lies on each box of the pile.
         on_carrier: (q,) whether the box stands on the carrier.
-        support: (q,) supported share of the base.
+        support: (q,) supported share of the box's base.
     """
 
     middle: Float[Array, "placement 2"]
@@ -68,13 +71,13 @@ class Contacts(NamedTuple):
 
 
 def no_boxes(most: int) -> Statics:
-    """An empty pile."""
+    """The balance of an empty pile, with room for ``most`` boxes."""
     planes = jnp.tile(jnp.array([_NO_EDGE, 0.0, 0.0]), (most, len(_ANGLES), 1))
     return Statics(jnp.zeros((most, 3)), jnp.zeros((most, most, 3, 3)), planes, jnp.zeros(most))
 
 
 def contacts_of(size_mm: Float[Array, "placement 3"], corner_mm: Float[Array, "placement 3"], pile: Pile) -> Contacts:
-    """The contacts of boxes with a pile. Each box is considered alone, as the only box that is put onto the pile."""
+    """The contacts of boxes with a pile. Each box is treated as if it were the only new box on the pile."""
     low, high = corner_mm[:, None, :2], (corner_mm + size_mm)[:, None, :2]
     ends = pile.corner_mm + pile.size_mm
     start = jnp.maximum(low, pile.corner_mm[None, :, :2])
@@ -90,8 +93,8 @@ def contacts_of(size_mm: Float[Array, "placement 3"], corner_mm: Float[Array, "p
 
 
 def hull_planes(contacts: Contacts) -> Planes:
-    """(q, 32, 3) the edges of the hulls of contacts, relative to the middles of the bases. On the carrier, there are no
-    edges."""
+    """(q, 32, 3) the edges of the hull of each box's contacts, relative to the middle of the box's base. A box on the
+    carrier has no edges."""
     x, y = (jnp.asarray(values, jnp.float32)[None, None] for values in (np.cos(_ANGLES), np.sin(_ANGLES)))
     # (q, k, 32): the corner of each contact that reaches farthest in each direction
     at_x = jnp.where(x > 0, contacts.end[..., :1], contacts.start[..., :1])
@@ -110,12 +113,15 @@ def hull_planes(contacts: Contacts) -> Planes:
 def margins_m(
     statics: Statics, contacts: Contacts, planes: Planes, mass_kg: Float[Array, ""]
 ) -> tuple[Float[Array, " placement"], Float[Array, " placement"], Bool[Array, " placement"]]:
-    """Three values for each box: how far its load would act inside its hull, m; the smallest such distance of the boxes
-    below, m; and whether all of these loads act far enough inside. Distances are at most ``FAR_M``."""
+    """Three values for each of q boxes, if the box were put onto the pile. First, the distance inside the hull of the
+    box's contacts at which its weight acts, m. Second, the smallest of these distances for the loads of all boxes
+    below, m. Third, whether the loads of the boxes below act far enough inside their hulls. Distances are at most
+    ``FAR_M``."""
     floats = ~contacts.bears.any(axis=1) & ~contacts.on_carrier
     inside = jnp.where(floats, -FAR_M, -planes[..., 0].max(axis=1))
     moments, inverse = _moments(contacts)
-    # (q, k, 3): the load on each contact, first relative to the middle of the base, then relative to the origin
+    # (q, k, 3): the load on each box of the pile, first relative to the middle of the new box's base, then relative to
+    # the origin
     share = jnp.einsum("qkxy,qy->qkx", moments, inverse[:, :, 0] * mass_kg, precision=_EXACT)
     share = jnp.concatenate([share[..., :1], share[..., 1:] + share[..., :1] * contacts.middle[:, None]], axis=-1)
     after = statics.load[None] + jnp.einsum("jbxy,qjy->qbx", statics.passed, share, precision=_EXACT)
@@ -128,8 +134,8 @@ def margins_m(
 
 
 def least_m(size_mm: Float[Array, "placement 3"], least_mm: float) -> Float[Array, " placement"]:
-    """(q,) how far inside its hull the load of each box must act, m, as in the packer ``balanced``: ``least_mm``, or a
-    share of the shorter side of its base if that is less."""
+    """(q,) smallest distance inside the hull at which the load of each box must act, m, as in the packer ``balanced``.
+    It is ``least_mm``, or a share of the shorter side of the box's base if this is less."""
     return jnp.minimum(least_mm, MARGIN_SHARE * size_mm[:, :2].min(axis=1)) / MM_PER_M
 
 
@@ -140,10 +146,12 @@ def with_box(
     mass_kg: Float[Array, ""],
     least: Float[Array, ""],
 ) -> Statics:
-    """The balance after one more box with these contacts, in this row; a row beyond the end is dropped."""
+    """The balance of the pile after one more box with these contacts, whose values are stored in this row. If the row
+    is beyond the end, the box is ignored."""
     (x, y), on_carrier = contacts.middle[0], contacts.on_carrier[0]
     moments, inverse = _moments(contacts)
-    seen_there = jnp.eye(3).at[1, 0].set(-x).at[2, 0].set(-y)  # from the origin to the middle of the base
+    # converts a load relative to the origin into one relative to the middle of the base
+    seen_there = jnp.eye(3).at[1, 0].set(-x).at[2, 0].set(-y)
     seen_here = jnp.eye(3).at[1, 0].set(x).at[2, 0].set(y)
     share = jnp.einsum("xa,kab,bc,cy->kxy", seen_here, moments[0], inverse[0], seen_there, precision=_EXACT)
     passed = jnp.einsum("jbxy,jyz->bxz", statics.passed, share, precision=_EXACT)
@@ -164,8 +172,9 @@ def with_box(
 
 
 def _moments(contacts: Contacts) -> tuple[Float[Array, "placement box 3 3"], Float[Array, "placement 3 3"]]:
-    """∫ (1, x, y)ᵀ (1, x, y) dA over each contact, and the inverse of their sum. All values are relative to the middle
-    of the base, since the moments are small there and the inverse is exact enough in single precision."""
+    """The integral ∫ (1, x, y)ᵀ (1, x, y) dA over each contact of a box, and the inverse of the sum of these matrices
+    over all contacts of the box. Coordinates are relative to the middle of the base. This makes the moments small, so
+    that the inverse is exact enough in single precision."""
     middle, side = (contacts.start + contacts.end) / 2, contacts.end - contacts.start
     area = jnp.where(contacts.bears, side.prod(axis=-1), 0.0)
     x, y = middle[..., 0], middle[..., 1]

@@ -1,4 +1,4 @@
-"""The physical results of placements, as a pytree."""
+"""The results of placements on simulated pallets, as a pytree of arrays."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from petmjx.loop.placement_results import PlacementResults as HostResults
 
 ENDED: Final = "ended"
 REASONS: Final = (*(str(reason) for reason in Reason), ENDED)
-"""The meanings of the numbers in ``PlacementArrays.reason``; 0: the pallet stands. "ended": nothing was placed."""
+"""The meanings of the numbers in ``PlacementArrays.reason``. The number 0 means that the pallet stands. "ended" means
+that nothing was placed."""
 
 
 class PlacementArrays(NamedTuple):
     """The results of m placements on pallets of at most k boxes. After a pallet's last box, numbers are 0.
 
     Attributes: as in ``petmjx.PlacementResults``, except that ``reason`` is an index into ``REASONS``, and ``margin``
-    is -1 for invalid worlds.
+    is -1 if the simulation is invalid.
     """
 
     stable: Bool[Array, " placement"]
@@ -36,20 +37,20 @@ class PlacementArrays(NamedTuple):
 
 
 def shapes(m: int, k: int) -> list[tuple[tuple[int, ...], type[Any]]]:
-    """The shape and type of each field."""
+    """The shape and the type of each field of ``PlacementArrays``."""
     one = [((m,), kind) for kind in (bool, np.int32, np.int32, *(np.float32,) * 3, np.int32, bool)]
     return [*one, ((m, k), np.float32), ((m, k, 3), np.float32)]
 
 
 def empty_results(m: int, k: int) -> list[NDArray[Any]]:
-    """The results of m pallets onto which nothing was placed."""
+    """The results of m placements in which nothing was placed, as a list of arrays."""
     columns: list[NDArray[Any]] = [np.zeros(shape, kind) for shape, kind in shapes(m, k)]
     columns[1][:], columns[2][:], columns[3][:], columns[7][:] = REASONS.index(ENDED), -1, -1.0, True
     return columns
 
 
 def write_results(into: list[NDArray[Any]], rows: NDArray[np.int64], results: HostResults) -> None:
-    """Write results into these rows of the columns ``into``."""
+    """Write results into these rows of the arrays ``into``."""
     k = results.top_force_n.shape[1]
     reasons = np.array([REASONS.index(reason) for reason in results.reason], np.int32)
     margin = np.nan_to_num(results.margin, nan=-1.0)

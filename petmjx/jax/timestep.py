@@ -1,4 +1,5 @@
-"""Timesteps and specs of the environment for jitted programs. The class names are those of dm_env and jumanji."""
+"""Timesteps and specifications of the environment for jitted programs. The class names are those of dm_env and
+jumanji."""
 
 from __future__ import annotations
 
@@ -26,9 +27,9 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
     Attributes:
         step_type: a value of ``StepType``.
         reward: reward of this step; 0 for the first step.
-        discount: 0 if the episode has terminated, else 1; also 1 if it was truncated.
+        discount: 0 if the episode has been terminated; 1 if it continues or was truncated.
         observation: the observation after the step.
-        extras: further values by name.
+        extras: further values, by name.
     """
 
     step_type: Int[Array, ""]
@@ -42,17 +43,18 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
         return self.step_type == StepType.FIRST
 
     def mid(self) -> Bool[Array, ""]:
-        """Whether this is neither the first nor the last step."""
+        """Whether this is neither the first nor the last step of an episode."""
         return self.step_type == StepType.MID
 
     def last(self) -> Bool[Array, ""]:
-        """Whether the episode is over."""
+        """Whether this is the last step of an episode."""
         return self.step_type == StepType.LAST
 
 
 @dataclass(frozen=True)
 class Spec:
-    """Shape, type and range of an array. ``num_values``: for an action, the number of values; else None."""
+    """The shape, the type and the range of an array. ``num_values`` is the number of possible values of an action; None
+    for other arrays."""
 
     name: str
     shape: tuple[int, ...]

@@ -1,1 +1,2 @@
-"""Physics in the loop: pallets that stay settled, for packers that try placement after placement."""
+"""Physics for programs that place box after box: simulated pallets that stay in memory between placements, and labels
+of placements for training models."""

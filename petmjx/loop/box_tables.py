@@ -1,4 +1,4 @@
-"""Tables of the boxes on many pallets, with sizes and places as requested."""
+"""The boxes on many pallets, as tables. Sizes and places are those that the caller requested, not simulated ones."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from petmjx.loop.placements import Placements
 from petmjx.plans.plan import Plan
 
 _AT_ONCE: Final = 512
-"""Largest number of pallets in one call that computes points."""
+"""Largest number of pallets for which extreme points are computed in one call."""
 
 
 class BoxTable:
-    """The boxes of n pallets.
+    """The boxes on n pallets.
 
     Attributes:
         count: (n,) number of boxes on each pallet.
-        size_mm, corner_mm: (n, k, 3), ``mass_kg``: (n, k); NaN in columns beyond the pallet's boxes.
+        size_mm, corner_mm: (n, k, 3) extents and corners of the boxes, ``mass_kg``: (n, k) masses of the boxes. Values
+            after the last box of a pallet are NaN.
     """
 
     def __init__(self, n: int) -> None:
@@ -43,7 +44,7 @@ class BoxTable:
         self.count[rows] += 1
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep only the first ``count`` boxes of some pallets."""
+        """Keep only the first ``count`` boxes of each of these pallets."""
         beyond = np.arange(self.size_mm.shape[1]) >= count[:, None]
         for name in ("size_mm", "corner_mm", "mass_kg"):
             values = getattr(self, name)
@@ -61,11 +62,12 @@ class BoxTable:
         self._points.copy(sources, into)
 
     def find_points(self, pallets: NDArray[np.int64], gap_mm: float = 0.0) -> Points:
-        """The up-to-date extreme points, for all boxes of these pallets, with this free space between boxes."""
+        """The extreme points (candidate corners of a new box) of these pallets, after an update for all boxes on them.
+        ``gap_mm`` is the free space between boxes."""
         if gap_mm != self._points.gap_mm:
             self._points = Points(len(self.count), gap_mm)
         points, rows, free_mm = self._points, np.unique(pallets), np.array([gap_mm, gap_mm, 0.0])
-        # sorted by number of boxes, so that the pallets of a group have similar numbers of points
+        # pallets are sorted by number of boxes, so that those in the same chunk have similar numbers of points
         rows = rows[np.argsort(self.count[rows], kind="stable")]
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):
             for chunk_rows in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
@@ -74,13 +76,13 @@ class BoxTable:
         return points
 
     def box(self, pallets: NDArray[np.int64], number: int) -> Placements:
-        """Box ``number`` of each of these pallets. All of these pallets must have such a box."""
+        """Box ``number`` of each of these pallets. Each pallet must have a box of this number."""
         return Placements(
             self.size_mm[pallets, number], self.corner_mm[pallets, number], self.mass_kg[pallets, number], pallets
         )
 
     def plan(self, pallet: int, plan_id: str, fields: Mapping[str, Any]) -> Plan:
-        """The plan of a pallet's boxes. ``fields``: further arguments of ``Plan.from_boxes``."""
+        """A plan with the boxes of a pallet. ``fields`` are further arguments of ``Plan.from_boxes``."""
         k = int(self.count[pallet])
         return Plan.from_boxes(
             plan_id,

@@ -1,6 +1,8 @@
-"""Candidate places for boxes at the extreme points of many pallets.
+"""Finds candidate places for boxes at the extreme points of many pallets (points at which a new box touches other boxes
+or the carrier's edges).
 
-A box is lowered at a point until it rests on something, as in ``petmjx.packers.baseline_packer``.
+The corner of a box is put above a point, and the box is lowered until it rests on something, as in
+``petmjx.packers.baseline_packer``.
 """
 
 from __future__ import annotations
@@ -17,26 +19,28 @@ from petmjx.loop.placements import Placements
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 
 LARGEST_GAP_MM: Final = 1_000.0
-"""Largest free space between boxes. A larger space would leave no room on a pallet."""
+"""Largest allowed free space between boxes. A larger space would leave no room for boxes on a pallet."""
 
 _AT_ONCE: Final = 100_000
-"""Number of (point, box) pairs that are compared at a time, so that their tables stay in the cache of a core."""
+"""Number of pairs of a point and a box that are compared at a time. The tables of this number of pairs fit into the
+cache of a CPU core."""
 
 _WORTH_A_THREAD: Final = 50_000
-"""Smallest number of pairs for which a thread is worth starting."""
+"""Smallest number of pairs of a point and a box for which another thread is started."""
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
 
 class Places(NamedTuple):
-    """c places, box after box. The places of a box are sorted by height, and at equal height by x, then y.
+    """c places for m requested boxes. The places of the first box come first. The places of a box are sorted by height,
+    then by x, then by y.
 
     Attributes:
-        row: (c,) index of the box among the m requested boxes; ``pallet``: (c,) the box's pallet.
-        corner_mm: (c, 3) position of the box's front-left-bottom corner.
-        support: (c,) share of the box's base that would rest on the carrier or on the tops of boxes.
-        centred: (c,) whether the centre of the box's base lies over the convex hull of its supports, as in the
-            criterion ``centre``; None if not requested.
+        row: (c,) index of each place's box among the m requested boxes; ``pallet``: (c,) number of the place's pallet.
+        corner_mm: (c, 3) position of the box's front-left-bottom corner at the place.
+        support: (c,) share of the box's base that would rest on the carrier or on the tops of other boxes.
+        centred: (c,) whether the centre of the box's base lies over the convex hull of the areas on which the box would
+            rest, as in the criterion ``centre``. None if this was not requested.
     """
 
     row: NDArray[np.intp]
@@ -57,13 +61,13 @@ def free_places(
     gap_mm: float = 0.0,
     hulls: bool = True,
 ) -> Places:
-    """Places for boxes on pallets; ``placements.corner_mm`` is not read.
+    """Find places for boxes on pallets. ``placements`` has the boxes and their pallets; its corners are ignored.
 
     Args:
-        grid: (p, 2) points, mm, instead of the extreme points.
-        least_support: smallest supported share of a box's base.
+        grid: (p, 2) x and y of points, mm, that are used instead of the extreme points.
+        least_support: smallest share of a box's base that must be supported.
         gap_mm: free space between a box and its neighbours along x and y.
-        hulls: whether to find ``centred``.
+        hulls: whether to compute ``Places.centred``.
     """
     count = stock.count[placements.pallet]
     if grid is None:
@@ -71,7 +75,8 @@ def free_places(
         of_each = points.count(placements.pallet)
     else:
         of_each = np.full(len(placements), len(grid))
-    order = np.argsort(count, kind="stable")  # pallets with few boxes are computed together, which is cheap
+    # pallets with similar numbers of boxes are computed together, which saves time
+    order = np.argsort(count, kind="stable")
     n_done = np.cumsum((of_each * (count + 1))[order])
     share = int(n_done[-1] // (2 * MOST_THREADS)) if len(order) else 0
     at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
@@ -109,12 +114,14 @@ def _lowered_boxes(
     *,
     hulls: bool,
 ) -> _Lowered:
-    """Lower boxes at points of their pallets. Returns four values for each place: the index of the box, its corner, the
-    supported share of its base, and whether its centre is over the convex hull of its supports.
+    """Lower boxes at points of their pallets. Returns four values for each place: the index of the box, the box's
+    corner, the supported share of its base, and whether its centre is over the convex hull of the areas on which it
+    rests.
 
     Args:
-        points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) ends of the pallets' boxes; ``size``: (m, 3). Sizes, ends
-            and the carrier's extent include the free space ``gap_mm`` behind them along x and y, which bears nothing.
+        points: (m, p) points as x + iy; ``low``, ``high``: (m, k, 3) lowest and highest corners of the boxes on the
+            pallets; ``size``: (m, 3) sizes of the new boxes. Sizes, highest corners and the carrier's extent include
+            the free space ``gap_mm`` along x and y, which cannot support boxes.
     """
     with np.errstate(invalid="ignore"):  # columns beyond a pallet's points and boxes hold NaN
         x, y = points.real, points.imag
@@ -123,7 +130,8 @@ def _lowered_boxes(
         x, y = x[box, point], y[box, point]
         length_x, length_y, height = size[box].T
         x_end, y_end = x + length_x, y + length_y
-        # candidates are the last axis, so that sums over boxes have the same order for any number of candidates
+        # Candidates are the last axis, so that sums over boxes are added in the same order for any number of
+        # candidates.
         low_x, low_y = np.take(low[..., :2].transpose(2, 1, 0), box, axis=2)
         high_x, high_y, top = np.take(high.transpose(2, 1, 0), box, axis=2)
         under = (low_x < x_end - TOUCH_MM) & (low_y < y_end - TOUCH_MM)
@@ -152,12 +160,12 @@ def _lowered_boxes(
 
 
 def _over_hull(point: FloatArray, at: NDArray[np.intp], low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-    """(c,) whether points lie over the convex hulls of rectangles. A point lies over the hull if the corners, seen from
-    the point, leave no angular gap larger than 180°.
+    """(c,) whether each of c points lies over the convex hull of its rectangles. A point lies over the hull if the
+    rectangles' corners, seen from the point, leave no angular gap larger than 180°.
 
     Args:
-        point: (c, 2); ``at``: (q,) the point to which each rectangle belongs; ``low``, ``high``: (q, 2) lowest and
-            highest corners of the rectangles.
+        point: (c, 2); ``at``: (q,) index of the point to which each of q rectangles belongs; ``low``, ``high``: (q, 2)
+            lowest and highest corners of the rectangles.
     """
     order = np.argsort(at, kind="stable")
     at, low, high = at[order], low[order] - point[at[order]], high[order] - point[at[order]]
@@ -166,7 +174,7 @@ def _over_hull(point: FloatArray, at: NDArray[np.intp], low: FloatArray, high: F
     x = np.column_stack([low[:, 0], high[:, 0], low[:, 0], high[:, 0]])
     y = np.column_stack([low[:, 1], high[:, 1], high[:, 1], low[:, 1]])
     angles[at, rank] = np.arctan2(y, x)
-    angles = np.sort(angles.reshape(len(point), -1), axis=1)  # NaN are sorted to the end
+    angles = np.sort(angles.reshape(len(point), -1), axis=1)  # NaN values are sorted to the end
     has_angles = np.isfinite(angles[:, 0])
     first, last = angles[:, 0], np.nanmax(np.where(has_angles[:, None], angles, 0.0), axis=1)
     gap = np.nan_to_num(np.diff(angles, axis=1), nan=0.0).max(axis=1, initial=0.0)

@@ -1,5 +1,5 @@
-"""Trials of candidates under errors and drives: a robot places the box inexactly, or the pallet is shaken
-afterwards."""
+"""Trials of candidates (boxes at places) under harder conditions: with errors of a robot that places the box inexactly,
+or with a drive (a motion of the carrier) that shakes the pallet afterwards."""
 
 from __future__ import annotations
 
@@ -29,22 +29,23 @@ from petmjx.world.scene import Scene
 from petmjx.world.variants import ZERO, Distribution, Variant, apply
 
 _AT_ONCE: Final = 1024
-"""Largest number of worlds with errors or drives that are simulated at a time."""
+"""Largest number of worlds (simulated pallets) with errors or drives that are simulated at a time."""
 
 _NAME = "candidate"
-"""Replaces a plan's id when random numbers are drawn. So all candidates have the same errors, and can be compared."""
+"""Name that replaces the id of a plan when random numbers are drawn. Thus all candidates get the same errors, and can
+be compared."""
 
 
 MOST_ERRORS_DRAWN: Final = 2**31
-"""The numbers of single boxes' errors are all smaller than this."""
+"""The random errors of a single box have a number. All numbers are smaller than this value."""
 
 
 class Errors:
-    """The errors of ``petmjx score --confidence``, for a box that is put onto a standing pallet.
+    """Random errors, as in ``petmjx score --confidence``, for a box that is put onto a standing pallet.
 
-    Place, rotation, size and mass of the box have errors; the pallet has none. Friction has one error for the whole
-    pallet, since all cartons are of the same board at the same humidity. A hand carries the box to its place
-    (docs/placing.md).
+    The place, the rotation, the size and the mass of the new box have errors, but those of the boxes on the pallet have
+    none. The coefficient of friction has the same error for all boxes, because all cartons are made of the same board
+    and have the same humidity. A simulated hand carries the box to its place (docs/placing.md).
     """
 
     def __init__(self, count: int, sim: Simulation) -> None:
@@ -56,14 +57,15 @@ class Errors:
         return len(self._variants)
 
     def scenes(self, scene: Scene) -> list[Scene]:
-        """Variants of a scene whose last box is the candidate, one for each error."""
+        """Variants of a scene with errors, one variant for each draw of errors. The last box of the scene is the
+        candidate."""
         standing = scene.n_boxes - 1
         return [apply(scene, _NAME, variant, self._sweep.seed, standing=standing) for variant in self._variants]
 
 
 class PlacingErrors:
-    """The errors of ``petmjx score --confidence`` for boxes that are put onto pallets permanently: errors of place,
-    rotation, size and mass. The friction of a pallet stays unchanged."""
+    """Random errors, as in ``petmjx score --confidence``, for boxes that are put onto pallets and stay there. They are
+    errors of place, rotation, size and mass. The friction on a pallet is not changed."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sweep = confidence_sweep(1, None, dict(sim))
@@ -71,8 +73,8 @@ class PlacingErrors:
         self._change = replace(variant.placement, friction_rel=ZERO)
 
     def scene(self, scene: Scene, number: int, strength: float) -> Scene:
-        """A scene whose last box has the error of this number, times a strength. With strength 0 the box has no
-        error."""
+        """The scene with errors of its last box. ``number`` selects the random errors, which are multiplied by
+        ``strength``. If the strength is 0, the scene is unchanged."""
         if strength == 0:
             return scene
         errors: dict[str, Any] = {
@@ -86,19 +88,20 @@ class PlacingErrors:
 
 @functools.lru_cache(maxsize=4)
 def placing_errors_of(sim: Simulation) -> PlacingErrors:
-    """The errors of single boxes. The file with the errors is read only once."""
+    """The random errors of single boxes. The file that defines the errors is read only once."""
     return PlacingErrors(sim)
 
 
 @functools.lru_cache(maxsize=4)
 def errors_of(count: int, sim: Simulation) -> Errors:
-    """The errors of ``count`` worlds. The file with the errors is read only once, since candidates are tried in every
-    step."""
+    """The random errors of ``count`` worlds. The file that defines the errors is read only once, because candidates are
+    tried in every step of a packer."""
     return Errors(count, sim)
 
 
 def errors_asked(error: Any, strength: Any, m: int) -> tuple[NDArray[np.int64], FloatArray]:
-    """(m,) numbers of errors, and (m,) their strengths.
+    """Check the arguments ``error`` and ``error_strength`` of ``petmjx.Pallets.place``. Returns (m,) the numbers of the
+    errors, and (m,) their strengths.
 
     Raises:
         InputError: the numbers are not m whole numbers of at least 0, or a strength is negative or not a number.
@@ -115,14 +118,14 @@ def errors_asked(error: Any, strength: Any, m: int) -> tuple[NDArray[np.int64], 
 
 
 def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Drive | None:
-    """The drive that shakes candidates, from the name of a profile.
+    """The drive (the motion or force that shakes the carrier) for trials of candidates; None if ``drive`` is None.
 
     Args:
-        drive: the name of a built-in profile, a ``Drive``, or None.
-        level: strength of the drive, in the unit of docs/profiles.md, such as g for ``eumos-40509``.
+        drive: the name of a built-in profile (the time course of a drive), a ``Drive``, or None.
+        level: strength of the drive, in the profile's unit (docs/profiles.md), such as g for ``eumos-40509``.
 
     Raises:
-        InputError: an unknown profile, a family, or a value that is not a number.
+        InputError: the profile is unknown, the name stands for several profiles, or a value is not a number.
     """
     if drive is None:
         for value, name, usual in ((level, "level", 1.0), (direction_deg, "direction_deg", 0.0)):
@@ -150,7 +153,7 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
 def driven_results(
     open_worlds: OpenWorlds, pallets: NDArray[np.int64], boxes: NextBoxes, drive: Drive, thresholds: Thresholds
 ) -> PlacementResults:
-    """The outcomes of (m,) pallets that get one more box each and are then shaken."""
+    """The results of m pallets, each of which gets one more box and is then shaken."""
     parts = []
     for rows in _chunks(len(pallets), _AT_ONCE):
         row_pallets = pallets[rows].tolist()
@@ -164,7 +167,7 @@ def driven_results(
 def shares(
     open_worlds: OpenWorlds, worlds: Sequence[int], boxes: NextBoxes, errors: Errors, drive: Drive | None
 ) -> FloatArray:
-    """(m,) share of the valid worlds with errors that are stable."""
+    """(m,) for each candidate, the share of its worlds with errors that are stable. Invalid worlds are not counted."""
     parts = []
     for rows in _chunks(len(worlds), max(_AT_ONCE // len(errors), 1)):
         row_worlds = [worlds[row] for row in rows]

@@ -1,4 +1,5 @@
-"""Chooses the engine of open pallets, checks options, and provides a base for objects that can be closed."""
+"""Chooses the engine for open pallets (pallets to which boxes can be added), checks options, and provides a base class
+for objects that must be closed."""
 
 from __future__ import annotations
 
@@ -15,17 +16,19 @@ from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 
 MANY_PALLETS: Final = 64
-"""Smallest number of pallets for which ``auto`` uses an available GPU. Fewer pallets would not keep the GPU busy."""
+"""Smallest number of pallets for which the engine ``auto`` means an available GPU. Fewer pallets would not keep the GPU
+busy."""
 
 MOST_PALLETS: Final = 1_000_000
-"""Largest number of pallets. A larger number must be a mistake: its arrays alone would fill the memory."""
+"""Largest allowed number of pallets. A larger number must be a mistake, because the arrays for the pallets would fill
+the memory."""
 
 OF_RUN: Final = ("threads", "lanes")
 """The fields of ``RunOptions`` that pallets accept."""
 
 
 def check_open(sim: Simulation) -> None:
-    """Raise InputError for options that open pallets do not support."""
+    """Raise InputError if open pallets do not support one of the options."""
     if extent_m(sim.carrier) is None:
         raise InputError(f"carrier: {sim.carrier} depends on the whole plan; name one of a fixed size")
     if sim.has_soft:
@@ -44,25 +47,26 @@ def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) 
 
 
 def chooses_gpu(requested_engine: str | Engine, n: int) -> bool:
-    """Whether this name chooses a GPU for n pallets."""
+    """Whether the requested engine is a name that means a GPU engine for n pallets."""
     return isinstance(requested_engine, str) and _name_of(requested_engine, gpu=n >= MANY_PALLETS) == "mjx-warp"
 
 
 def _name_of(requested_engine: str, *, gpu: bool) -> str:
-    """The name of the engine that ``auto`` chooses; any other name is returned unchanged."""
+    """The name of the engine that ``auto`` stands for. Any other name is returned unchanged."""
     if requested_engine != AUTO:
         return requested_engine
     return "mjx-warp" if gpu and why_no_warp() is None else "mujoco"
 
 
 def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> tuple[Engine, bool]:
-    """The engine with this name, or the given engine object, and whether this call made it.
+    """The engine with the requested name, or the requested engine object, and whether this call made the engine.
 
     Args:
-        gpu: whether ``auto`` chooses ``mjx-warp`` if it can run.
+        gpu: whether ``auto`` stands for ``mjx-warp`` if this engine can run.
 
     Raises:
-        InputError: ``requested_engine`` is neither a name nor an engine, or the engine lacks an option.
+        InputError: ``requested_engine`` is neither a name nor an engine, or the engine does not have one of the
+            options.
         EngineUnavailable: the engine cannot run here.
     """
     if not isinstance(requested_engine, str):
@@ -81,7 +85,7 @@ def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu:
 
 
 class Closable:
-    """Base of objects that hold an engine until they are closed. An object that is used after that raises an InputError
+    """Base class of objects that hold an engine until they are closed. The use of a closed object raises an InputError
     of one line."""
 
     _is_closed = False

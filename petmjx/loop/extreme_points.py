@@ -1,8 +1,9 @@
-"""The extreme points of pallets, updated box by box.
+"""The extreme points of pallets (points at which the corner of a new box is put), updated box by box.
 
-Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional bin packing", INFORMS Journal on
-Computing 20(3), 368–384. The points of a box depend only on this box and on earlier boxes. Later boxes add points but
-change none. So a pallet that loses its last boxes has its earlier points again.
+Source: Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional bin packing", INFORMS
+Journal on Computing 20(3), 368–384. Each box has points of its own, which depend only on this box and on the boxes
+placed before it. Later boxes add points but do not change existing points. So if the last boxes are removed from a
+pallet, it has its previous points again.
 """
 
 from __future__ import annotations
@@ -20,21 +21,23 @@ _POINTS_PER_BOX: Final = 7
 
 
 class Points:
-    """The distinct points of n pallets: the origin, and points beside and on each box. The points of a box are its
-    corners, and the same corners moved towards the carrier's edges until they meet an earlier box.
+    """The extreme points of n pallets, each point only once: the origin, and points beside and on top of each box. The
+    points of a box are some of its corners, and the same corners moved towards the carrier's edges until they meet a
+    box placed earlier.
 
     Args:
-        gap_mm: free space behind each box along x and y, by which boxes count as larger.
+        gap_mm: free space behind each box along x and y. Boxes count as larger by this length.
 
     Attributes:
-        boxes: (n,) number of each pallet's boxes whose points are included.
+        boxes: (n,) for each pallet, the number of boxes whose points are included.
     """
 
     def __init__(self, n: int, gap_mm: float = 0.0) -> None:
         self.gap_mm = gap_mm
         self.boxes: NDArray[np.int64] = np.zeros(n, np.int64)
         self._at: NDArray[np.complex128] = np.zeros((n, 1), np.complex128)  # x + iy, mm
-        self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)  # (n, k) number of points of the first 0, 1, … boxes
+        # (n, k) number of points after the first 0, 1, … boxes
+        self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)
 
     def count(self, pallets: NDArray[np.int64]) -> NDArray[np.int64]:
         """(m,) number of points on each of these pallets."""
@@ -42,7 +45,7 @@ class Points:
         return counts
 
     def of(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """(m, p) points on these pallets, x + iy, mm; NaN in columns beyond a pallet's points."""
+        """(m, p) the points of these pallets as x + iy, mm. Values after the last point of a pallet are NaN."""
         count = self.count(pallets)
         p = int(count.max(initial=1))
         points = self._at[pallets, :p]
@@ -50,11 +53,11 @@ class Points:
         return points
 
     def add(self, pallets: NDArray[np.int64], low: FloatArray, high: FloatArray) -> None:
-        """Add the points of one more box on each of these pallets.
+        """For each of these pallets, add the points of one more box.
 
         Args:
-            low, high: (m, k, 3) ends of their boxes, with the free space. Box number ``boxes[pallet]`` is the new box;
-                boxes after it are ignored.
+            low, high: (m, k, 3) lowest and highest corners of the boxes on the pallets, including the free space. The
+                box whose points are added has the number ``boxes[pallet]``. Boxes after it are ignored.
         """
         number, rows = self.boxes[pallets], np.arange(len(pallets))
         points, count = self.of(pallets), self._count[pallets, number]
@@ -71,7 +74,7 @@ class Points:
         self.boxes[pallets] += 1
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep only the points of the first ``count`` boxes on these pallets."""
+        """Keep only the points of the first ``count`` boxes of each of these pallets."""
         self.boxes[pallets] = np.minimum(self.boxes[pallets], count)
 
     def copy(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
@@ -81,11 +84,11 @@ class Points:
 
 
 def _piles_corner_points(low: FloatArray, high: FloatArray, number: NDArray[np.int64]) -> FloatArray:
-    """(7, m, 2) the points of one box on each of m pallets, mm.
+    """(7, m, 2) x and y of the seven points of one box on each of m pallets, mm.
 
     Args:
-        low, high: (m, k, 3) lowest and highest corners of boxes; ``number``: (m,) number of the box. Only earlier boxes
-            are obstacles.
+        low, high: (m, k, 3) lowest and highest corners of the boxes on the pallets; ``number``: (m,) number of the box
+            whose points are computed. Only boxes with smaller numbers are obstacles.
     """
     rows, before = np.arange(len(low)), (np.arange(low.shape[1]) < number[:, None])[..., None]
     piles = []
@@ -93,5 +96,5 @@ def _piles_corner_points(low: FloatArray, high: FloatArray, number: NDArray[np.i
         pile = np.where(before, ends, np.nan)
         pile[:, -1] = ends[rows, number]  # the last row is the box itself, which is not an obstacle
         piles.append(pile)
-    with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes hold NaN
+    with np.errstate(invalid="ignore"):  # values after the last box of a pallet are NaN
         return corner_points(*piles)

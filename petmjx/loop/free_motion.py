@@ -1,4 +1,5 @@
-"""``petmjx.release``: free motion of boxes from any pose and velocity, to compare petmjx with camera recordings."""
+"""``petmjx.release``: simulates the free motion of boxes from any pose and velocity, so that petmjx can be compared
+with camera recordings."""
 
 from __future__ import annotations
 
@@ -28,31 +29,34 @@ PLANE: Final = "plane"
 """Name of the ground that is an infinite plane."""
 
 MANY_WORLDS: Final = 1_000
-"""Smallest number of worlds for which ``auto`` uses an available GPU. A GPU simulates about this number of worlds at a
-time, but each of them more slowly than a CPU thread would."""
+"""Smallest number of worlds for which the engine ``auto`` means an available GPU. A GPU simulates about this number of
+worlds at the same time, but each world more slowly than a CPU thread does."""
 
 FASTEST_M_S: Final = 100.0
 FASTEST_RAD_S: Final = 1_000.0
-"""Largest velocities, m/s and rad/s. A faster box would pass through obstacles within a step, or its velocity is in the
-wrong unit."""
+"""Largest allowed velocities, m/s and rad/s. A larger velocity is probably in the wrong unit, and a faster box would
+pass through obstacles within one step."""
 
 SMALLEST_KG_M2: Final = 1e-12
 LARGEST_KG_M2: Final = 1e6
-"""Largest moment of inertia, kg·m². Any box of an allowed size and mass has smaller moments."""
+"""Smallest and largest allowed moment of inertia, kg·m². The largest value exceeds the moments of any box of an allowed
+size and mass."""
 
 UNIT_WITHIN: Final = 0.01
-"""Largest difference of a quaternion's length from 1: quaternions from a camera are rounded. They are normalised."""
+"""Largest allowed difference of a quaternion's length from 1. Quaternions from a camera are rounded, so they are
+normalised."""
 
 _SMALL_RAD: Final = 1e-6
-"""Half of the rotation between two steps, rad. Below this value, orientations are interpolated linearly, since sines
-would lose digits."""
+"""If half of the rotation angle between two steps is less than this angle, rad, the orientation is interpolated
+linearly, because a formula with sines would lose digits."""
 
 ON_STEP: Final = 1e-6
-"""Largest difference between a time and a step, as a share of a timestep, for which the time counts as on the step."""
+"""If a time differs from the time of a step by at most this share of a timestep, the two times count as equal."""
 
 
 class _Argument(NamedTuple):
-    """An argument that has a value for each box: how many numbers a value has, and the limits of these numbers."""
+    """An argument of ``release`` with a value for each box: the number of numbers in a value, and the limits of these
+    numbers."""
 
     numbers: int
     low: float
@@ -74,16 +78,16 @@ _ARGUMENTS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
-    """Trajectories of the boxes released by ``petmjx.release``. If the arguments had no axis of boxes, the arrays here
-    have none either.
+    """The trajectories of the boxes that ``petmjx.release`` released. The arrays have an axis for the k boxes of a
+    world only if the arguments of ``release`` had it.
 
     Attributes:
         times_s: (t,) times after the release, s.
-        pos_m: (n, t, 3) or (n, k, t, 3) centres of the boxes, m. NaN from the moment at which a world's numbers were no
-            longer finite.
-        quat_wxyz: (n, t, 4) or (n, k, t, 4) orientations of the boxes, of length 1. The sign of each quaternion is
-            chosen to be nearer to the previous one.
-        engine: name of the engine that computed them.
+        pos_m: (n, t, 3) or (n, k, t, 3) centres of the boxes, m. NaN from the moment at which the numbers of a world
+            are no longer finite.
+        quat_wxyz: (n, t, 4) or (n, k, t, 4) orientations of the boxes, as quaternions of length 1. Of the two
+            equivalent quaternions q and -q, the one nearer to the previous quaternion is given.
+        engine: name of the engine that computed the trajectories.
     """
 
     times_s: FloatArray
@@ -108,36 +112,39 @@ def release(
     physics: str | Mapping[str, Any] | Physics = "pallet",
     engine: str | Engine = AUTO,
 ) -> Trajectories:
-    """Release boxes with any pose and velocity, and follow their motion. No rules of placement apply, and there are no
-    verdicts. Many worlds are simulated together, with the same contacts and steps as plans (docs/release.md).
+    """Release boxes with any pose and velocity, and simulate their motion. There are no placements one by one and no
+    verdicts. Many worlds (separate simulations) are computed together, with the same contacts and time steps as for
+    plans (docs/release.md).
 
-    Arrays have the axes (n, …), for n worlds of one box each, or (n, k, …), for k boxes each. Axes of length 1 and
-    missing leading axes are repeated, as in NumPy: a single size, mass or friction holds for all boxes.
+    The first axes of arrays are (n, …) for n worlds with one box each, or (n, k, …) for n worlds with k boxes each.
+    Axes of length 1 and missing leading axes are broadcast as in NumPy, so a single size, mass or friction applies to
+    all boxes.
 
     Args:
         size_mm: (…, 3) extents along the boxes' axes, mm.
         mass_kg: (…) masses of the boxes, kg.
         pos_m: (…, 3) centres of the boxes, m; z = 0 is the ground.
-        quat_wxyz: (…, 4) orientations of the boxes (w, x, y, z).
-        vel_m_s: (…, 3) velocities of the centres, m/s.
-        angvel_rad_s: (…, 3) angular velocities along the boxes' own axes, rad/s.
-        times_s: (t,) rising times after the release, s. At multiples of the timestep, poses are exact. Between two
-            steps, positions are interpolated linearly, and orientations along the shortest rotation.
-        inertia_kg_m2: (…, 3) principal moments along the boxes' axes, kg·m², or one number for all three and all boxes;
-            None: boxes are solid.
-        friction: (…) coefficient of sliding friction between a box and the ground; between two boxes the larger one
-            counts. None: the values in ``physics`` for boxes and carriers.
-        restitution: (…) share of its speed with which a box bounces, up to 0.9. All boxes of a world must have the same
-            value. A landing box is stopped within ``physics.landing_s``, or within 3 ms if that is 0. None: the value
-            in ``physics``.
-        ground: "plane", which is infinite, or the name of a carrier of a fixed size, or a TOML file of boards. A
-            carrier is held fixed, with its front-left corner at the origin and its top at z = 0.
-        physics: the name of a preset, a table that changes a preset, or a record.
-        engine: mujoco, mjx-warp, mjx-warp-cpu or mjx-jax; auto: mujoco, or an available GPU for 1,000 worlds or more;
-            or an engine object.
+        quat_wxyz: (…, 4) orientations of the boxes, as quaternions (w, x, y, z).
+        vel_m_s: (…, 3) velocities of the centres at the release, m/s.
+        angvel_rad_s: (…, 3) angular velocities at the release, along the boxes' own axes, rad/s.
+        times_s: (t,) increasing times after the release at which poses are wanted, s. At multiples of the timestep,
+            poses are those of the simulation. Between two steps, positions are interpolated linearly, and orientations
+            along the shortest rotation.
+        inertia_kg_m2: (…, 3) principal moments of inertia along the boxes' axes, kg·m², or one number for all moments
+            of all boxes. If None, boxes are solid and homogeneous.
+        friction: (…) coefficient of sliding friction between a box and the ground. Between two boxes, the larger of
+            their two coefficients is used. If None, the coefficients in ``physics`` are used.
+        restitution: (…) speed of a box after a bounce as a share of its speed before, up to 0.9. All boxes of a world
+            must have the same value. A landing box is stopped within ``physics.landing_s``, or within 3 ms if that is
+            0. If None, the value in ``physics`` is used.
+        ground: "plane" for an infinite plane, the name of a carrier of a fixed size, or a TOML file of boards. A
+            carrier does not move. Its front-left corner is at the origin, and its top at z = 0.
+        physics: the name of a preset, a mapping that changes a preset, or a ``petmjx.Physics``.
+        engine: mujoco, mjx-warp, mjx-warp-cpu, mjx-jax or an engine object. ``auto`` means an available GPU for 1,000
+            worlds or more, else mujoco.
 
     Raises:
-        InputError: an argument is unusable; the message names it.
+        InputError: an argument is unusable. The message names the argument.
         EngineUnavailable: the engine cannot run here.
     """
     sim = _options(physics, ground)
@@ -169,10 +176,11 @@ def release(
 
 
 def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatArray | None) -> FloatArray:
-    """(n, s, k, 7) poses in all worlds. Worlds with the same restitution are simulated together.
+    """(n, s, k, 7) poses of the boxes in all worlds, at all steps that are needed. Worlds with the same restitution are
+    simulated together.
 
     Args:
-        restitution: (n, k, 1) restitution of each box; None: the value of the physics.
+        restitution: (n, k, 1) restitution of each box. If None, the value in the options is used.
 
     Raises:
         InputError: boxes of a world have different restitutions.
@@ -194,7 +202,8 @@ def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatA
 
 
 def _options(physics: Any, ground: Any) -> Simulation:
-    """The options with this physics and ground. Raises InputError if either is unknown."""
+    """The simulation's options with this physics and this ground. Raises InputError if the physics or the ground is
+    unknown."""
     if not isinstance(physics, str | Mapping | Physics):
         raise InputError(f"physics must be the name of a preset, a table or a record, {shown_value(physics)}")
     sim = Simulation(physics=physics, placing="exact")
@@ -214,10 +223,10 @@ def _ground(sim: Simulation, ground: Any, *, smooth: bool) -> Ground:
 
 
 def _numbers(name: str, values: Any) -> FloatArray:
-    """(…, numbers) the values of an argument. The last axis exists even if each value is a single number.
+    """(…, numbers) the values of an argument, checked. The last axis exists even if each value is a single number.
 
     Raises:
-        InputError: values are not numbers, are beyond their limits, or have a wrong shape.
+        InputError: values are not numbers, are beyond the limits, or have a wrong shape.
     """
     numbers, low, high = _ARGUMENTS[name]
     try:
@@ -250,10 +259,10 @@ def _numbers(name: str, values: Any) -> FloatArray:
 
 
 def _box_arguments(arrays: dict[str, FloatArray]) -> tuple[dict[str, FloatArray], tuple[int, ...]]:
-    """The arguments as arrays (n, k, numbers), and the axes that the arguments had: (n,) or (n, k).
+    """The arguments as arrays (n, k, numbers), and the first axes that the arguments had: (n,) or (n, k).
 
     Raises:
-        InputError: the shapes of arguments do not fit together.
+        InputError: the shapes of two arguments do not fit together.
     """
     axes: tuple[int, ...] = ()
     for name, array in arrays.items():
@@ -270,7 +279,7 @@ def _box_arguments(arrays: dict[str, FloatArray]) -> tuple[dict[str, FloatArray]
 
 
 def _scenes(boxes: Mapping[str, FloatArray], ground: Ground, sim: Simulation) -> tuple[Scene, ...]:
-    """One scene for each world.
+    """One scene (sizes, masses, poses and the carrier) for each world.
 
     Raises:
         InputError: no body can have these moments of inertia.
@@ -303,11 +312,11 @@ def _scenes(boxes: Mapping[str, FloatArray], ground: Ground, sim: Simulation) ->
 
 
 def _steps(times_s: Any, timestep_s: float) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
-    """(t,) the times, (2, t) the steps before and after each time (equal if the time is on a step), and (t,) the
-    fraction of the interval between them at which the time lies, from 0 to 1.
+    """Three arrays: (t,) the times; (2, t) the numbers of the steps before and after each time, which are equal if the
+    time is on a step; and (t,) the position of the time between these two steps, from 0 to 1.
 
     Raises:
-        InputError: values are not times, or do not rise.
+        InputError: values are not times, or do not increase.
     """
     times = array_of(times_s, "times_s", ())
     if not len(times):
@@ -323,9 +332,10 @@ def _steps(times_s: Any, timestep_s: float) -> tuple[FloatArray, NDArray[np.int6
 
 
 def _interpolated_poses(before: FloatArray, after: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(…, t, 3) positions and (…, t, 4) orientations between (…, t, 7) poses, at (t,) fractions of the intervals.
-    Positions are interpolated along a straight line, orientations along the shortest rotation (Shoemake 1985, "slerp").
-    Then the sign of each quaternion is chosen to be nearer to the previous one."""
+    """Interpolate between the poses ``before`` and ``after`` (…, t, 7), at the fractions ``share`` (t,) of the
+    intervals. Positions (…, t, 3) are interpolated linearly, orientations (…, t, 4) along the shortest rotation
+    (Shoemake 1985, "slerp"). Of the two equivalent quaternions q and -q, the one nearer to the previous quaternion is
+    returned."""
     share = share[:, None]
     pos = before[..., :3] + share * (after[..., :3] - before[..., :3])
     first, last = before[..., 3:], after[..., 3:]

@@ -1,4 +1,5 @@
-"""Growing tables: one row per pallet, and columns for its boxes or points. Columns are added as pallets grow."""
+"""Tables with one row per pallet, and columns for the pallet's boxes or points. Columns are added when boxes are
+added."""
 
 from __future__ import annotations
 
@@ -8,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 FIRST_COLUMNS: Final = 16
-"""Number of boxes for which tables have room at the start."""
+"""Number of boxes for which tables have columns at the start."""
 
 
 def widened_table(values: NDArray[Any], columns: int, fill: float = 0.0) -> NDArray[Any]:
-    """A table with at least ``columns`` columns. The number of columns is doubled until it is large enough."""
+    """The table with at least ``columns`` columns. If there are fewer, their number is doubled until it is large
+    enough."""
     while values.shape[1] < columns:
         values = np.concatenate([values, np.full_like(values, fill)], axis=1)
     return values

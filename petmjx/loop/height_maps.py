@@ -12,7 +12,8 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.box_tables import BoxTable
 
 _EDGE: float = 1e-6
-"""Tolerance as a share of a cell. A box that ends this close to a cell's edge counts as ending there."""
+"""Tolerance as a share of a cell's side. If a box ends this close to the edge of a cell, it counts as ending at the
+edge."""
 
 
 def cells_of(extent_mm: tuple[float, float], cell_mm: Any) -> tuple[int, int]:
@@ -27,7 +28,8 @@ def cells_of(extent_mm: tuple[float, float], cell_mm: Any) -> tuple[int, int]:
 
 
 def spans(size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float) -> NDArray[np.intp]:
-    """(m, 2, 2) the cells that boxes cover: the first cells along x and y, and the cells after the last ones.
+    """(m, 2, 2) the ranges of cells that boxes cover along x and y: the first covered cells, and the cells after the
+    last covered ones.
 
     Args:
         size_mm, corner_mm: (m, 3) extents and corners of the boxes, mm.
@@ -39,7 +41,7 @@ def spans(size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float) -> NDArray
 
 
 def height_maps(stock: BoxTable, rows: NDArray[np.int64], extent_mm: tuple[float, float], cell_mm: Any) -> FloatArray:
-    """(m, x, y) heights above the cells of these pallets' carriers, mm."""
+    """(m, x, y) height of the highest box above each cell of these pallets' carriers, mm; 0 if there is no box."""
     maps = np.zeros((len(rows), *cells_of(extent_mm, cell_mm)))
     for number in range(int(stock.count[rows].max(initial=0))):
         has = np.flatnonzero(stock.count[rows] > number)

@@ -1,6 +1,8 @@
-"""Files of labels: a Parquet table for each split, and a card with their content, and the accuracy of rules.
+"""Writes labels (placements of boxes with the result of a simulation, as training data). There is a Parquet table for
+each split (training, validation, test), and a card that describes the tables and states how accurate simple rules are.
 
-Labels are written as parts while they are made (petmjx.loop.label_parts); the tables are made of the parts at the end.
+While labels are made, they are written as parts (petmjx.loop.label_parts). The tables are made from the parts at the
+end.
 """
 
 from __future__ import annotations
@@ -47,26 +49,26 @@ CARD: Final = "card.json"
 README: Final = "README.md"
 
 _ROWS: Final = 10_000
-"""Labels of a part, and of a row group."""
+"""Number of labels in a part of usual size, and in a row group of a table."""
 
 SECONDS_PER_PART: Final = 60.0
-"""Longest time that labels of whole episodes wait for their part to be written, s."""
+"""Longest time after which the labels of finished episodes (orders packed to the end) are written as a part, s."""
 
 _MOST_CARD_BYTES: Final = 1 << 20
 
 _REPORTED: Final = 50
-"""Labels between two reports of progress."""
+"""Number of labels between two reports of progress."""
 
 MOST_JUDGED: Final = 1_000
-"""Largest number of labels of the last split for judging baselines."""
+"""Largest number of labels of the split ``test`` with which the accuracy of rules is determined."""
 
 RULES: Final = ("support_50", "support_75", "support_100", "centre", "equilibrium")
-"""Criteria (docs/criteria.md) that are baselines. ``equilibrium`` is evaluated for all boxes, all other criteria for
-the new box."""
+"""Criteria (docs/criteria.md) whose accuracy is stated for comparison. ``equilibrium`` must hold for all boxes of the
+pallet, all other criteria only for the new box."""
 
 
 def label_files(folder: Path) -> dict[str, Path]:
-    """The files of labels in a folder, by split."""
+    """The path of each split's table in a folder, by the split's name."""
     return {split: folder / f"{split}.parquet" for split in SPLITS}
 
 
@@ -80,29 +82,32 @@ def write_labels(
     resume: bool = False,
     progress: Callable[[int], object] = lambda n_written: None,
 ) -> dict[str, Any]:
-    """Make labels, and write them with their card. Labels of whole episodes are kept as parts if the process ends
-    before all are made. Tables and card appear at the end.
+    """Make labels, and write the tables and the card. If the process ends before all labels are made, the labels of
+    finished episodes are kept as parts. The tables and the card are written at the end.
 
     Args:
-        source: the file of the orders, or ``endless``, for the card.
-        resume: go on with the unfinished labels in the folder, if there are any. ``count`` may be larger than before.
-        progress: called with the number of labels so far, those of unfinished episodes and earlier commands included.
+        source: the file of the orders, or ``endless``, as stated on the card.
+        resume: whether to continue with the unfinished labels in the folder, if there are any. ``count`` may be larger
+            than before.
+        progress: function that is called with the number of labels made so far, including those of unfinished episodes
+            and of earlier commands.
 
     Returns:
-        The card.
+        The content of the card.
 
     Raises:
-        InputError: the files may not be written, another run writes into the folder, labels in it are damaged or of
-            other orders or options, no box of the orders has a place, or shapely is missing.
+        InputError: the files may not be written, another process writes into the folder, labels in the folder are
+            damaged or were made with other orders or options, there is no place for any box of the orders, or shapely
+            is missing.
     """
-    need_packers()  # for the baselines, which come at the end
+    need_packers()  # checked first, because the rules are evaluated only at the end
     files = label_files(folder)
     outputs = [*files.values(), folder / CARD, folder / README]
     inputs = [source] if isinstance(source, Path) else []
     head = _head(labeller, source)
 
     def check() -> dict[str, Any] | None:
-        """The card of finished labels that are to be resumed."""
+        """Check the folder. If the labels are to be resumed but are already finished, return their card."""
         n_kept = 0 if overwrite else n_unfinished(folder)
         if not n_kept and resume and os.path.exists(folder / CARD):
             return _finished(folder, head, count)
@@ -121,7 +126,8 @@ def write_labels(
         if (card := check()) is not None:
             return card
     except InputError:
-        with suppress(OSError), held_folder_lock(folder):  # if another run is writing, its line comes first
+        # if another process is writing into the folder, the error about that is raised instead
+        with suppress(OSError), held_folder_lock(folder):
             pass
         raise
     with ExitStack() as stack:
@@ -130,7 +136,7 @@ def write_labels(
         with write_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
             stack.enter_context(held_folder_lock(folder))
-            if (card := check()) is not None:  # another process may have written since
+            if (card := check()) is not None:  # another process may have written into the folder since the first check
                 return card
             parts = LabelParts(folder, head, count, resume=resume)
             try:
@@ -151,8 +157,8 @@ def write_labels(
 
 
 def _finished(folder: Path, head: Mapping[str, Any], count: int) -> dict[str, Any]:
-    """The card of finished labels. Raises InputError if they are others than those that are asked for, or a table is
-    missing or damaged."""
+    """The card of the finished labels in a folder. Raises InputError if these labels are not the requested ones, or if
+    a table is missing or damaged."""
     try:
         card: dict[str, Any] = json.loads(read_regular(folder / CARD, _MOST_CARD_BYTES))
         n_labels = {split: card["splits"][split]["labels"] for split in SPLITS}
@@ -179,8 +185,8 @@ def _finished(folder: Path, head: Mapping[str, Any], count: int) -> dict[str, An
 
 
 def _make(labeller: Labeller, count: int, parts: LabelParts, progress: Callable[[int], object]) -> None:
-    """Make the labels that the parts lack, and add them part by part. What is made of whole episodes is added also if
-    an error or a signal ends it."""
+    """Make the missing labels, and add them part by part. If an error or a signal interrupts this, the labels of
+    finished episodes are still added."""
     waiting: list[Label] = []
     written_s, n_before = time.monotonic(), parts.n_labels
     reported = n_before
@@ -202,7 +208,7 @@ def _make(labeller: Labeller, count: int, parts: LabelParts, progress: Callable[
 
 
 def _write(parts: LabelParts, count: int, files: Mapping[str, Path], head: Mapping[str, Any]) -> dict[str, Any]:
-    """Write the tables and the card of the first ``count`` labels of the parts. Returns the card."""
+    """Write the tables and the card for the first ``count`` labels of the parts. Returns the content of the card."""
     tally = {split: _Tally() for split in SPLITS}
     judged: list[Label] = []
     last = list(SPLITS)[-1]
@@ -233,12 +239,13 @@ def _write(parts: LabelParts, count: int, files: Mapping[str, Path], head: Mappi
 
 
 def _remove_if_empty(folder: Path) -> None:
-    with suppress(OSError):  # the folder has files
+    with suppress(OSError):  # the folder is not empty
         folder.rmdir()
 
 
 def _groups(tables: Iterator[pa.Table], count: int) -> Iterator[pa.Table]:
-    """The first ``count`` rows of tables, in tables of at least ``_ROWS`` rows. Parts of a slow machine are small."""
+    """Join the first ``count`` rows of small tables into tables of at least ``_ROWS`` rows. On a slow machine, parts
+    are small."""
     waiting: list[pa.Table] = []
     for table in tables:
         waiting.append(table.slice(0, count))
@@ -251,7 +258,7 @@ def _groups(tables: Iterator[pa.Table], count: int) -> Iterator[pa.Table]:
 
 
 class _Tally:
-    """Content of a split."""
+    """Counts of the labels and the orders in a split."""
 
     def __init__(self) -> None:
         self.labels, self.stand, self.fall = 0, 0, 0
@@ -269,7 +276,7 @@ class _Tally:
 
 
 def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
-    """The part of the card that says what labels are of. Labels with the same head are the same."""
+    """The part of the card that states how labels were made. Two sets with the same head have the same labels."""
     is_file = isinstance(source, Path)
     reading = labeller.orders.reading
     return {
@@ -290,10 +297,12 @@ def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
 
 
 def baselines(labels: Sequence[Label]) -> dict[str, dict[str, float | int]]:
-    """Accuracy of rules and of ``petmjx.placement_stability`` for placements: name → number of labels, and shares of
-    standing and of falling placements that are found, and their mean. Empty if no label stands, or none falls.
+    """The accuracy of rules and of ``petmjx.placement_stability`` for these placements. For each name, there are the
+    number of labels, the share of standing placements that the rule accepts, the share of falling placements that it
+    refuses, and the mean of the two shares. The result is empty if no placement stands, or if none falls.
 
-    ``placement_stability`` was trained for boxes that a robot places inexactly; above 0.5 the new box stands for it.
+    ``placement_stability`` was trained for boxes that a robot places inexactly. It accepts a placement if its estimate
+    is above 0.5.
     """
     judged_labels = [label for label in labels if label["stands"] is not None]
     stands = np.array([label["stands"] for label in judged_labels], bool)
@@ -322,7 +331,7 @@ def baselines(labels: Sequence[Label]) -> dict[str, dict[str, float | int]]:
 
 
 def _page(card: dict[str, Any]) -> str:
-    """The card for people."""
+    """The card as a page of Markdown."""
     orders, options, splits = card["orders"], card["options"], card["splits"]
     total = sum(numbers["labels"] for numbers in splits.values())
     source = f"the file {orders['source']} (SHA-256 {orders['sha256']})" if orders["sha256"] else "petmjx's generator"

@@ -1,12 +1,13 @@
-"""The labels of a set that is not finished: Parquet parts in its folder, and a file that lists them.
+"""The labels of a set that is not finished yet: Parquet files (parts) in the set's folder, and a file that lists the
+parts.
 
     DIR/unfinished.json        the set (orders, options, engine), how many labels it is to have and how many are there,
                                the next episode, the parts
     DIR/parts/part-*.parquet   labels of whole episodes, in order
 
-Parts are written and read like those of a run (petmjx.results.run_table_files): a part counts once it is listed, with
-its digest. So if a process is killed, only the labels of the last minute and of unfinished episodes are lost. Another
-process can continue.
+Parts are written and read like those of a run (petmjx.results.run_table_files): a part is ignored until the list names
+it and its digest. So if a process is killed, only the labels of the last minute and of unfinished episodes are lost.
+Another process can then continue.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ TABLE: Final = "parts"
 SPLIT: Final = "split"
 
 _MOST_BYTES: Final = 1 << 26
-"""Largest size of the list of parts, bytes. It is enough for a million parts."""
+"""Largest size of the list of parts, bytes. This size is sufficient for a million parts."""
 
 _PART_SCHEMA: Final = SCHEMA.append(pa.field(SPLIT, pa.string())).with_metadata(
     {"schema_version": str(SCHEMA_VERSION), "table": TABLE}
@@ -50,18 +51,19 @@ _PART_SCHEMA: Final = SCHEMA.append(pa.field(SPLIT, pa.string())).with_metadata(
 
 
 class LabelParts:
-    """The parts of a set of labels. Methods raise OSError if a file cannot be written.
+    """The parts of a set of labels. Methods of this class raise OSError if a file cannot be written.
 
     Args:
         folder: folder of the set; ``head``: description of the set, as plain JSON values.
         count: number of labels that the set is to have.
-        resume: True: continue with the parts in the folder, if there are any. False: delete them.
+        resume: whether to continue with the parts in the folder, if there are any. If not, these parts are deleted.
 
     Attributes:
-        n_labels: number of labels in the parts; ``next_episode``: number of the first episode not in the parts.
+        n_labels: number of labels in the parts; ``next_episode``: number of the first episode whose labels are not in
+            the parts.
 
     Raises:
-        InputError: the parts belong to another set, are damaged, or have labels that a set of ``count`` would lose.
+        InputError: the parts belong to another set, are damaged, or have more labels than ``count``.
     """
 
     def __init__(self, folder: Path, head: Mapping[str, Any], count: int, *, resume: bool) -> None:
@@ -73,21 +75,22 @@ class LabelParts:
             self.n_labels, self.next_episode = entries["labels"], entries["next_episode"]
             self._tables = Tables(folder, _CheckedParts.of(folder, entries))
             self._check_parts()
-            # the last episode of a set may have more labels than it needs, so the same count always suits
+            # the last episode may give more labels than the set needs, so the count of the earlier command is always
+            # allowed
             if count < self.n_labels and count != entries["count"]:
                 raise InputError(
                     f"{folder}: holds {count_text(self.n_labels, 'label')}; pass {option('-n', python='count')} "
                     f"{self.n_labels} or more"
                 )
         else:
-            self._list()  # the list is written before parts are deleted, so that no old list names deleted parts
+            self._list()  # the new list is written before parts are deleted, so that no list names deleted parts
         listed = self._tables.parts.files(TABLE)
         for file in part_files(folder, TABLE):
             if file not in listed:
                 file.unlink()
 
     def _check_parts(self) -> None:
-        """Check all parts before hours of work go into others. Raises InputError."""
+        """Check all parts, before hours are spent on making further labels. Raises InputError."""
         parts, n_rows, next_episode = self._tables.parts, 0, 0
         for file in parts.files(TABLE):
             episodes = parts.read(file, ["episode"])["episode"]
@@ -111,8 +114,9 @@ class LabelParts:
             self._list()
 
     def tables(self) -> Iterator[pa.Table]:
-        """The parts, in order: the columns of ``SCHEMA``, and ``SPLIT``."""
-        for file in self._tables.parts.files(TABLE):  # written or checked before, so Arrow can safely read their lists
+        """The parts in order, as tables with the columns of ``SCHEMA`` and the column ``SPLIT``."""
+        # the files were written or checked by petmjx, so it is safe to read columns of lists
+        for file in self._tables.parts.files(TABLE):
             with open_for_arrow(file) as stream:
                 yield pq.read_table(stream)
 
@@ -121,7 +125,7 @@ class LabelParts:
         (self._folder / UNFINISHED).unlink(missing_ok=True)
         for file in part_files(self._folder, TABLE):
             file.unlink()
-        with suppress(OSError):  # the folder has other files, or was never made
+        with suppress(OSError):  # the folder has other files, or does not exist
             (self._folder / TABLE).rmdir()
 
     def _list(self) -> None:
@@ -136,14 +140,15 @@ class LabelParts:
 
 
 class _CheckedParts(Parts):
-    """Parts whose errors say what to do about labels."""
+    """Parts whose error messages tell how to make labels again."""
 
     def _cure(self, file: Path) -> str:
         return label_cure()
 
 
 def n_unfinished(folder: Path) -> int:
-    """The number of labels in the parts of an unfinished set in a folder; 0: there is none, or it has no label yet.
+    """The number of labels in the parts of an unfinished set in a folder. 0 if there is no unfinished set, or if it has
+    no labels yet.
 
     Raises:
         InputError: the list is damaged.
@@ -153,19 +158,19 @@ def n_unfinished(folder: Path) -> int:
 
 
 def check_same_set(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Raise InputError if the labels in a folder belong to another set. The message names the difference. The same
-    file of orders may have another name."""
+    """Raise InputError if the labels in a folder belong to another set. The message names the difference. A file of
+    orders with a new name but the same content is not a difference."""
     orders, orders_now = before.get("orders"), now["orders"]
     if isinstance(orders, Mapping) and orders_now["sha256"] and orders.get("sha256") == orders_now["sha256"]:
         before = {**before, "orders": {**orders, "source": orders_now["source"]}}
     for name, earlier, later in differing_settings(before, now):
-        if earlier != later:  # an entry that is missing is the same as null
+        if earlier != later:  # a missing entry counts as null
             different = f"{name} was {json.dumps(earlier)}, is {json.dumps(later)}"
             raise InputError(f"{folder}: cannot be resumed: its labels differ from these ({different})")
 
 
 def _entries(folder: Path) -> dict[str, Any] | None:
-    """The content of the list of parts in a folder; None: there is no list.
+    """The content of the list of parts in a folder; None if there is no list.
 
     Raises:
         InputError: the list is damaged.
@@ -194,12 +199,12 @@ def _damaged(file: Path) -> InputError:
 
 
 def label_cure() -> str:
-    """What to do about a damaged or missing file of labels."""
+    """Text that tells what to do about a damaged or missing file of labels."""
     return f"make the labels again, with {option('--overwrite', 'True')}"
 
 
 def table_of(labels: Sequence[Label]) -> pa.Table:
-    """The labels as a table with the columns of ``SCHEMA``, and ``SPLIT``."""
+    """The labels as a table with the columns of ``SCHEMA`` and the column ``SPLIT``."""
     columns = []
     for name, kind in zip(_PART_SCHEMA.names, _PART_SCHEMA.types, strict=True):
         values = [label[name] for label in labels]
@@ -208,7 +213,7 @@ def table_of(labels: Sequence[Label]) -> pa.Table:
 
 
 def _lists(values: Sequence[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
-    """An array whose values are lists of numbers, or lists of triples of numbers."""
+    """An Arrow array whose values are lists of numbers, or lists of triples of numbers."""
     items = kind.value_type
     number = items.value_type if pa.types.is_fixed_size_list(items) else items
     rows = [np.zeros(0) if row is None else np.asarray(row, number.to_pandas_dtype()) for row in values]
@@ -221,7 +226,7 @@ def _lists(values: Sequence[NDArray[Any] | None], kind: pa.DataType) -> pa.Array
 
 
 def labels_of(table: pa.Table) -> list[Label]:
-    """The labels in a table. Lists of boxes become arrays."""
+    """The labels in a table, as dicts. Lists with a value for each box become NumPy arrays."""
     labels: list[Label] = table.to_pylist()
     for label in labels:
         for name in ("size_mm", "corner_mm", "mass_kg"):

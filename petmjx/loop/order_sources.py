@@ -1,4 +1,5 @@
-"""Sources of boxes for episodes: the generator, files of orders in any form, and tables of boxes with strengths."""
+"""Sources of orders (lists of boxes to pack) for episodes: petmjx's generator of random orders, files of orders in any
+form, and tables of boxes with strengths."""
 
 from __future__ import annotations
 
@@ -23,19 +24,20 @@ from petmjx.plans.order_reader import read_order_frame, read_orders
 from petmjx.plans.plan_fields import vanishing_side
 
 ENDLESS: Final = "endless"
-"""Value of ``orders`` for generated orders, as from ``petmjx samples``: each episode draws a new order."""
+"""Value of the option ``orders`` for random orders, which are generated as by ``petmjx samples``. Each episode draws a
+new order."""
 
 _MOST_DRAWN: Final = 200_000
 
 
 def order_reading(units: Any = None, columns: Any = None, density: Any = None) -> OrderReading:
-    """How an environment reads files of orders in forms other than BED-BPP's. Orders may have any number of boxes.
+    """How an environment reads files of orders that are not in BED-BPP's form. Orders may have any number of boxes.
 
     Args:
-        units, columns, density: as the fields of ``petmjx.RunOptions``; None: the most plausible value.
+        units, columns, density: as the fields of ``petmjx.RunOptions``. If None, the most plausible value is used.
 
     Raises:
-        InputError: a value is unusable; the message begins with ``orders_``.
+        InputError: a value is unusable. The message begins with ``orders_``.
     """
     try:
         options = RunOptions(units=units, columns=columns, density=density)
@@ -46,13 +48,14 @@ def order_reading(units: Any = None, columns: Any = None, density: Any = None) -
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """The boxes of one order, in the order in which they arrive.
+    """The boxes of one order, in the sequence in which they arrive.
 
     Attributes:
-        size_mm: (k, 3) length, width and height; ``mass_kg``: (k,).
-        strength_n: (k,) the load that each box can carry on its top, N; NaN: unknown.
-        upright: (k, 3) whether the box's length, width and height may be vertical; None: only the height may.
-        name: id of the order in its source; "": the order has no id.
+        size_mm: (k, 3) length, width and height of each box; ``mass_kg``: (k,) mass of each box.
+        strength_n: (k,) largest load that each box can bear on its top, N; NaN if unknown.
+        upright: (k, 3) whether the length, the width and the height of each box may be vertical. If None, only the
+            height may be vertical.
+        name: id of the order in its source; "" if the order has no id.
     """
 
     size_mm: FloatArray
@@ -63,7 +66,8 @@ class Boxes:
 
     @property
     def rows(self) -> FloatArray:
-        """(k, 8) for each box: three sizes, mass, strength, and for each size 1 if it may be vertical, else 0."""
+        """(k, 8) one row for each box: its three sizes, mass and strength, and then, for each size, 1 if the size may
+        be vertical, else 0."""
         upright = np.tile([False, False, True], (len(self), 1)) if self.upright is None else self.upright
         return np.column_stack([self.size_mm, self.mass_kg, self.strength_n, upright])
 
@@ -77,23 +81,24 @@ class Boxes:
 
 
 class Orders:
-    """Orders for episodes: each episode uses one.
+    """The orders of a source. Each episode packs one of the orders.
 
     Args:
         source: ``endless``; a file of orders in any form that ``petmjx samples --orders`` reads; a data frame; or a
-            list of ``Order``. Rows of a data frame may have ``strength_n``, N, and ``upright``: the letters, of l, w
-            and h, of the sizes that may be vertical.
-        seed: seed of the generator's catalogue.
+            list of ``Order``. A data frame may have the columns ``strength_n``, N, and ``upright``: text with the
+            letters of the sizes that may be vertical (l for length, w for width, h for height).
+        seed: seed of the generator of random orders.
         articles: a table of articles, whose strengths take precedence over ``strength_n``.
-        reading: how to read files of orders in forms other than BED-BPP's; None: the most plausible reading.
+        reading: how to read files of orders that are not in BED-BPP's form. If None, the most plausible reading is
+            taken.
 
-        Attributes:
-            reading: how files of orders are read; for generated orders, the reading without any options.
-            have_strengths: whether the strength of some box may be known.
-            lie: whether some box may stand on a side other than its base.
+    Attributes:
+        reading: how files of orders are read; for generated orders, the reading without any options.
+        have_strengths: whether the strength of some box may be known.
+        lie: whether some box may stand on a side other than its base.
 
-        Raises:
-            InputError: the source is unknown, or a file cannot be used.
+    Raises:
+        InputError: the source is unknown, or a file cannot be used.
     """
 
     def __init__(
@@ -109,14 +114,14 @@ class Orders:
         self.lie = any(boxes.upright is not None and boxes.upright[:, :2].any() for boxes in orders)
 
     def check_sizes(self, size_reduction_mm: float) -> None:
-        """Raise InputError for a box whose extent is not positive after the size reduction. The message names its
-        order."""
+        """Raise InputError if a size of any box is not positive after it is reduced by ``size_reduction_mm``. The
+        message names the order and the box."""
         for boxes in self._all or ():
             if (thin := vanishing_side(boxes.size_mm, size_reduction_mm)) is not None:
                 raise InputError(f"orders: order {printable_name(boxes.name)}, box {thin[0] + 1}: {thin[1]}")
 
     def draw(self, rng: np.random.Generator) -> Boxes:
-        """A random order of the source; with ``endless``, a newly generated order."""
+        """Draw a random order of the source. If the source is ``endless``, the order is newly generated."""
         if self._all is None:
             return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))), self._articles)
         return self._all[int(rng.integers(len(self._all)))]
@@ -129,11 +134,11 @@ class Orders:
 
     @property
     def count(self) -> int:
-        """The number of orders."""
+        """The number of orders of the source."""
         return _MOST_DRAWN if self._all is None else len(self._all)
 
     def some(self, count: int) -> list[Boxes]:
-        """All orders; with ``endless``, the first ``count`` orders."""
+        """All orders of the source. If the source is ``endless``, its first ``count`` orders."""
         if self._all is not None:
             return self._all
         return [_of_order(draw_order(self._seed, number), self._articles) for number in range(count)]

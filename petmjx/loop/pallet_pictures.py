@@ -1,5 +1,5 @@
-"""Pictures of standing pallets, drawn like the scenes of stories (petmjx.analysis.story). The camera does not move
-while a pallet grows."""
+"""Pictures of open pallets (pallets to which boxes can be added), drawn like the pictures of stories
+(petmjx.analysis.story). The camera stays in place when boxes are added."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from petmjx.world.history import History
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 SHOWN_HEIGHT_M: Final = 1.2
-"""Pictures show the carrier and at least this height above it."""
+"""Pictures show the carrier and at least this height above it, m."""
 
 
 def picture(scene: Scene, reading: Reading, sim: Simulation, size: tuple[int, int], view: str) -> NDArray[np.uint8]:
-    """(height, width, 3) pixels of a picture of a world in its current state.
+    """(height, width, 3) pixels of a picture of a pallet in its current state.
 
     Raises:
         InputError: nothing can be drawn on this machine.
@@ -39,7 +39,8 @@ def picture(scene: Scene, reading: Reading, sim: Simulation, size: tuple[int, in
     if reason := why_nothing_is_drawn():
         raise InputError(f"show: {reason}")
     k = len(reading.pos)
-    if not scene.n_boxes:  # a drawn scene needs at least one box; this one is not placed, so it stays invisible
+    # A scene must have at least one box to be drawn. The box added here is not placed, so it is invisible.
+    if not scene.n_boxes:
         scene = EmptyCarrier(sim).with_box(scene, NextBoxes(np.full((1, 3), 0.1), np.zeros((1, 3)), np.ones(1)), 0)
     story = _story(scene, reading, sim)
     camera = framing(_scene_corners(scene, reading), view_of(view), size, Margins(0, 0, 0, 0))
@@ -50,7 +51,7 @@ def picture(scene: Scene, reading: Reading, sim: Simulation, size: tuple[int, in
 
 
 def _scene_corners(scene: Scene, reading: Reading) -> FloatArray:
-    """(c, 3) corners of all visible bodies, m."""
+    """(c, 3) corners of a cuboid around the carrier and the boxes, m."""
     low, high = scene.carrier.low.copy(), scene.carrier.high.copy()
     tops = (scene.target + scene.half_size)[: len(reading.pos), 2]
     high[2] = max(SHOWN_HEIGHT_M, float(tops.max(initial=0.0)))

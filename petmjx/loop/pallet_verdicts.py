@@ -1,5 +1,6 @@
-"""Verdicts of a score for open pallets. If the engine gives bit-identical results, the first attempt continues from a
-pallet's settled state."""
+"""Verdicts on open pallets (pallets to which boxes can be added), as ``petmjx.score`` would give them. A score
+simulates a plan, and may repeat this with other settings (further attempts). If the result is bit-identical, the first
+attempt continues from the pallet's current state instead of simulating all placements again."""
 
 from __future__ import annotations
 
@@ -14,16 +15,16 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 AT_ONCE = 4096
-"""Largest number of worlds that are finished side by side."""
+"""Largest number of worlds whose simulation is finished at the same time."""
 
 
 class SettledEngine(Engine):
-    """An engine for pallets that are open. It takes the first attempt at a plan from the open world that has the plan's
-    boxes, and simulates all other attempts.
+    """An engine for scores of open pallets. For the first attempt at a plan, it finishes the simulation of the open
+    pallet that has the plan's boxes. All other attempts are simulated from the start.
 
-    On ``mjx-warp``, a world's results do not depend on how its boxes were put in. On ``mujoco``, waiting boxes are part
-    of a world's model and affect the last digits. So on ``mujoco``, no attempt comes from open worlds if digits must be
-    exact.
+    On the engine ``mjx-warp``, results do not depend on whether boxes were added later. On ``mujoco``, boxes that wait
+    to be placed are part of the model, and their presence affects the last digits. So on ``mujoco``, open pallets are
+    not used if results must be exact to the last digit.
 
     Args:
         to_the_bit: whether outcomes must be bit-identical to those of a score.
@@ -40,7 +41,7 @@ class SettledEngine(Engine):
         return self._engine.device
 
     def settle(self, job: Job, world: int) -> None:
-        """Register an open world: it has the boxes of this job, and has settled."""
+        """Register that an open world (an open pallet's simulation) has the boxes of this job, and is at rest."""
         if self._same_bits:
             earlier = self._keys.pop(world, None)
             if earlier is not None and self._worlds.get(earlier) == world:
@@ -74,7 +75,7 @@ class SettledEngine(Engine):
 
 @dataclass(frozen=True, eq=False)
 class PalletWorld:
-    """A pallet in its current state, for which a score is requested."""
+    """A pallet in its current state, for which a verdict is requested."""
 
     pallet: int
     name: str
@@ -85,12 +86,13 @@ class PalletWorld:
 def pallet_scores(
     engine: SettledEngine, sim: Simulation, following: Callable[[], Sequence[PalletWorld]]
 ) -> Generator[tuple[int, Outcome]]:
-    """Score pallets, further attempts included, while others are still being built: (pallet, outcome), in any order.
+    """Score pallets, including further attempts, while boxes are still put onto other pallets. Yields pairs of a
+    pallet's number and its outcome, in any order.
 
     Args:
-        following: function that returns the pallets to score next; it may return none while some still have no score.
-            ``following`` is called after each outcome, and may put boxes onto pallets that have their score. The
-            generator ends once ``following`` returns none and all pallets have their score.
+        following: function that returns the pallets to score next. It is called after each outcome. It may put boxes
+            onto pallets that have been scored, and may return no pallets while others are still being scored. The
+            generator ends when ``following`` returns no pallets and all pallets have been scored.
     """
     progress = Progress()
 
@@ -105,6 +107,6 @@ def pallet_scores(
 
 
 def _key(job: Job) -> bytes:
-    """A key that identifies the boxes of a pallet, among pallets with the same carrier."""
+    """A key that identifies the boxes and places of a pallet. All pallets must have the same carrier."""
     scene = job.scene
     return scene.mass.tobytes() + scene.half_size.tobytes() + scene.target.tobytes()

@@ -1,4 +1,5 @@
-"""The open worlds of pallets: for each pallet, its current world and its world before the last box."""
+"""The simulated worlds of open pallets (pallets to which boxes can be added). For each pallet, there is the current
+world and the world before the last box was placed."""
 
 from __future__ import annotations
 
@@ -20,33 +21,36 @@ from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes
 
 
 class PalletWorlds:
-    """n pallets in the open worlds of an engine. Only one thread at a time may call it.
+    """n open pallets, simulated by an engine. Only one thread at a time may call the methods.
 
     Attributes:
-        worlds: world i is pallet i; world n + i is pallet i before its last box; the last world stays empty.
-        boxes: the boxes of the pallets, as requested.
-        bounds: the bounds that decide placements without simulation.
+        worlds: the worlds. World i is pallet i, world n + i is pallet i before its last box, and the last world stays
+            empty.
+        boxes: the boxes of the pallets, as the caller requested them.
+        bounds: the bounds by which clear cases are decided without a simulation.
         dead: (n,) whether each pallet has fallen.
-        margin: (n,) margins of pallets that are at rest and that bounds may decide; −1 for others.
-        apart_mm: (n, k) distance of each box from its planned place, mm.
-        placing: whether a thread of the engine is letting pallets come to rest. Meanwhile, only that thread uses the
-            worlds.
+        margin: (n,) margin of stability of each pallet that is at rest and for which the bounds are valid; −1 for all
+            other pallets.
+        apart_mm: (n, k) largest distance of any corner of each box from its planned position, mm.
+        placing: whether another thread is currently simulating pallets until they rest. During this time, only that
+            thread may use the worlds.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
         self._n, self._sim = n, sim
         self._decidable = decidable(sim)
-        self._bare = 1.0 if self._decidable else -1.0  # margin of an empty pallet
+        self._bare = 1.0 if self._decidable else -1.0  # margin of stability of an empty pallet
         self.boxes = BoxTable(n)
         self.bounds = Bounds(self.boxes, sim.physics.box_friction[0])
         self.dead: NDArray[np.bool_] = np.zeros(n, bool)
         self.margin: FloatArray = np.full(n, self._bare)
         self.apart_mm: FloatArray = np.zeros((n, most_boxes))
         self.placing = False
-        # of each box: the arguments ``error`` and ``error_strength`` of ``petmjx.Pallets.place``
+        # for each box, the arguments ``error`` and ``error_strength`` of ``petmjx.Pallets.place``
         self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)
         self._strength: FloatArray = np.zeros((n, most_boxes))
-        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # number of boxes in world n + i; -1: unused
+        # number of boxes in world n + i; -1 if this world is not used
+        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
         self.worlds.go_on()
 
@@ -61,10 +65,11 @@ class PalletWorlds:
         error: NDArray[np.int64] | None = None,
         strength: FloatArray | None = None,
     ) -> PlacementResults:
-        """Put one box onto each pallet, and wait until the pallets rest. ``meanwhile`` is called during the wait.
+        """Put one box onto each pallet in ``placements``, and simulate these pallets until they rest. ``meanwhile`` is
+        called during the simulation.
 
         Args:
-            error, strength: (m,) see ``petmjx.Pallets.place``; None: boxes are placed exactly.
+            error, strength: (m,) see ``petmjx.Pallets.place``. If None, boxes are placed exactly.
         """
         rows = placements.pallet
         if len(rows):
@@ -116,7 +121,7 @@ class PalletWorlds:
         return outcomes
 
     def decided(self, placements: Placements) -> NDArray[np.int8]:
-        """(m,) what the bounds decide about placements; see ``Bounds.of``."""
+        """(m,) the decision of the bounds about each placement, as returned by ``Bounds.of``."""
         return self.bounds.of(placements, self.margin, self.apart_mm)
 
     def has_errors(self, pallet: int) -> bool:
@@ -124,7 +129,7 @@ class PalletWorlds:
         return bool(self._strength[pallet, : self.boxes.count[pallet]].any())
 
     def take_back(self, rows: NDArray[np.int64]) -> None:
-        """Remove the last box from each of these pallets. Each of them must have a box."""
+        """Remove the last box from each of these pallets. Each pallet must have a box."""
         left = self.boxes.count[rows] - 1
         has_before = self._before[rows] == left
         if has_before.any():
@@ -135,7 +140,7 @@ class PalletWorlds:
             self._build(rows[~has_before])
 
     def fork(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
-        """Make the pallets ``into`` copies of the pallets ``sources``."""
+        """Copy the states of the pallets ``sources`` to the pallets ``into``."""
         these, copies = ([*rows.tolist(), *(self._n + rows).tolist()] for rows in (sources, into))
         self.worlds.fork(these, copies)
         self.boxes.copy(sources, into)
@@ -144,7 +149,7 @@ class PalletWorlds:
             values[into] = values[sources]
 
     def empty(self, rows: NDArray[np.int64]) -> None:
-        """Remove all boxes from some pallets."""
+        """Remove all boxes from these pallets."""
         self._empty_worlds(rows)
         self._cut(rows, np.zeros(len(rows), np.int64))
         self.margin[rows] = self._bare
@@ -161,7 +166,7 @@ class PalletWorlds:
         self.dead[rows], self._before[rows] = False, -1
 
     def _build(self, rows: NDArray[np.int64]) -> None:
-        """Place all boxes of some pallets again, one after another."""
+        """Simulate the placement of all boxes of these pallets again, one box after another."""
         self._empty_worlds(rows)
         for number in range(int(self.boxes.count[rows].max(initial=0))):
             grown_rows = rows[self.boxes.count[rows] > number]

@@ -1,4 +1,5 @@
-"""``petmjx.Pallets``: pallets that stay settled on an engine, so that placement after placement can be tried."""
+"""``petmjx.Pallets``: simulated pallets that stay in the memory of an engine between placements, so that placement
+after placement can be tried."""
 
 from __future__ import annotations
 
@@ -39,37 +40,38 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 96
-"""Default of the largest number of boxes on a pallet."""
+"""Default value of the largest number of boxes on a pallet."""
 
 
 class Pallets(Closable):
-    """n pallets that stay settled, for a packer that places boxes one by one.
+    """n simulated pallets that stay in memory between placements, for a packer that places boxes one by one.
 
     ``P = petmjx.Pallets(1); P.place(size_mm=(400, 300, 200), corner_mm=(0, 0, 0), mass_kg=6)``
 
     The rules are those of ``petmjx.score``: each box is placed when the boxes before it are at rest. ``place`` and
-    ``try_all`` return the result of the first attempt, at the moment when the pallet is at rest again. ``verdict`` and
-    ``score`` return the result of a score of the whole plan. See docs/loop.md.
+    ``try_all`` return the result at the moment when the pallet is at rest again, without the further checks of a score.
+    ``verdict`` and ``score`` return the result of a complete score of the pallet's plan. See docs/loop.md.
 
     Lengths are in millimetres, masses in kilograms. x and y are measured from the carrier's front-left corner; z = 0 is
-    the carrier's top. If a method takes m boxes, ``size_mm`` (m, 3) are their extents as placed, ``corner_mm`` (m, 3)
-    their front-left-bottom corners, ``mass_kg`` (m,) their masses, and ``pallet`` (m,) their pallets. A single row
-    stands for all m boxes, and a single box needs no first axis. Without ``pallet``, there must be one pallet, or box i
-    is for pallet i.
+    the carrier's top. Many methods have arguments for m boxes: ``size_mm`` (m, 3) are the extents of the boxes as
+    placed, ``corner_mm`` (m, 3) their front-left-bottom corners, ``mass_kg`` (m,) their masses, and ``pallet`` (m,) the
+    numbers of their pallets. A single row applies to all m boxes, and for a single box the first axis can be left out.
+    If ``pallet`` is left out, box i is for pallet i, or all boxes are for the only pallet.
 
-    Several threads may use one object; their calls run one after another.
+    Several threads may use the same object. Their calls are carried out one after another.
 
     Args:
         n: number of pallets.
-        carrier: the carrier of the boxes; not ``footprint``, which depends on the whole plan.
-        engine: ``mujoco``, ``mjx-warp``, an engine object with open worlds, or ``auto``: ``mjx-warp`` for 64 pallets or
-            more if there is a GPU, else ``mujoco``.
-        most_boxes: largest number of boxes that a pallet may get. ``mjx-warp`` reserves room for them on the device.
+        carrier: the carrier on which the boxes stand. It cannot be ``footprint``, which depends on the whole plan.
+        engine: ``mujoco``, ``mjx-warp``, or an engine object that supports adding boxes to its worlds. ``auto`` means
+            ``mjx-warp`` for 64 pallets or more if there is a GPU, else ``mujoco``.
+        most_boxes: largest number of boxes on a pallet. ``mjx-warp`` reserves memory on the device for this number of
+            boxes.
         options: fields of ``petmjx.Simulation``, and ``threads`` or ``lanes`` of ``petmjx.RunOptions``.
 
     Raises:
-        InputError: an option is unusable, or pallets do not support it.
-        EngineUnavailable: the requested engine cannot run here.
+        InputError: an option is unusable, or this class does not support it.
+        EngineUnavailable: the requested engine cannot run on this machine.
     """
 
     def __init__(
@@ -100,11 +102,11 @@ class Pallets(Closable):
 
     @contextmanager
     def _using(self, *, worlds: bool = True) -> Iterator[None]:
-        """Lets only one thread at a time use the pallets, and only until the object is closed.
+        """While the body runs, no other thread can use the pallets. Raises InputError if the object has been closed.
 
         Args:
-            worlds: whether the call uses the engine or changes boxes. Such calls are not allowed while pallets come to
-                rest.
+            worlds: whether the body uses the engine or changes boxes. This is not allowed while another thread
+                simulates pallets.
         """
         with self._lock:
             self._check_open()
@@ -120,24 +122,25 @@ class Pallets(Closable):
 
     @property
     def engine(self) -> str:
-        """The engine's name."""
+        """The name of the engine."""
         return self._engine.name
 
     @property
     def extent_mm(self) -> tuple[float, float]:
-        """The carrier's extents along x and y."""
+        """The extents of the carrier along x and y, mm."""
         extent = extent_m(self.simulation.carrier)
         assert extent is not None
         return extent[0] * MM_PER_M, extent[1] * MM_PER_M
 
     @property
     def n_boxes(self) -> NDArray[np.int64]:
-        """(n,) number of boxes of each pallet."""
+        """(n,) number of boxes on each pallet."""
         return self._boxes.count.copy()
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """(n,) whether each pallet has fallen. No box can be placed on a fallen pallet until ``reset``."""
+        """(n,) whether each pallet has fallen. A box can be placed on a fallen pallet only after ``reset`` or
+        ``take_back``."""
         return self._standing.dead.copy()
 
     # ------------------------------------------------------------------ placements
@@ -153,19 +156,20 @@ class Pallets(Closable):
         error: Any = None,
         error_strength: Any = 1.0,
     ) -> PlacementResults:
-        """Put one box onto each of the given pallets, and wait until they are at rest.
+        """Put one box onto each of the given pallets, and simulate these pallets until they are at rest.
 
         Args:
-            error: (m,) whole numbers. Each is the number of a random error of robot and carton, in place, rotation,
-                size and mass, as ``petmjx score --confidence`` draws them. A hand carries the box to its place. None:
-                boxes are placed exactly.
-            error_strength: factor on the errors, one number or (m,); 0: the box is placed exactly.
-            meanwhile: a function that is called while the pallets come to rest. The function may only call ``places``,
-                ``boxes`` and ``height_map``, which already include the new boxes at their planned places.
+            error: (m,) whole numbers, each of which selects the random errors of a box: errors of place, rotation, size
+                and mass, drawn as in ``petmjx score --confidence``. A simulated hand then carries the box to its place.
+                If None, boxes are placed exactly.
+            error_strength: factor by which the errors are multiplied, as one number or an array (m,). If the factor is
+                0, the box is placed exactly.
+            meanwhile: a function that is called during the simulation. It may only call ``places``, ``boxes`` and
+                ``height_map``, which already include the new boxes at their planned places.
 
         Raises:
-            InputError: a shape, unit or number is wrong; a pallet has fallen, is full, or is named twice; or the number
-                of an error is not valid.
+            InputError: a shape, unit or number is wrong; a pallet has fallen, is full, or is named twice; or a number
+                in ``error`` is not valid.
         """
         with self._using():
             request = self._placements(size_mm, corner_mm, mass_kg, pallet)
@@ -187,17 +191,17 @@ class Pallets(Closable):
         level: float = 1.0,
         direction_deg: float = 0.0,
     ) -> PlacementResults:
-        """For each of m candidates, the result that ``place`` would have. Candidates may be any mixture of boxes,
-        places and pallets. The pallets do not change.
+        """For each of m candidates (a box at a place on a pallet), return the result that ``place`` would have. A
+        pallet may have several candidates. The pallets do not change.
 
         Args:
-            errors: also simulate each candidate in this number of worlds, in which a robot places it inexactly.
-                ``PlacementResults.share`` is the share of these worlds that stand. The errors are those of
-                ``petmjx score --confidence``.
-            drive: the name of a profile that shakes the pallet with the candidate on it, such as ``eumos-40509``. The
-                results are then those after the drive.
-            level: strength of the profile, such as 0.3 g.
-            direction_deg: direction of the profile.
+            errors: number of additional simulations of each candidate in which a robot places the box inexactly.
+                ``PlacementResults.share`` is the share of these simulations in which the pallet stands. The errors are
+                those of ``petmjx score --confidence``.
+            drive: the name of a profile (a motion of the carrier) that shakes the pallet with the candidate on it, such
+                as ``eumos-40509``. The results are then those after the shaking.
+            level: strength of the profile, in the profile's unit, such as 0.3 for 0.3 g.
+            direction_deg: horizontal direction of the profile, degrees.
 
         Raises:
             InputError: a shape, unit or number is wrong, a pallet has fallen or is full, or the profile is unknown.
@@ -224,12 +228,13 @@ class Pallets(Closable):
     def stands(
         self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None
     ) -> tuple[NDArray[np.bool_], FloatArray]:
-        """For each of m candidates, whether ``try_all`` would call it stable. Candidates that stand or fall beyond
-        doubt (docs/training.md) are not simulated, so this takes a fraction of the time. The pallets do not change.
+        """For each of m candidates (a box at a place on a pallet), tell whether ``try_all`` would find the pallet
+        stable. If a pallet stands or falls beyond doubt with the candidate (docs/training.md), it is not simulated. So
+        this method takes a fraction of the time of ``try_all``. The pallets do not change.
 
         Returns:
-            (m,) whether the pallet stands, and (m,) its margin: 1 if it stands beyond doubt, -1 if it falls or is
-            invalid.
+            (m,) whether the pallet stands with each candidate, and (m,) the pallet's margin of stability: 1 if the
+            pallet stands beyond doubt, -1 if it falls or the simulation is invalid.
 
         Raises:
             InputError: see ``try_all``.
@@ -248,8 +253,8 @@ class Pallets(Closable):
             return decided == STANDS, margin
 
     def decided(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None) -> NDArray[np.int8]:
-        """What is known about m candidates without a simulation: (m,) 1: stands beyond doubt, -1: falls beyond doubt,
-        0: undecided (docs/training.md).
+        """(m,) what is known about m candidates without a simulation: 1 if the candidate stands beyond doubt, -1 if it
+        falls beyond doubt, 0 if it is undecided (docs/training.md).
 
         Raises:
             InputError: see ``try_all``.
@@ -258,9 +263,10 @@ class Pallets(Closable):
             return self._standing.decided(self._placements(size_mm, corner_mm, mass_kg, pallet))
 
     def take_back(self, pallet: Any = None) -> None:
-        """Remove the last box from some pallets; None: from all that have boxes. The pallets return to their state
-        before this box, bit for bit. Pallets that have fallen stand again. If a further box is removed from a
-        pallet, the pallet is built again, with the errors with which its boxes were placed.
+        """Remove the last box from each of these pallets, or, if ``pallet`` is None, from all pallets that have boxes.
+        The pallets return to their states before this box, bit for bit, so pallets that have fallen stand again. If a
+        second box is removed from a pallet, the placements of its remaining boxes are simulated again, with the same
+        errors as before.
 
         Raises:
             InputError: a pallet has no box.
@@ -273,13 +279,14 @@ class Pallets(Closable):
             self._standing.take_back(rows)
 
     def fork(self, sources: Any, into: Any) -> None:
-        """Make pallets bit-identical copies of other pallets. Afterwards the pallets are independent.
+        """Make pallets bit-identical copies of other pallets. Afterwards, originals and copies are independent.
 
         Args:
-            sources: (m,) pallets; a pallet may occur several times. ``into``: (m,) pallets that become copies.
+            sources: (m,) numbers of the pallets to copy. A pallet may occur several times. ``into``: (m,) numbers of
+                the pallets that become copies.
 
         Raises:
-            InputError: there is no such pallet, ``into`` and ``sources`` differ in length, or ``into`` names a pallet
+            InputError: a pallet does not exist, ``into`` and ``sources`` differ in length, or ``into`` names a pallet
                 twice.
         """
         with self._using():
@@ -291,7 +298,7 @@ class Pallets(Closable):
                 self._standing.fork(these, copies)
 
     def reset(self, pallet: Any = None) -> None:
-        """Remove all boxes from some pallets; None: from all."""
+        """Remove all boxes from these pallets, or, if ``pallet`` is None, from all pallets."""
         with self._using():
             rows = pallets_of(pallet, self.n)
             once_each(rows)
@@ -300,7 +307,7 @@ class Pallets(Closable):
     # ------------------------------------------------------------------ current state
 
     def results(self, pallet: Any = None) -> PlacementResults:
-        """The current results of some pallets; None: of all."""
+        """The current results of these pallets, or, if ``pallet`` is None, of all pallets."""
         with self._using():
             rows = pallets_of(pallet, self.n)
             return PlacementResults.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
@@ -311,11 +318,11 @@ class Pallets(Closable):
         return self.results(pallet)
 
     def plan(self, pallet: int = 0, plan_id: str | None = None, **fields: Any) -> Plan:
-        """The boxes of a pallet as a plan. ``fields``: arguments of ``Plan.from_boxes``, such as
+        """The boxes of a pallet as a plan. ``fields`` are further arguments of ``Plan.from_boxes``, such as
         ``article=["tea", …]``.
 
         Raises:
-            InputError: there is no such pallet, it has no boxes, or a field is unusable.
+            InputError: the pallet does not exist or has no boxes, or a field is unusable.
         """
         with self._using():
             number = self._one(pallet)
@@ -323,16 +330,17 @@ class Pallets(Closable):
             return self._boxes.plan(number, name, fields)
 
     def score(self, pallet: Any = None, *, to_the_bit: bool = True, **options: Any) -> RunResults:
-        """Score the plans of pallets; None: of all pallets that have boxes. The results are bit-identical to those of
-        ``petmjx.score``, further attempts included. A pallet that has fallen has a score, too. Boxes that were placed
-        with errors are scored at their planned places.
+        """Score the plans of these pallets, or, if ``pallet`` is None, of all pallets that have boxes. The results are
+        bit-identical to those of ``petmjx.score``, which repeats simulations with other settings if necessary. Pallets
+        that have fallen are scored, too. Boxes that were placed with errors are scored at their planned places.
 
-        On ``mjx-warp``, pallets continue from their current state. On ``mujoco``, plans are simulated from their first
-        box on, since waiting boxes affect the last digits of a score there.
+        On the engine ``mjx-warp``, the simulation continues from the current state of a pallet. On ``mujoco``, plans
+        are simulated from their first box on, because there the boxes that wait to be placed affect the last digits of
+        a score.
 
         Args:
-            to_the_bit: False: pallets on ``mujoco`` continue from their current state, too. This takes a fraction of
-                the time, but last digits may differ.
+            to_the_bit: whether results on ``mujoco`` must be exact to the last digit. If not, the simulation continues
+                from the current state there, too. This takes a fraction of the time.
             options: fields of ``petmjx.RunOptions``, such as ``out``.
 
         Raises:
@@ -354,13 +362,14 @@ class Pallets(Closable):
     def outcomes(
         self, following: Callable[[], Sequence[int]], names: Callable[[int], str]
     ) -> Generator[tuple[int, Outcome]]:
-        """Outcomes of ``score`` for pallet after pallet, without tables, while other pallets are still being built:
-        (pallet, outcome), in any order. On ``mujoco``, last digits differ as with ``to_the_bit=False``.
+        """Score pallet after pallet, while boxes are still put onto other pallets. Yields pairs of a pallet's number
+        and its outcome, in any order, and makes no tables. On ``mujoco``, last digits may differ as with
+        ``to_the_bit=False``.
 
         Args:
-            following: function that returns the pallets to score next, as in ``pallet_scores``. The boxes of these
-                pallets must be placed exactly.
-            names: function that returns the name of a pallet for notes.
+            following: function that returns the numbers of the pallets to score next, as in ``pallet_scores``. The
+                boxes of these pallets must have been placed exactly.
+            names: function that returns the name of a pallet in notes.
         """
         settled = SettledEngine(self._engine, self._worlds, self.simulation, to_the_bit=False)
 
@@ -370,12 +379,12 @@ class Pallets(Closable):
         yield from pallet_scores(settled, self.simulation, worlds)
 
     def verdict(self, pallet: int = 0) -> str:
-        """The verdict of a score of one pallet: "stable", "unstable" or "invalid" (see ``score``)."""
+        """Score one pallet (see ``score``), and return the verdict: "stable", "unstable" or "invalid"."""
         with self._using():
             return str(self.score(self._one(pallet)).worlds.verdict.iloc[0])
 
     def height_map(self, cell_mm: float = 10.0, pallet: Any = None) -> FloatArray:
-        """(m, x, y) height of the highest planned top over each cell of the carrier, mm; 0: there is no box.
+        """(m, x, y) height of the highest planned top of a box over each cell of the carrier, mm; 0 if there is no box.
 
         A box that only touches the edge of a cell does not cover the cell.
         """
@@ -384,8 +393,8 @@ class Pallets(Closable):
             return height_maps(self._boxes, rows, self.extent_mm, cell_mm)
 
     def boxes(self, pallet: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The boxes of pallets as requested: (m, k, 3) sizes and corners, mm, and (m, k) masses, kg. Values are NaN
-        beyond a pallet's own boxes."""
+        """The boxes on these pallets, as they were requested: (m, k, 3) their sizes, (m, k, 3) their corners, mm, and
+        (m, k) their masses, kg. Values after the last box of a pallet are NaN."""
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             k = int(self._boxes.count[rows].max(initial=0))
@@ -402,19 +411,20 @@ class Pallets(Closable):
         gap_mm: float = 0.0,
         hulls: bool = True,
     ) -> Places:
-        """Places for boxes: the extreme points of pallets inside the carrier, each at the height at which the box would
-        rest.
+        """Find places for boxes. They are at the extreme points of the pallets (points at which a box touches other
+        boxes or the carrier's edges). A box must not extend beyond the carrier, and its height is that at which it
+        would rest.
 
         Args:
-            size_mm: (m, 3) extents after the placement; ``pallet``: (m,).
-            max_height_mm: highest top of a box.
-            grid_mm: (p, 2) corners on the carrier instead of the extreme points.
-            least_support: smallest supported share of a box's base, from 0 to 1.
-            gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
-            hulls: whether to find ``Places.centred``, which doubles the time.
+            size_mm: (m, 3) extents of the boxes as placed; ``pallet``: (m,) numbers of their pallets.
+            max_height_mm: largest allowed height of a box's top.
+            grid_mm: (p, 2) x and y of points on the carrier that are used instead of the extreme points.
+            least_support: smallest share of a box's base that must be supported, from 0 to 1.
+            gap_mm: free space that a robot needs between a box and its neighbours along x and y.
+            hulls: whether to compute ``Places.centred``, which doubles the time.
 
         Raises:
-            InputError: a shape or number is wrong, corners are off the carrier, or there is no such pallet.
+            InputError: a shape or number is wrong, a point is outside the carrier, or a pallet does not exist.
         """
         with self._using(worlds=False):
             request = boxes_of(size_mm, pallet, self.n)
@@ -427,7 +437,8 @@ class Pallets(Closable):
             )
 
     def show(self, pallet: int = 0, *, size: tuple[int, int] = (640, 480), view: str = "iso") -> NDArray[np.uint8]:
-        """(height, width, 3) picture of a pallet in its current state. Boxes are coloured by their order.
+        """(height, width, 3) pixels of a picture of a pallet in its current state. The colour of a box shows its
+        position in the packing order.
 
         Raises:
             InputError: this machine has no OpenGL that draws without a display, or the extra ``show`` is missing.
@@ -444,7 +455,7 @@ class Pallets(Closable):
             return picture(self._worlds.scene(number), reading, self.simulation, size, view)
 
     def close(self) -> None:
-        """Free the engine's resources. Any later call raises InputError."""
+        """Free the engine's resources. All calls after this one raise InputError."""
         with self._lock:
             self._check_placing()
             self._is_closed = True

@@ -1,19 +1,21 @@
-"""Bounds on placements: boxes that stand beyond doubt, and boxes that fall beyond doubt, without a simulation.
+"""Decides clear cases of placements without a simulation: boxes that stand beyond doubt, and boxes that fall beyond
+doubt.
 
-The bearing of a box is the convex hull of its contacts with the boxes below, or, on the carrier, the whole carrier.
-Loads pass from box to box by the pressure plane of ``petmjx.packers.pile_balance``. Rigid boxes stand if there are any
-forces that balance them (the safe theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid
-blocks", Int. J. for Numerical Methods in Engineering 12, 1853–1871). So on a pallet that rests at its planned places, a
-box stands beyond doubt under two conditions. First, the weight of the box, and the loads of all boxes that carry it,
-must act well inside their bearings. Second, no other load may be near an edge.
+The bearing of a box is the convex hull of its contacts with the boxes below it; for a box on the carrier, the bearing
+is the whole carrier. Loads are passed from box to box by the pressure plane of ``petmjx.packers.pile_balance`` (a
+pressure that is a linear function of x and y). Rigid boxes stand if any forces exist that balance them (the safe
+theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid blocks", Int. J. for Numerical
+Methods in Engineering 12, 1853–1871). So on a pallet that rests at its planned places, a box stands beyond doubt under
+two conditions. First, the weight of the new box, and the loads of all boxes that carry it, must act well inside the
+boxes' bearings. Second, no other load on the pallet may be near the edge of a bearing.
 
-A box falls beyond doubt if its weight acts well outside its bearing, and no body is near enough to catch it before it
-has turned too far. Its neighbours can hold the falling box only by friction. This friction is limited, since only the
-friction under the falling box presses it against its neighbours. Boxes of the pallet that have moved count as larger by
-the distance that they have moved. All other placements are undecided.
+A box falls beyond doubt if its weight acts well outside its bearing, and no body is near enough to catch the box before
+it has turned too far. Neighbours could hold the falling box only by friction. This friction is limited, because the
+only force that presses the box against its neighbours is the friction under the box. If boxes of the pallet have moved,
+they are treated as larger by the distance that they have moved. All other placements are undecided.
 
-The bounds hold for rigid boxes, and for usual thresholds of verdicts (``decidable``). The margins are chosen so that
-simulations agree with the bounds; ``python -m benchmarks loop bounds`` compares both.
+These decisions are valid for rigid boxes and for usual thresholds of verdicts (see ``decidable``). The required
+distances are chosen so that simulations agree with the decisions; ``python -m benchmarks loop bounds`` compares both.
 """
 
 from __future__ import annotations
@@ -42,61 +44,67 @@ STANDS: Final = 1
 FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
-"""Margin required of loads that a placement does not change, as a fraction of the margin required of loads that it
-changes. A box whose load is nearer to the edge may seem to rest while it begins to turn."""
+"""Distance inside a bearing that is required of loads which a placement does not change, as a fraction of the distance
+required of loads which it changes. If a load acts nearer to the edge, the box may seem to rest while it already begins
+to turn."""
 
 MOST_LOAD: Final = 100.0
-"""Largest load on a bearing box, as a multiple of the box's own mass. Contacts are soft: a box sinks by about
-0.003 mm × load / own mass (docs/rules.md, section 8), which is 0.3 mm for this load."""
+"""Largest load on a box that carries the new box, as a multiple of the carrying box's own mass. Contacts are soft: a
+box sinks by about 0.003 mm × load / own mass (docs/rules.md, section 8), which is 0.3 mm for this load."""
 
 MOST_SLENDER: Final = 8.0
-"""Largest height of a pile, as a multiple of the shortest side of its boxes. Soft contacts let a pile lean more the
-higher it is."""
+"""Largest height of a pile, as a multiple of the shortest side of the boxes that carry the new box. The higher a pile
+is, the more soft contacts let it lean."""
 
 HANGING_SHARE: Final = 0.05
-"""Smallest distance by which the weight of a falling box acts outside its bearing, as a share of the box's shorter
-side. A box with this distance turns within a second, so no rule takes it for a box at rest."""
+"""Smallest distance outside the bearing at which the weight of a falling box must act, as a share of the box's shorter
+side. At this distance, the box turns within a second, so the simulation does not take it for a box at rest."""
 
 HANGING_MM: Final = 10.0
-"""As ``HANGING_SHARE``, but in millimetres. The larger one of the two distances counts."""
+"""The same distance as ``HANGING_SHARE``, in millimetres. The larger of the two distances is required."""
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
 """A box is lost if, before a body catches it, it turns by ``TURN_DEG``, or its middle moves down and sideways by
-``GONE_MM``. The weight of such a box is then farther beyond the edge than at first, so that the box does not come back.
-These values exceed the thresholds by a quarter and by a half."""
+``GONE_MM``. Its weight is then farther beyond the edge than at first, so the box does not come back. These values
+exceed the largest allowed thresholds of verdicts by a quarter and by a half."""
 
 NEAR_MM: Final = 2.0
-"""Width of a gap between two boxes that may have closed: boxes of a calm pallet are up to 1 mm off their places."""
+"""Two boxes with a planned gap of up to this width may touch, because boxes of a pallet at rest can be up to 1 mm off
+their planned places."""
 
 CALM_DEG: Final = 0.5
-"""Largest tilt of a box that counts as resting at its planned place: 3 mm over a box of 350 mm."""
+"""Largest tilt of a box that counts as resting at its planned place, degrees. For a box of 350 mm, this is a difference
+in height of 3 mm."""
 
 HOLDING: Final = 1.1
-"""Largest friction with which boxes on one side may hold a turning box, as a multiple of μ² times its weight."""
+"""Largest friction with which boxes on one side may hold a turning box, as a multiple of μ² times the weight of the
+turning box."""
 
 SAME_WAY: Final = 1e-6
-"""Two directions count as the same if their cosine differs from 1 by less than this."""
+"""Two directions count as equal if the cosine of the angle between them differs from 1 by less than this value."""
 
 MOST_BEARERS: Final = 4
-"""The bounds decide only for boxes that rest on at most this number of boxes."""
+"""A placement can be decided only if the new box rests on at most this number of boxes."""
 
 MOST_CORNERS: Final = 4 * MOST_BEARERS
 
 ROUNDING_MM2: Final = 1e-4
-"""A corner that is beyond an edge by less than this product of lengths counts as on the edge."""
+"""Tolerance of a cross product of two lengths. If the cross product says that a corner is beyond an edge by less than
+this value, the corner counts as being on the edge."""
 
 _AT_ONCE: Final = 512
-"""Number of placements that are decided in one call, so that their tables stay in the cache of a core."""
+"""Number of placements that are decided at a time. The tables of this number of placements fit into the cache of a CPU
+core."""
 
 _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
-"""Carriers made of one piece. Carriers of boards are excluded, since single boards can tip."""
+"""Carriers that are simulated as one piece. Carriers of boards are excluded, because single boards can tip."""
 
 
 def decidable(sim: Simulation) -> bool:
-    """Whether the bounds hold in this simulation. The bounds require rigid boxes that appear at their places, a carrier
-    of one piece without walls, contacts of the preset ``pallet`` or stiffer ones, and thresholds near the usual
-    ones."""
+    """Whether the decisions are valid for simulations with these options. The options must specify rigid boxes that
+    appear at their places, a carrier of one piece without walls, contacts as stiff as those of the preset ``pallet`` or
+    stiffer, and thresholds near the default ones."""
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL
@@ -114,9 +122,10 @@ def decidable(sim: Simulation) -> bool:
 
 
 def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
-    """(m, k) largest distance of any corner of each box from its planned position, mm. 0: the box rests at its planned
-    place, that is, its shift is below the floor of shifts, and its tilt was always below ``CALM_DEG``."""
-    with np.errstate(invalid="ignore"):  # columns without boxes hold NaN
+    """(m, k) upper bound for the distance of any corner of each box from its planned position, mm. The distance is 0 if
+    the box rests at its planned place: its shift is below the smallest shift that counts, and its tilt was always below
+    ``CALM_DEG``."""
+    with np.errstate(invalid="ignore"):  # values after the last box of a pallet are NaN
         m, k = readings.max_tilt_deg.shape
         tilted = np.fmax(readings.max_tilt_deg, tilt_deg(readings.quat.reshape(-1, 4)).reshape(m, k))
         shifted = shift(readings.pos, readings.target, thresholds.shift_floor_m)
@@ -128,33 +137,34 @@ def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
 
 
 class Bounds:
-    """The bounds for n pallets, updated box by box.
+    """The data for decisions about n pallets, updated box by box.
 
     Args:
-        stock: the boxes of the pallets.
+        stock: the boxes on the pallets.
         friction: the coefficient of friction between boxes.
     """
 
     def __init__(self, stock: BoxTable, friction: float) -> None:
         n = len(stock.count)
         self._stock, self._friction = stock, friction
-        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of each pallet's boxes that are in the tables
-        # (n, k, …) one row per box; the tables start with one column, since few pallets need bounds
+        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes of each pallet that are in the tables
+        # The tables have the shape (n, k, …) for k boxes on each pallet. They start with k = 1, because few pallets
+        # need them.
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
-        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # values of each bearing, as in _Rests
-        self._least: FloatArray = np.zeros((n, 1))  # margin required of each box, mm
+        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests
+        self._least: FloatArray = np.zeros((n, 1))  # distance inside the bearing required of each box's load, mm
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep only the first ``count`` boxes of some pallets."""
+        """Keep only the first ``count`` boxes of each of these pallets."""
         self._boxes[pallets] = np.minimum(self._boxes[pallets], count)
 
     def of(self, request: Placements, margin: FloatArray, apart_mm: FloatArray) -> NDArray[np.int8]:
-        """(m,) ``STANDS``, ``FALLS`` or ``OPEN`` for each placement.
+        """(m,) the decision about each placement: ``STANDS``, ``FALLS`` or ``OPEN``.
 
         Args:
-            margin: (n,) margins of the pallets; negative for pallets that are not at rest.
-            apart_mm: (n, k) distance of each box from its planned place, from ``boxes_apart_mm``.
+            margin: (n,) margins of stability of the pallets; negative for pallets that are not at rest.
+            apart_mm: (n, k) distance of each box from its planned place, as computed by ``boxes_apart_mm``.
         """
         pallets, of = np.unique(request.pallet, return_inverse=True)
         self._update(pallets)
@@ -169,7 +179,7 @@ class Bounds:
         return np.where(margin[request.pallet] >= 0, decided, OPEN).astype(np.int8)
 
     def _update(self, pallets: NDArray[np.int64]) -> None:
-        """Bring the tables up to date for the boxes of these pallets."""
+        """Add the boxes of these pallets that are missing in the tables."""
         stock, most = self._stock, self._stock.mass_kg.shape[1]
         self._bearers = widened_table(self._bearers, most, NOTHING)
         for name in ("_shares", "_edges", "_least"):
@@ -183,7 +193,8 @@ class Bounds:
             self._boxes[rows] += 1
 
     def _loads(self, pallets: NDArray[np.int64]) -> FloatArray:
-        """(m, k, 3) load of each box of the pallets, including its own weight: kg, kg·mm, kg·mm."""
+        """(m, k, 3) load of each box of the pallets, including the box's own weight, as (mass, mass × x, mass × y) in
+        kg and kg·mm."""
         stock = self._stock
         k = int(stock.count[pallets].max(initial=0))
         middle = stock.corner_mm[pallets, :k, :2] + stock.size_mm[pallets, :k, :2] / 2
@@ -191,7 +202,8 @@ class Bounds:
         return self._passed_down(pallets, np.nan_to_num(mass * np.concatenate([np.ones_like(mass), middle], axis=2)))
 
     def _passed_down(self, pallets: NDArray[np.int64], loads: FloatArray) -> FloatArray:
-        """(m, k, 3) loads of boxes, plus the parts that they get from boxes above. Boxes rest only on earlier boxes."""
+        """(m, k, 3) the given loads of boxes, plus the parts that reach each box from the boxes above it. A box rests
+        only on boxes placed earlier."""
         loads = loads.copy()
         for number in range(loads.shape[1] - 1, 0, -1):
             row = np.flatnonzero(loads[:, number, 0] > 0)
@@ -201,10 +213,10 @@ class Bounds:
         return loads
 
     def _stand(self, rests: _Rests, request: Placements, loads: FloatArray) -> NDArray[np.bool_]:
-        """(m,) whether each box stands beyond doubt.
+        """(m,) whether each new box stands beyond doubt.
 
         Args:
-            loads: (m, k, 3) loads of the boxes that are on the pallets.
+            loads: (m, k, 3) loads of the boxes that are already on the pallets.
         """
         m, k = loads.shape[:2]
         pallets, middle = request.pallet, request.corner_mm[:, :2] + request.size_mm[:, :2] / 2
@@ -232,26 +244,28 @@ class Bounds:
 
 
 def _least_margin(boxes: Placements) -> FloatArray:
-    """(m,) smallest distance of loads from the edges of their bearings, inwards, mm."""
+    """(m,) smallest distance inside the bearing that is required of the load of each box, mm."""
     return np.asarray(np.minimum(MARGIN_M * MM_PER_M, MARGIN_SHARE * boxes.size_mm[:, :2].min(axis=1)))
 
 
 def _pass_on(
     loads: FloatArray, rows: NDArray[np.intp], bearers: NDArray[np.int64], shares: FloatArray, load: FloatArray
 ) -> None:
-    """Add the shares of loads, (r, 3), to the loads of the boxes that carry them, in place."""
+    """Divide the loads ``load`` (r, 3) between the boxes that carry them, and add the shares to ``loads`` in place."""
     at, which = np.nonzero(bearers != NOTHING)
     passed = np.einsum("qab,qb->qa", shares[at, which], load[at])
     np.add.at(loads, (rows[at], bearers[at, which]), passed)
 
 
 class _Turns(NamedTuple):
-    """How boxes turn about edges of their bearings: one row for each edge beyond which the weight acts.
+    """How boxes turn about edges of their bearings. There is one row for each edge beyond which the weight of a box
+    acts.
 
     Attributes:
-        rows: (r,) number of the box.
-        towards: (r, 2) direction in which the box turns; ``edge``: (r,) position of the edge in this direction, mm.
-        outside: (r,) distance of the weight beyond the edge, mm.
+        rows: (r,) index of the box.
+        towards: (r, 2) horizontal direction in which the box turns; ``edge``: (r,) position of the edge along this
+            direction, mm.
+        outside: (r,) distance beyond the edge at which the weight of the box acts, mm.
         apart: (r, k) distance of the pallet's boxes from their planned places, mm.
     """
 
@@ -262,25 +276,26 @@ class _Turns(NamedTuple):
     apart: FloatArray
 
     def take(self, rows: NDArray[np.intp]) -> _Turns:
-        """These rows of all arrays."""
+        """The turns in these rows."""
         return _Turns(self.rows[rows], self.towards[rows], self.edge[rows], self.outside[rows], self.apart[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class _Rests:
-    """How m boxes rest on the bodies below them. Each box is on a pallet that has some of its first boxes.
+    """How m new boxes rest on the bodies below them. The pallet of each new box is considered with a given number of
+    its first boxes.
 
     Attributes:
-        low, high: (m, k, 3) lowest and highest corners of the pallets' boxes, mm; ``here``: (m, k) whether each of
-            these boxes stands on the pallet.
-        start, end: (m, 3) lowest and highest corners of the boxes themselves.
-        under: (m, k) whether each box touches the base from below; ``on_carrier``: (m,) whether the base is on the
-            carrier.
-        rests: (m,) whether the box rests on bodies below, and overlaps no other box.
-        bearers, shares: (m, b) the boxes below, and (m, b, 3, 3) matrices that map a load on the box to the share of
-            each bearer, by the pressure plane of ``petmjx.packers.pile_balance``.
-        edges: (m, e, 3) edges of the bearing: (d, n_x, n_y). A point p is inside by d − n · p, mm. d is infinite on the
-            carrier, and minus infinity if there is no body below.
+        low, high: (m, k, 3) lowest and highest corners of the boxes on the pallets, mm; ``here``: (m, k) whether each
+            of these boxes is on the pallet.
+        start, end: (m, 3) lowest and highest corners of the new boxes, mm.
+        under: (m, k) whether the new box lies on each box of the pallet; ``on_carrier``: (m,) whether the new box lies
+            on the carrier.
+        rests: (m,) whether the new box lies on something, and overlaps no other box.
+        bearers, shares: (m, b) the boxes on which the new box lies, and (m, b, 3, 3) matrices that compute the share of
+            a load that each of these boxes carries, by the pressure plane of ``petmjx.packers.pile_balance``.
+        edges: (m, e, 3) edges of the new box's bearing, as (d, n_x, n_y). A point p is inside an edge by the distance d
+            − n · p, mm. d is infinite if the box lies on the carrier, and minus infinity if it lies on nothing.
     """
 
     low: FloatArray
@@ -297,7 +312,7 @@ class _Rests:
 
     @classmethod
     def of(cls, stock: BoxTable, request: Placements, count: NDArray[np.int64]) -> _Rests:
-        """How the requested boxes rest on the first ``count`` boxes of their pallets."""
+        """Find out how the requested boxes rest on the first ``count`` boxes of their pallets."""
         m, k = len(request), int(count.max(initial=0))
         here = np.arange(k) < count[:, None]
         low = stock.corner_mm[request.pallet, :k]
@@ -338,17 +353,18 @@ class _Rests:
         return cls(low, high, here, start, end, under, on_carrier, rests, bearers, shares, edges)
 
     def falls(self, request: Placements, apart: FloatArray, friction: float) -> NDArray[np.bool_]:
-        """(m,) whether each box falls beyond doubt.
+        """(m,) whether each new box falls beyond doubt.
 
-        A box turns about the edge of its bearing that is nearest to its weight. If it turns by an angle, its base gets
-        lower by the tangent times the distance from the edge, and its side moves out by the sine times the height.
+        A falling box turns about an edge of its bearing. When it has turned by an angle, a point of its base is lower
+        by the tangent of the angle times the point's distance from the edge. A point of its side has moved outwards by
+        the sine of the angle times the point's height.
 
         Args:
-            apart: (m, k) distance of the pallets' boxes from their planned places, from ``boxes_apart_mm``.
+            apart: (m, k) distance of the pallets' boxes from their planned places, as computed by ``boxes_apart_mm``.
             friction: the coefficient of friction between boxes.
         """
         sides = request.size_mm[:, :2]
-        with np.errstate(invalid="ignore"):  # edges are infinite if nothing is below
+        with np.errstate(invalid="ignore"):  # the edges of a box that lies on nothing are infinite
             outside = self.edges[..., 1:] @ (self.start[:, :2] + sides / 2)[..., None]
             outside = outside[..., 0] - self.edges[..., 0]
         least = np.maximum(HANGING_MM, HANGING_SHARE * sides.min(axis=1))
@@ -361,9 +377,9 @@ class _Rests:
         return falls
 
     def _turn_straight(self, turns: _Turns, least: FloatArray) -> NDArray[np.bool_]:
-        """(r,) whether boxes turn about a single edge along x or y, without turning sideways as well. The edge must
-        extend beyond the weight on both sides by more than ``least``, (r,), so that it balances the weight along
-        itself."""
+        """(r,) whether each box turns about a single edge along x or y, without turning sideways at the same time. For
+        this, the edge must extend on both sides of the weight by more than ``least`` (r,), so that the box is balanced
+        along the edge."""
         middle = (self.start[turns.rows, :2] + self.end[turns.rows, :2]) / 2
         foot = middle - turns.outside[:, None] * turns.towards
         edges = self.edges[turns.rows]
@@ -374,10 +390,11 @@ class _Rests:
         return np.asarray(along_axis & (same | (inside >= least[:, None])).all(axis=1))
 
     def _may_be_caught(self, turns: _Turns, least: FloatArray, friction: float) -> NDArray[np.bool_]:
-        """(r,) whether something may catch boxes before they have turned too far.
+        """(r,) whether some body may catch each box before it has turned too far.
 
-        The middle comes down by ``turns.outside`` times the sine of the angle. The sideways motion of the middle, half
-        the height times the sine, is not sufficient on its own, since the edge may slide.
+        When a box has turned by an angle, its middle has moved down by ``turns.outside`` times the sine of the angle,
+        and sideways by half of the box's height times the sine. The sideways motion alone is not sufficient for a lost
+        box, because the edge about which the box turns may slide.
 
         Args:
             least, friction: see ``_turn_straight`` and ``falls``.
@@ -409,16 +426,17 @@ class _Rests:
         return caught
 
     def _hold_too_little(self, turns: _Turns, wall: NDArray[np.bool_], friction: float) -> NDArray[np.bool_]:
-        """(r, k) whether each wall is beside or behind a box that turns straight, and cannot hold it by friction.
+        """(r, k) whether each wall (a neighbouring box) is beside or behind a box that turns straight, and cannot hold
+        the turning box by friction.
 
-        A wall presses on the box with at most the friction under the box, μ times the box's weight. Friction at the
-        wall holds the box with at most μ times this force. The lever arm of this friction is at most the distance from
-        the edge to the farthest point at which box and wall touch. A wall behind the box and a wall at its side share
-        the friction under the box, so together they hold at most √2 times as much. Between walls on both sides, a box
-        may be jammed.
+        The force between a wall and the box is at most the friction under the box, which is μ times the box's weight.
+        The friction at the wall is at most μ times this force. The lever arm of the friction at the wall is at most the
+        distance from the edge to the farthest point at which the box and the wall touch. A wall behind the box and a
+        wall at its side share the friction under the box, so the two walls together hold at most √2 times as much as
+        one wall. If there are walls on both sides, the box may be jammed.
 
         Args:
-            wall: (r, k) whether each box may touch the turning box.
+            wall: (r, k) whether each box of the pallet may touch the turning box.
         """
         rows, towards, edge, outside, apart = turns
         start, end = self.start[rows, None], self.end[rows, None]
@@ -427,7 +445,7 @@ class _Rests:
         sign = np.sign(towards.sum(axis=1))[:, None]
 
         def along(values: FloatArray) -> FloatArray:
-            """Coordinate along the direction in which the box turns (x or y), measured from the edge."""
+            """Coordinates along the direction in which the box turns (x or y), measured from the edge."""
             return np.asarray(np.where(on_x, values[..., :1], values[..., 1:2])[..., 0] * sign - edge[:, None])
 
         def across(values: FloatArray) -> FloatArray:
@@ -452,14 +470,15 @@ class _Rests:
 
 
 def _margin(edges: FloatArray, place_mm: FloatArray) -> FloatArray:
-    """(…,) distance of points (…, 2) from the edges (…, e, 3) of bearings, inwards, mm; negative: outside."""
+    """(…,) distance of points (…, 2) from the edges (…, e, 3) of bearings, mm: positive inside, negative outside."""
     margin: FloatArray = (edges[..., 0] - (edges[..., 1:] @ place_mm[..., None])[..., 0]).min(axis=-1)
     return margin
 
 
 def _hull_edges(corners: FloatArray) -> FloatArray:
-    """(m, e, 3) edges of the convex hulls of (m, c, 2) points, as in ``_Rests``. From each point on the hull, the edge
-    leads to the farthest point that has all other points on its left. Missing edges are infinitely far away.
+    """(m, e, 3) edges of the convex hulls of (m, c, 2) points, in the form of ``_Rests.edges``. An edge leads from a
+    corner of the hull to the farthest point for which all other points are on the left of the edge. If a hull has fewer
+    than e edges, the remaining edges are infinitely far away.
     """
     m = len(corners)
     along = corners[:, None] - corners[:, :, None]  # (m, from, to, 2)

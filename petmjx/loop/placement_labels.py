@@ -1,9 +1,11 @@
-"""Labels of placements for models that predict stability: boxes put onto piles, and the result of a score for each.
+"""Makes labels, as training data for models that predict stability. A label is a placement of a box on a pile, together
+with the result of a simulation of the pile with this box.
 
-Episode i packs order i of a source, box by box, and begins anew with the first order behind the last order. Each box
-goes to a random place, or to a place of a careful packer. Each such placement is a label. Where the pallet does not
-stand, the box is taken back, tried once at a careful place, which is the next label, and else left out. An episode
-depends on its number and the seed alone, so a larger set begins with the labels of a smaller one.
+Episode i packs order i of a source, box by box. After the last order, the first order is packed again. Each box is put
+to a random place, or to a place that a careful packer chooses, and each of these placements is a label. If the pallet
+does not stand, the box is removed. After a random place, the box is then tried once at a careful place, which makes
+another label. If it does not stand there either, the box is left out. An episode depends only on its number and the
+seed, so a larger set begins with the labels of a smaller set.
 """
 
 from __future__ import annotations
@@ -35,32 +37,36 @@ SPLITS: Final = {"train": 0.8, "validation": 0.1, "test": 0.1}
 """Share of the orders in each split."""
 
 CAREFUL_SUPPORT: Final = 0.75
-"""Least supported share of the base at careful places."""
+"""Smallest share of the base that must be supported at the places of the careful packer."""
 
 LOWEST: Final = 4
-"""A careful packer chooses among this many lowest places."""
+"""Number of lowest places from which the careful packer chooses at random."""
 
 SCORING_SHARE: Final = 8
-"""Boxes are placed when fewer than one in this many pallets waits for a label: a pallet that needs a further attempt
-holds up no other."""
+"""The next boxes are placed when at most 1 / ``SCORING_SHARE`` of the pallets still wait for their label. So a pallet
+whose simulation must be repeated does not delay all other pallets."""
 
 MOST_EPISODES: Final = 4
-"""Largest number of episodes that run or wait for an earlier one, as a multiple of the pallets."""
+"""Largest number of episodes that are running, or are over but wait for an earlier episode, as a multiple of the number
+of pallets."""
 
 SURE_SHARE: Final = 0.8
-"""Labels that are counted on for each box that is left. Some boxes have no place, and others are tried twice. If an
-episode began because another one gave too few labels, all would wait for its boxes, one after another."""
+"""Expected number of labels for each box that is still to be placed. For some boxes there is no place, and others are
+tried twice. The number is cautious: if a further episode had to begin at the end because there were too few labels,
+everything would wait for its boxes, which are placed one after another."""
 
 GROUPS_ON_GPU: Final = 2
-"""Number of groups of pallets on a GPU. While the GPU simulates one group, the host checks and places the other."""
+"""Number of groups into which pallets on a GPU are divided. While the GPU simulates one group, the CPU checks the
+results of the other group and chooses its next places."""
 
 PALLETS_ON_GPU: Final = 4096
-"""Number of pallets side by side on a GPU. Half as many keep it busy, and the groups take turns."""
+"""Default number of pallets that are packed at the same time on a GPU. Half of this number keeps the GPU busy, and the
+two groups take turns."""
 
 PALLETS_ON_CPU: Final = 64
 
 PAUSE_S: Final = 0.02
-"""Time between two looks of a group that waits for episodes of another group, s."""
+"""Time after which a group of pallets without work checks again whether it can begin an episode, s."""
 
 COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "order": (pa.int64(), "number of the order in its source, from 0"),
@@ -80,18 +86,19 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "share": (pa.float32(), "share of worlds with errors in which it stands; null: not simulated"),
     "top_force_n": (pa.list_(pa.float32()), "force on the top of each box at rest, N; null: it did not come to rest"),
 }
-"""Columns of the labels: type, and meaning."""
+"""Name of a column of labels → type and meaning of the column."""
 
 Label = dict[str, Any]
-"""A label as a dict: a value for each name in ``COLUMNS``, and the value of ``split``. Values with an entry for each
-box are arrays."""
+"""A label, as a dict with a value for each name in ``COLUMNS`` and a value for ``split``. Values with an entry for each
+box are NumPy arrays."""
 
 SCHEMA: Final = pa.schema([(name, kind) for name, (kind, _) in COLUMNS.items()])
 
 
 def split_of(boxes: Boxes) -> str:
-    """The split to which an order belongs. It depends only on the sizes and masses of the order's boxes, not on their
-    sequence or orientation. So orders with the same boxes are in the same split."""
+    """The split (training, validation or test) to which an order belongs. The split depends only on the sizes and
+    masses of the order's boxes, not on their sequence or orientation. So orders with the same boxes are in the same
+    split."""
     rows = np.column_stack([np.sort(boxes.size_mm, axis=1), boxes.mass_kg]).round(3)
     content = rows[np.lexsort(rows.T)].tobytes()
     place = int.from_bytes(hashlib.sha256(content).digest()[:8]) / 2**64
@@ -107,10 +114,11 @@ class Episode:
     """The packing of one order on one pallet.
 
     Attributes:
-        boxes: boxes of the order, of which those from ``next`` on are not placed yet; ``again``: the second try of the
-            next box.
-        careful: whether the last box went to a place of a careful packer.
-        share: share of worlds with errors in which the last box stands; None: not simulated.
+        boxes: boxes of the order; ``next``: number of the box to place next; ``again``: whether this box is tried for
+            the second time.
+        careful: whether the last box was put to a place of the careful packer.
+        share: share of the simulations with errors in which the pallet stands with the last box; None if these were not
+            requested.
         labels: the labels of the boxes that were tried so far.
     """
 
@@ -127,36 +135,37 @@ class Episode:
 
     @property
     def is_over(self) -> bool:
-        """Whether all boxes were tried."""
+        """Whether all boxes have been tried."""
         return self.next >= len(self.boxes)
 
     @property
     def n_expected(self) -> float:
-        """Number of labels that are counted on."""
+        """Number of labels that the episode is expected to give in all."""
         return len(self.labels) + SURE_SHARE * (len(self.boxes) - self.next)
 
 
 class Labeller:
-    """Makes labels.
+    """Makes labels: placements of boxes, with the results of simulations.
 
     Args:
-        orders: source of boxes.
-        pallets: number of pallets side by side, on which labels do not depend; None: ``PALLETS_ON_GPU`` or
-            ``PALLETS_ON_CPU``.
-        groups: number of groups into which the pallets are divided, each with a thread of its own; None:
-            ``GROUPS_ON_GPU`` on a GPU, else one.
-        explore: share of boxes that go to a random place first.
-        errors: number of worlds with errors of each label; None: none.
-        max_height_mm: highest top of a box.
-        others: of ``petmjx.Pallets``.
+        orders: source of the orders (lists of boxes to pack).
+        pallets: number of pallets that are packed at the same time. Labels do not depend on it. The default is
+            ``PALLETS_ON_GPU`` or ``PALLETS_ON_CPU``.
+        groups: number of groups into which the pallets are divided. Each group has a thread of its own. The default is
+            ``GROUPS_ON_GPU`` on a GPU, else 1.
+        explore: share of boxes that are tried at a random place first.
+        errors: number of additional simulations of each label in which a robot places the box inexactly. If None, there
+            are none.
+        max_height_mm: largest allowed height of a box's top.
+        others: options of ``petmjx.Pallets``.
 
     Attributes:
         n_pallets: number of pallets in all groups.
         groups: the pallets of each group.
-        options: all other options on which labels depend.
+        options: the options of this class on which labels depend.
 
     Raises:
-        InputError: an unusable option.
+        InputError: an option is unusable.
     """
 
     def __init__(
@@ -195,16 +204,19 @@ class Labeller:
         }
 
     def labels(self, count: int) -> Iterator[Label]:
-        """The first ``count`` labels, in the order of episodes; none if no box has a place."""
+        """The first ``count`` labels, in the order of episodes. There are no labels if there is no place for any
+        box."""
         return islice(chain.from_iterable(self.episodes(count)), count)
 
     def episodes(
         self, count: int, first: int = 0, progress: Callable[[int], object] = lambda n_made: None
     ) -> Iterator[list[Label]]:
-        """The labels of whole episodes from number ``first`` on, in order, until there are at least ``count``.
+        """The labels of finished episodes, from episode ``first`` on, in order, until there are at least ``count``
+        labels.
 
         Args:
-            progress: called with the number of labels so far, those of unfinished episodes included.
+            progress: function that is called with the number of labels made so far, including those of unfinished
+                episodes.
         """
         schedule = _Schedule(self, count, first)
         packings = [_Packing(self, pallets, schedule).steps() for pallets in self.groups]
@@ -217,22 +229,23 @@ class Labeller:
                     n_yielded += len(labels)
                     if n_yielded >= count:
                         return
-        yield from schedule.take_ended()  # episodes whose last boxes have no place
+        # the remaining episodes, whose last boxes gave no labels because there was no place for them
+        yield from schedule.take_ended()
 
     def begun(self, number: int) -> Episode:
-        """An episode at its beginning."""
+        """The episode with this number, before its first box is placed."""
         order = number % self.orders.count
         boxes = self.orders.numbered(order)
         return Episode(number, order, split_of(boxes), boxes, np.random.default_rng([self._seed, number]))
 
     def place(self, pallets: Pallets, running: Mapping[int, Episode]) -> list[int]:
-        """Place the next box of each of these episodes. Boxes without a place are left out.
+        """Place the next box of each of these episodes. If there is no place for a box, it is left out.
 
         Args:
-            running: row of ``pallets`` → its episode.
+            running: number of a pallet → the pallet's episode.
 
         Returns:
-            The rows that have a new box.
+            The numbers of the pallets that have a new box.
         """
         rows = np.array(list(running), np.int64)
         sizes = np.array([episode.boxes.size_mm[episode.next] for episode in running.values()])
@@ -267,20 +280,21 @@ class Labeller:
 
 
 class _Schedule:
-    """Begins episodes one after another, and returns their labels in this order. All groups of pallets share it.
+    """Begins episodes one after another, and returns their labels in the order of the episodes. All groups of pallets
+    share one schedule.
 
     Args:
         count: number of labels that are needed; ``first``: number of the first episode.
 
     Attributes:
-        n_made: number of labels so far, those of unfinished episodes included.
+        n_made: number of labels made so far, including those of unfinished episodes.
     """
 
     def __init__(self, labeller: Labeller, count: int, first: int) -> None:
         self._labeller, self._count = labeller, count
         self._most_waiting = MOST_EPISODES * labeller.n_pallets
         self._waiting: deque[Episode] = deque()
-        """Episodes in order that are not over, or that wait for an earlier one."""
+        """Episodes in order that are not over, or that are over but wait for an earlier episode."""
         self._ended: list[list[Label]] = []
         self.n_made = 0
         self._begun, self._n_ended, self._n_barren = first, 0, 0
@@ -288,13 +302,13 @@ class _Schedule:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all episodes are over, and none will begin."""
+        """Whether all episodes are over, and no further episode will begin."""
         with self._lock:
             return self._n_lacking() <= 0 and not self._waiting
 
     def begin(self, most: int) -> list[Episode]:
-        """Begin at most this many episodes. None begins if running episodes are expected to give enough labels, if no
-        order has a box with a place, or if too many episodes wait for an earlier one."""
+        """Begin at most ``most`` episodes. No episode begins if the running episodes are expected to give enough
+        labels, if there is no place for any box of any order, or if too many episodes wait for an earlier episode."""
         begun: list[Episode] = []
         with self._lock:
             n_lacking = self._n_lacking()
@@ -306,26 +320,26 @@ class _Schedule:
         return begun
 
     def note_label(self) -> None:
-        """Count a label."""
+        """Count a label that has been made."""
         with self._lock:
             self.n_made += 1
 
     def take_ended(self) -> list[list[Label]]:
-        """The labels of episodes that are over, in order, each episode once."""
+        """The labels of the episodes that are over, in order. Each episode is returned only once."""
         with self._lock:
             self._end_first()
             taken, self._ended = self._ended, []
         return taken
 
     def _n_lacking(self) -> float:
-        """Number of labels that further episodes have to give. 0: no order has a box with a place."""
+        """Number of labels that further episodes must give. 0 if there is no place for any box of any order."""
         self._end_first()
         if self._n_barren >= 2 * self._labeller.orders.count:
             return 0
         return self._count - self._n_ended - sum(episode.n_expected for episode in self._waiting)
 
     def _end_first(self) -> None:
-        """Move the labels of the first episodes that are over to ``_ended``."""
+        """Move the labels of episodes that are over to ``_ended``, up to the first episode that is not over."""
         while self._waiting and self._waiting[0].is_over:
             labels = self._waiting.popleft().labels
             self._n_barren = 0 if labels else self._n_barren + 1
@@ -337,8 +351,8 @@ class _Packing:
     """The episodes of one group of pallets.
 
     Attributes:
-        running: row of the pallets → its episode, for episodes that are not over.
-        scoring: rows whose last placement has no label yet.
+        running: number of a pallet → the pallet's episode, for episodes that are not over.
+        scoring: numbers of the pallets whose last placement has no label yet.
     """
 
     def __init__(self, labeller: Labeller, pallets: Pallets, schedule: _Schedule) -> None:
@@ -348,7 +362,7 @@ class _Packing:
         self._fallen: list[int] = []
 
     def steps(self) -> Generator[None]:
-        """Pack episodes, and yield after each label and each pause, until the schedule is complete."""
+        """Pack episodes until the schedule is complete. Yields after each label and after each pause."""
         while True:
             with closing(self._pallets.outcomes(self.next_pallets, self.name)) as outcomes:
                 for row, outcome in outcomes:
@@ -365,8 +379,9 @@ class _Packing:
         return f"order {episode.order}, box {episode.next}"
 
     def next_pallets(self) -> list[int]:
-        """Place boxes on the pallets whose placements have labels, and return these pallets. A GPU takes as long for
-        few pallets as for many: nothing is placed while more than one pallet in ``SCORING_SHARE`` waits for its label.
+        """Place the next boxes on the pallets that do not wait for a label, and return the pallets with a new box. A
+        GPU takes as long for few pallets as for many. So no box is placed while more than 1 / ``SCORING_SHARE`` of the
+        pallets wait for their label.
         """
         if SCORING_SHARE * len(self.scoring) > len(self._pallets):
             return []
@@ -385,7 +400,7 @@ class _Packing:
                 return placed
 
     def _begin(self) -> None:
-        """Begin episodes on empty pallets, as the schedule allows."""
+        """Begin episodes on pallets without an episode, as many as the schedule allows."""
         empty = [row for row in range(len(self._pallets)) if row not in self.running]
         if empty and (episodes := self._schedule.begin(len(empty))):
             rows = empty[: len(episodes)]
@@ -398,7 +413,7 @@ class _Packing:
                 del self.running[row]
 
     def add(self, row: int, outcome: Outcome) -> None:
-        """Label the last placement on a pallet."""
+        """Make the label of the last placement on a pallet, and prepare the next placement."""
         episode, pallets = self.running[row], self._pallets
         (size_mm,), (corner_mm,), (mass_kg,) = pallets.boxes(row)
         label = _label_of(outcome) | {
@@ -411,7 +426,8 @@ class _Packing:
         episode.labels.append(label)
         self._schedule.note_label()
         self.scoring.discard(row)
-        if label["stands"] and not pallets.ended[row]:  # a later attempt may stand where the first has fallen
+        # a repeated simulation may stand although the open pallet has fallen
+        if label["stands"] and not pallets.ended[row]:
             episode.next, episode.again = episode.next + 1, False
             if pallets.n_boxes[row] >= pallets.most_boxes:
                 episode.next = len(episode.boxes)
@@ -427,14 +443,14 @@ def _any_place(some: Any, rng: np.random.Generator) -> int | None:
 
 
 def _careful_place(places: Places, some: Any, rng: np.random.Generator) -> int | None:
-    """One of the lowest places with enough support; None: no such place."""
+    """One of the lowest places with enough support, chosen at random; None if there is no such place."""
     borne = some[places.support[some] >= CAREFUL_SUPPORT]
     lowest = borne[np.argsort(places.corner_mm[borne, 2], kind="stable")][:LOWEST]
     return int(rng.choice(lowest)) if len(lowest) else None
 
 
 def _label_of(outcome: Outcome) -> Label:
-    """The columns of a label that are results of a score."""
+    """The values of a label that are results of the simulation."""
     invalid, force = outcome.verdict is Verdict.INVALID, outcome.boxes.rest_top_force_n[: outcome.n_placed]
     rests = len(force) == outcome.n_boxes and not np.isnan(force).any()
     return {
@@ -447,7 +463,7 @@ def _label_of(outcome: Outcome) -> Label:
 
 
 def plans_of_labels(labels: Sequence[Label]) -> list[Plan]:
-    """The plan of each label, whose id is its episode and step."""
+    """A plan for each label. The id of the plan consists of the label's episode and step."""
     return [
         Plan.from_boxes(
             f"{label['episode']}-{label['step']}",

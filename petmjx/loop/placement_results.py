@@ -1,4 +1,5 @@
-"""``PlacementResults``: the physical results of placements, one row each, in the order of the request."""
+"""``PlacementResults``: the results of placements on simulated pallets. There is one row for each placement, in the
+order of the request."""
 
 from __future__ import annotations
 
@@ -18,24 +19,26 @@ from petmjx.options.simulation import Thresholds
 
 @dataclass(frozen=True, eq=False)
 class PlacementResults:
-    """The results of m placements. Arrays over k boxes have one column per box of the fullest pallet, in packing order,
-    with NaN beyond a pallet's own boxes.
+    """The results of m placements. Arrays over k boxes have one column for each box of the fullest pallet, in packing
+    order. Values after the last box of a pallet are NaN.
 
     Attributes:
-        pallet: (m,) number of the pallet.
+        pallet: (m,) number of each placement's pallet.
         stable: (m,) whether all boxes on the pallet stand.
-        verdict, reason: (m,) as in the columns of ``worlds``: "stable", "unstable" or "invalid", and the reason if not
-            stable.
-        culprit: (m,) the box that shifted, tilted or fell first, counted from 0; -1: none.
-        margin: (m,) distance to the nearest threshold, as in the column ``margin``; NaN for invalid worlds.
-        shift_mm: (m,) largest displacement of any box along an axis, from its planned place.
+        verdict, reason: (m,) verdict on the pallet, as in the table ``worlds`` of a run: "stable", "unstable" or
+            "invalid"; and the reason if the verdict is not "stable".
+        culprit: (m,) index of the box that shifted, tilted or fell first, from 0; -1 if none did.
+        margin: (m,) distance to the nearest threshold, as in the column ``margin`` of the table ``worlds``; NaN if the
+            verdict is "invalid".
+        shift_mm: (m,) largest displacement of any box along x, y or z from its planned place.
         tilt_deg: (m,) largest tilt of any box since it was placed.
-        n_boxes: (m,) number of boxes, including the requested one.
-        ended: (m,) whether the world has failed, so that no more boxes can be put into it.
-        moving: (m,) whether boxes were still moving when the world's time was up.
-        top_force_n: (m, k) force on each box's top, at rest in the last step, N.
-        middle_mm: (m, k, 3) centres of the boxes, mm; ``quat``: (m, k, 4) orientations (w, x, y, z).
-        share: (m,) share of the worlds with errors in which the pallet stands; NaN if not requested.
+        n_boxes: (m,) number of boxes on the pallet, including the new box.
+        ended: (m,) whether the pallet has fallen or its simulation has failed, so that no more boxes can be placed.
+        moving: (m,) whether boxes were still moving when the longest waiting time was over.
+        top_force_n: (m, k) force on the top of each box in the last step, N.
+        middle_mm: (m, k, 3) centres of the boxes, mm; ``quat``: (m, k, 4) orientations of the boxes, as quaternions (w,
+            x, y, z).
+        share: (m,) share of the simulations with errors in which the pallet stands; NaN if these were not requested.
     """
 
     pallet: NDArray[np.int64]
@@ -58,7 +61,7 @@ class PlacementResults:
         return len(self.pallet)
 
     def __getitem__(self, rows: Any) -> PlacementResults:
-        """The results in some rows: a slice, an array of row numbers, or a boolean array."""
+        """The results in some rows. ``rows`` is a slice, an array of row numbers, or a boolean array."""
         which = np.atleast_1d(np.arange(len(self))[rows])
         return PlacementResults(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
@@ -68,14 +71,14 @@ class PlacementResults:
 
     @classmethod
     def joined(cls, parts: Sequence[PlacementResults]) -> PlacementResults:
-        """The rows of all parts, in order."""
+        """The results of all parts, one part after another."""
         return cls(**joined_records(parts, max(part.top_force_n.shape[1] for part in parts)))
 
     @classmethod
     def of_readings(cls, pallet: NDArray[np.int64], readings: Readings, thresholds: Thresholds) -> PlacementResults:
-        """The results of worlds that have paused or ended."""
+        """The results of simulated pallets that are at rest or have failed."""
         m, k = readings.max_tilt_deg.shape
-        with np.errstate(invalid="ignore"):  # columns without boxes and worlds with bad numbers hold NaN
+        with np.errstate(invalid="ignore"):  # values are NaN after the last box of a pallet, and in failed simulations
             shifted = shift(readings.pos, readings.target, thresholds.shift_floor_m)
             quat, middles, halves = (
                 values.reshape(-1, values.shape[2]) for values in (readings.quat, readings.pos, readings.half_size)
@@ -117,7 +120,7 @@ class PlacementResults:
     def of_outcomes(
         cls, pallet: NDArray[np.int64], outcomes: Sequence[Outcome], thresholds: Thresholds
     ) -> PlacementResults:
-        """The results of worlds that ended after a drive. Forces are those at rest."""
+        """The results of simulated pallets after they were shaken. Forces are those at rest."""
         width = max((outcome.n_boxes for outcome in outcomes), default=0)
 
         def padded(rows: Sequence[FloatArray]) -> FloatArray:
@@ -151,6 +154,6 @@ class PlacementResults:
 
 
 def _largest(values: FloatArray) -> FloatArray:
-    """(m,) largest of each row of (m, k) numbers, ignoring NaN; 0 if all are NaN."""
+    """(m,) the largest number in each row of (m, k) numbers, without NaN; 0 if all numbers of a row are NaN."""
     largest: FloatArray = np.nan_to_num(values, nan=0.0).max(axis=1, initial=0.0)
     return largest

@@ -1,4 +1,5 @@
-"""Checks requests to pallets: arrays of boxes, numbers of pallets. Errors are one line with the argument's name."""
+"""Checks the arguments of the methods of pallets: arrays of boxes, and numbers of pallets. An error is one line that
+names the argument."""
 
 from __future__ import annotations
 
@@ -24,10 +25,11 @@ _LIMITS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Placements:
-    """m boxes, each with its place on a pallet.
+    """m placements: boxes with their places on pallets.
 
     Attributes:
-        size_mm, corner_mm: (m, 3); ``mass_kg``: (m,); ``pallet``: (m,) numbers of the pallets.
+        size_mm, corner_mm: (m, 3) extents and front-left-bottom corners of the boxes; ``mass_kg``: (m,) masses of the
+            boxes; ``pallet``: (m,) numbers of the boxes' pallets.
     """
 
     size_mm: FloatArray
@@ -44,13 +46,14 @@ class Placements:
 
 
 def placements_of(size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any, n: int) -> Placements:
-    """Placements from the arguments of ``Pallets.place`` and ``Pallets.try_all``. A single box may lack the first axis.
+    """Make placements from the arguments of ``Pallets.place`` and ``Pallets.try_all``. For a single box, the first axis
+    may be left out.
 
     Args:
-        n: number of pallets. Without ``pallet``, there must be one pallet, or box i is for pallet i.
+        n: number of pallets. If ``pallet`` is None, box i is for pallet i, or all boxes are for the only pallet.
 
     Raises:
-        InputError: a shape or length is wrong, a number is not finite or out of range, or there is no such pallet.
+        InputError: a shape or length is wrong, a number is not finite or is out of range, or a pallet does not exist.
     """
     corners = _numbers(corner_mm, "corner_mm", (3,))
     m = len(corners)
@@ -62,7 +65,8 @@ def placements_of(size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any, n: in
 
 
 def boxes_of(size_mm: Any, pallet: Any, n: int) -> Placements:
-    """Placements from the arguments of ``Pallets.places``, which give only the extents of the boxes.
+    """Make placements from the arguments of ``Pallets.places``, which has only the extents of the boxes. Corners and
+    masses are placeholders.
 
     Raises:
         InputError: see ``placements_of``.
@@ -72,10 +76,10 @@ def boxes_of(size_mm: Any, pallet: Any, n: int) -> Placements:
 
 
 def grid_of(grid_mm: Any, extent_mm: tuple[float, float]) -> FloatArray:
-    """(p, 2) corners on a carrier, mm.
+    """(p, 2) x and y of points on a carrier, checked, mm.
 
     Raises:
-        InputError: the shape is wrong, or a corner is off the carrier.
+        InputError: the shape is wrong, or a point is outside the carrier.
     """
     corners = array_of(grid_mm, "grid_mm", (2,))
     if ((corners < 0) | (corners > extent_mm)).any():
@@ -84,10 +88,10 @@ def grid_of(grid_mm: Any, extent_mm: tuple[float, float]) -> FloatArray:
 
 
 def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
-    """Numbers of pallets; None: all.
+    """The numbers of the pallets that an argument selects. If it is None, all pallets are selected.
 
     Raises:
-        InputError: values are not whole numbers, or there is no such pallet.
+        InputError: values are not whole numbers, or a pallet does not exist.
     """
     if pallet is None:
         return np.arange(n)
@@ -127,7 +131,7 @@ def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> FloatArray:
         raise InputError(f"{name} is missing")
     try:
         one = np.ndim(values) == len(shape)
-    except Exception:  # the list is ragged; array_of raises the error
+    except Exception:  # the lists in the argument differ in length; array_of raises the error
         one = False
     numbers = array_of([values] if one else values, name, shape)
     check_limits(numbers, name)
@@ -143,7 +147,7 @@ def check_limits(values: NDArray[Any], name: str) -> None:
 
 
 def _as_many(values: Any, name: str, m: int) -> Any:
-    """m values; a single value is repeated for all."""
+    """The values, one for each of m boxes. A single value is repeated for all boxes."""
     if len(values) == 1 and m != 1:
         return np.repeat(values, m, axis=0)
     if len(values) != m:

@@ -1,4 +1,4 @@
-"""Reward terms by name. The weights of the terms are an option of the environment."""
+"""The terms of the reward of an environment, by name. The weights of the terms are an option of the environment."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from petmjx.loop.placement_results import PlacementResults
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The inputs of reward terms, for m boxes that were placed.
+    """The inputs of the terms of the reward, for m boxes that were placed.
 
     Attributes:
-        volume_mm3: (m,) volume of the box; ``mass_kg``: (m,) mass of all boxes on the pallet.
-        room_mm3: volume above the carrier up to ``max_height_mm``.
-        higher_mm: (m,) growth of the pallet's height; ``max_height_mm``: largest allowed height of a top.
+        volume_mm3: (m,) volume of each placed box; ``mass_kg``: (m,) total mass of the boxes on each box's pallet.
+        room_mm3: volume above the carriers of an episode up to ``max_height_mm``.
+        higher_mm: (m,) increase of the pallet's height; ``max_height_mm``: largest allowed height of a box's top.
     """
 
     results: PlacementResults
@@ -58,13 +58,13 @@ TERMS: Final[dict[str, tuple[str, Callable[[Placement], FloatArray]]]] = {
     ),
     "illegal": ("-1 for an action that the mask excludes", lambda p: np.zeros(len(p.results))),
 }
-"""Name of a term → its description, and the function that computes its value."""
+"""Name of a term → description of the term, and the function that computes its values."""
 
 USUAL: Final = {"utilisation": 10.0, "fall": 1.0, "illegal": 0.1}
 
 
 def weights_of(rewards: Any) -> dict[str, float]:
-    """Term → weight; None: the default weights.
+    """The weights of the terms, by name. If ``rewards`` is None, these are the default weights.
 
     Raises:
         InputError: a term is unknown, or a weight is not a number.

@@ -1,4 +1,5 @@
-"""``petmjx.Scorer``: an engine that stays ready, for many small scores from several threads, without writing files."""
+"""``petmjx.Scorer``: scores plans with an engine that stays loaded, for many small scores from several threads. No
+files are written."""
 
 from __future__ import annotations
 
@@ -37,7 +38,8 @@ from petmjx.world.scene import build_scene
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """The tables of a score, as in ``petmjx.RunResults``: one row per plan or box, in the order of the plans."""
+    """The tables of a score, as in ``petmjx.RunResults``. There is one row for each plan, box or attempt (simulation of
+    a plan), in the order of the plans."""
 
     worlds: pd.DataFrame
     boxes: pd.DataFrame
@@ -49,18 +51,18 @@ class Scorer(Closable):
 
     ``S = petmjx.Scorer(engine="mujoco", threads=2); S.score(plans).worlds.verdict``
 
-    Several threads may use one object. Their calls share the CPU on ``mujoco``; on ``mjx-warp`` they run one after
-    another. Nothing is written to a disk. A Ray or Dask actor can hold a Scorer (examples/ray_scorer.py,
-    examples/dask_scorer.py).
+    Several threads may use the same object. On the engine ``mujoco``, their calls share the CPU. On ``mjx-warp``, their
+    calls run one after another. Nothing is written to disk. A Ray or Dask actor can hold a Scorer
+    (examples/ray_scorer.py, examples/dask_scorer.py).
 
     Args:
-        engine: ``mujoco``, ``mjx-jax``, ``mjx-warp``, an engine of your own, or ``auto``: ``mjx-warp`` if there is a
-            GPU, else ``mujoco``.
+        engine: ``mujoco``, ``mjx-jax``, ``mjx-warp``, or an engine of your own. ``auto`` means ``mjx-warp`` if there is
+            a GPU, else ``mujoco``.
         options: fields of ``petmjx.Simulation``, and ``threads`` or ``lanes`` of ``petmjx.RunOptions``.
 
     Raises:
         InputError: an option is unusable.
-        EngineUnavailable: the requested engine cannot run here.
+        EngineUnavailable: the requested engine cannot run on this machine.
     """
 
     def __init__(self, *, engine: str | Engine = AUTO, **options: Any) -> None:
@@ -74,17 +76,17 @@ class Scorer(Closable):
 
     @property
     def engine(self) -> str:
-        """The engine's name."""
+        """The name of the engine."""
         return self._engine.name
 
     def score(self, plans: PlanSource) -> Scored:
-        """The tables ``worlds``, ``boxes`` and ``attempts`` of a score.
+        """Score plans, and return the tables ``worlds``, ``boxes`` and ``attempts``.
 
         Args:
             plans: a plan, a list of plans, a ``PlanSet``, or a data frame with one row per box.
 
         Raises:
-            InputError: the plans are given as files, or a plan cannot be used; plans are never skipped.
+            InputError: the plans are given as files, or a plan cannot be used. (Plans are never skipped.)
         """
         self._check_open()
         results = self._results(self._usable(plans))
@@ -100,15 +102,15 @@ class Scorer(Closable):
         return Scored(**frames)
 
     def tell(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any) -> PlacementResults:
-        """The results of a score for m plans, as arrays. ``pallet`` is the number of the plan. Forces are those at
-        rest.
+        """Score m plans that are given as arrays, and return the results as arrays. ``PlacementResults.pallet`` is the
+        number of the plan. Forces are those at rest.
 
         Args:
-            size_mm, corner_mm: (m, k, 3) as in ``Plan.from_boxes``, ``mass_kg``: (m, k). Plans with fewer than k boxes
-                have NaN after their last box.
+            size_mm, corner_mm: (m, k, 3) extents and corners of the boxes, as in ``Plan.from_boxes``; ``mass_kg``: (m,
+                k) masses of the boxes. If a plan has fewer than k boxes, its values after the last box must be NaN.
 
         Raises:
-            InputError: a shape or number is wrong; the message names the argument, or the plan and the field.
+            InputError: a shape or number is wrong. The message names the argument, or the plan and the field.
         """
         self._check_open()
         plans = _plans_of(*_arrays(size_mm, corner_mm, mass_kg))
@@ -116,7 +118,7 @@ class Scorer(Closable):
         return PlacementResults.of_outcomes(np.arange(len(plans)), outcomes, self.simulation.thresholds)
 
     def close(self) -> None:
-        """Free the engine's resources. Any later call raises InputError."""
+        """Free the engine's resources. All calls after this one raise InputError."""
         self._is_closed = True
         if self._owns_engine:
             self._engine.close()
@@ -137,13 +139,13 @@ class Scorer(Closable):
             if not plans:
                 raise InputError("plans must hold at least one plan")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PlanWarning)  # nobody would read warnings about odd plans here
+            warnings.simplefilter("ignore", PlanWarning)  # warnings about unusual plans would not be read by anybody
             kept_plans = usable_plans(plans, self.simulation, RunOptions(strict=True)).plans
         check_surfaces(kept_plans, self.simulation)
         return kept_plans
 
     def _results(self, plans: Sequence[Plan]) -> list[WorldResult[World]]:
-        """The results of the worlds of these plans, in the order of the plans."""
+        """Simulate these plans, and return the results in the order of the plans."""
         worlds = [World(plan, NOMINAL.index, Job(build_scene(plan, self.simulation))) for plan in plans]
         place = {id(world): number for number, world in enumerate(worlds)}
         results = list(score_worlds(worlds, self.simulation, self._engine))
@@ -153,7 +155,7 @@ class Scorer(Closable):
 def _arrays(size_mm: Any, corner_mm: Any, mass_kg: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
     try:
         shape = np.shape(mass_kg)
-    except ValueError:  # the list is ragged
+    except ValueError:  # the lists in the argument differ in length
         shape = ()
     if len(shape) != 2:
         raise InputError(f"mass_kg must have the shape (m, k), got {shape}")

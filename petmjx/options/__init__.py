@@ -1,1 +1,1 @@
-"""Every option of a world, of its simulation and of a run, with its default, unit and meaning."""
+"""All options of simulations and of runs, with their defaults, units and meanings."""

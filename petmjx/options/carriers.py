@@ -1,4 +1,4 @@
-"""Carriers: built-in carriers (``Carrier``), and carriers that users build from boards in a TOML file
+"""Carriers: built-in carriers (``Carrier``), and carriers that users define by boards in a TOML file
 (``OwnCarrier``)."""
 
 from __future__ import annotations
@@ -53,10 +53,11 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
     Carrier.CONTAINER_20FT: (5.867, 2.33),
     Carrier.TRAILER: (13.6, 2.48),
 }
-"""Extent of each carrier along x and y, m. None: the extent of the plan's bounding box."""
+"""Extents of each built-in carrier along x and y, m. None means that the carrier is as large as the plan's bounding
+box."""
 
 _GRID_WALLS: Final = Walls(sides=(), height_mm=1500.0, gap_mm=5.0, thickness_mm=30.0, mass_kg_m2=6.0, material=STEEL)
-"""Walls made of a lattice of tubes. The values are typical; no source for a real model was found."""
+"""Walls made of a lattice of steel tubes. The values are typical. No source with values of a real model was found."""
 
 WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
     Carrier.ROLLCONTAINER_GRID: _GRID_WALLS,
@@ -77,39 +78,41 @@ WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
 
 ``gitterbox`` is 1200 × 800 × 800 mm inside and has a mass of about 85 kg (UIC 435-3). ``container-20ft`` is 5867 × 2330
 × 2350 mm inside (the smallest inner sizes of 1CC, ISO 668) and has a mass of about 2.2 t. ``trailer`` has only a
-headboard, at its end in +x, towards which braking pushes the load; its sizes are usual for trailers."""
+headboard, at its end in +x, towards which braking pushes the load; its inner length and width are usual for
+trailers."""
 
 TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
 """The carriers that orders of BED-BPP name as their target."""
 
 MOST_BOARDS: Final = 64
-"""Largest number of boards. Engines check every pair of a board and a box, and ``mjx-jax`` compiles code for each
-pair."""
+"""Largest number of boards of a carrier. Engines check every pair of a board and a box for contacts, and the engine
+``mjx-jax`` compiles code for each pair."""
 
 TOUCH_MM: Final = 0.5
-"""Tolerance of the contact of boards, mm: gaps and penetrations up to this size count as touching. The value is half of
-the last digit of whole millimetres, as for boxes (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
+"""Gaps and overlaps between boards up to this size count as touching, mm. The value is the rounding error of whole
+millimetres, as for boxes (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
 
 _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
-"""Limits of a carrier's longer side, and of its height. The longer side of a half-size dolly is 400 mm; a number below
-200 means that sizes were given in cm, inches or metres. A pallet is 100 to 170 mm high, and the base of a roll
-container about 200 mm."""
+"""Smallest and largest length of a carrier's longer side, and largest height of a carrier, mm. Real examples: the
+longer side of a half-size dolly is 400 mm, a pallet is 100 to 170 mm high, and the base of a roll container about 200
+mm. If the longer side is below 200 mm, the user has probably given lengths in cm, inches or metres."""
 _THINNEST_MM: Final = 0.001
-"""Smallest extent of a board, mm. If a user gives a board in metres by mistake, its numbers are still above this limit.
-So the board passes this check, and the check of the whole carrier can suggest the right unit."""
+"""Smallest extent of a board, mm. Even if a user gives the extents in metres by mistake, the numbers are above this
+limit. So the check of single boards passes, and the check of the whole carrier can suggest the right unit."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
-"""Limits of a carrier's mass. A cardboard carrier weighs 2 kg. A carrier 1,000 times lighter than its load would sink
-into its soft contacts."""
+"""Smallest and largest mass of a carrier. A carrier of cardboard has 2 kg. A carrier with a thousandth of its load's
+mass would sink deeply into its soft contacts."""
 _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
-"""Limits of a board's density. Foam has 15 kg/m³, wood 400 to 800 kg/m³, steel 7,850 kg/m³ and lead 11,340 kg/m³."""
+"""Smallest and largest density of a board. Foam has 15 kg/m³, wood 400 to 800 kg/m³, steel 7,850 kg/m³ and lead 11,340
+kg/m³."""
 _LEVEL_MM: Final = 10.0
-"""The top of a carrier must be level. A board that bears no other board counts as part of the top if its upper face is
-less than this length below the carrier's highest point."""
+"""The top of a carrier must be level. If no other board lies on a board, and its upper face is less than this length
+below the carrier's highest point, the board is part of the top."""
 _ROUNDING_MM: Final = 1e-6
 _UNITS: Final = ((1000.0, "metres"), (25.4, "inches"), (10.0, "centimetres"))
 _USUAL_MM: Final = (300.0, 2500.0)
-"""Usual range of the longer side of a carrier. If the side is outside this range, the error message suggests another
-unit."""
+"""Usual range of the longer side of a carrier, mm. An error message suggests a unit if the side would be in this range
+with that unit."""
 
 Place = Annotated[StrictFloat, Field(ge=0, le=_LONGEST_MM)]
 Length = Annotated[StrictFloat, Field(ge=_THINNEST_MM, le=_LONGEST_MM)]
@@ -122,7 +125,7 @@ Name = Annotated[str, Field(max_length=_MOST_NAME)]
 
 
 class Board(CheckedRecord):
-    """A board, block, stringer or bar of a carrier: a solid box."""
+    """A board, block, stringer or bar of a carrier. Its shape is a cuboid."""
 
     name: Name = Field("", description="name of the board in messages")
     corner_mm: tuple[Place, Place, Place] = Field(
@@ -141,11 +144,11 @@ class Board(CheckedRecord):
 
 
 class OwnCarrier(CheckedRecord):
-    """A carrier that a user defines. Lengths are in mm: x and y from its front-left corner, z from the floor.
+    """A carrier that a user defines. Lengths are in mm. x and y are measured from the carrier's front-left corner, z
+    from the floor.
 
-    A carrier that could not stand, or that is probably a mistake, is refused. The reasons for refusal are: boards
-    overlap or are not connected, no board is on the floor, the top is not level, or no real carrier has such extents or
-    masses.
+    A carrier is refused if it could not stand, or if its definition is probably a mistake: if boards overlap or are not
+    connected, no board is on the floor, the top is not level, or the extents or masses are not those of a real carrier.
     """
 
     name: Name = Field("", description="name of the carrier; by default the file's")
@@ -161,7 +164,8 @@ class OwnCarrier(CheckedRecord):
 
     @property
     def size_mm(self) -> tuple[float, float, float]:
-        """Extents along x, y and z, mm. The extent along z is the height of the top above the floor."""
+        """Extents of the carrier along x, y and z, mm. The extent along z is the height of the carrier's top above the
+        floor."""
         return self._end(0), self._end(1), self._end(2)
 
     def _end(self, axis: int) -> float:
@@ -177,7 +181,8 @@ class OwnCarrier(CheckedRecord):
 
     @property
     def frictions(self) -> tuple[float | None, ...]:
-        """The friction of each board; None: the board has ``carrier_friction`` of the physics."""
+        """The coefficient of friction of each board. None means that the board has the value ``carrier_friction`` of
+        ``petmjx.Physics``."""
         return tuple(self.friction if board.friction is None else board.friction for board in self.boards)
 
     @property
@@ -197,7 +202,7 @@ class OwnCarrier(CheckedRecord):
         return self
 
 
-# Checks of a carrier. Each raises an error of one line.
+# Checks of a carrier. Each check raises an error of one line.
 
 
 def _board_label(carrier: OwnCarrier, board: int) -> str:
@@ -275,7 +280,7 @@ def _check_one_piece(carrier: OwnCarrier) -> None:
 
 
 def _shared_mm(one: Board, two: Board) -> tuple[float, ...]:
-    """The overlap of two boards along x, y and z, mm; a negative value is the gap between them."""
+    """The lengths by which two boards overlap along x, y and z, mm. A negative length is a gap between the boards."""
     return tuple(
         min(one.corner_mm[k] + one.size_mm[k], two.corner_mm[k] + two.size_mm[k])
         - max(one.corner_mm[k], two.corner_mm[k])
@@ -298,10 +303,10 @@ def _bears(lower: Board, upper: Board) -> bool:
 
 
 def _check_stand(carrier: OwnCarrier) -> None:
-    """Check that the centre of mass is above the convex hull of the boards on the floor.
+    """Check that the carrier's centre of mass is above the convex hull of the boards on the floor.
 
-    Seen from the centre of mass, the corners lie in various directions. The centre is above the hull if no gap between
-    neighbouring directions is 180° or more.
+    The directions from the centre of mass to the corners of these boards are sorted by angle. The centre is above the
+    hull if no two neighbouring directions differ by 180° or more.
     """
     masses = carrier.masses_kg
     x, y = (
@@ -332,8 +337,8 @@ def read_carrier(path: Path) -> OwnCarrier:
     """Read a carrier from its TOML file.
 
     Raises:
-        InputError: the file is no valid carrier. The message is one line with the file, the board and the field:
-            "mine.toml: boards[3].size_mm[2] must be > 0, got 0".
+        InputError: the file does not define a valid carrier. The message is one line with the file, the board and the
+            field: "mine.toml: boards[3].size_mm[2] must be > 0, got 0".
     """
     tables = read_toml(path)
     try:
@@ -343,9 +348,10 @@ def read_carrier(path: Path) -> OwnCarrier:
 
 
 def carrier_given(value: Any, info: ValidationInfo) -> Any:
-    """Validator of an option that names a carrier, by a built-in name or by the path of a TOML file.
+    """Validator of options whose value is a carrier: the name of a built-in carrier, or the path of a TOML file.
 
-    Tables and records are returned unchanged, and checked later. Paths in a sweep file are relative to its folder.
+    Mappings and records are returned unchanged, and are checked later. A path in a sweep file is relative to the file's
+    folder.
     """
     if isinstance(value, str) and value in set(Carrier):
         return Carrier(value)
@@ -364,11 +370,11 @@ AnyCarrier = Annotated[
     Discriminator(shape),
     BeforeValidator(carrier_given),
 ]
-"""A built-in carrier, or one that a user defines."""
+"""A built-in carrier, or a carrier that a user defines."""
 
 
 def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
-    """The extents of a carrier along x and y, m; None: the extents of the plan's bounding box are used."""
+    """The extents of a carrier along x and y, m. None means that the carrier is as large as the plan's bounding box."""
     if isinstance(carrier, Carrier):
         return CARRIER_EXTENT_M[carrier]
     x, y, _ = carrier.size_mm
@@ -376,7 +382,7 @@ def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
 
 
 def walls_of(carrier: Carrier | OwnCarrier, walls: Walls) -> Walls:
-    """The walls of a carrier. Each field of the walls has the user's value. A field that the user does not give has the
-    carrier's value, or else the value of ``USUAL``. Only ``friction`` may be None."""
+    """The walls of a carrier, with a value for each field except possibly ``friction``. If the user does not set a
+    field, it has the carrier's value, or else the value from ``USUAL``."""
     of_carrier = carrier.walls if isinstance(carrier, OwnCarrier) else WALLS_OF_CARRIERS.get(carrier, USUAL)
     return walls.or_of(of_carrier).or_of(USUAL)

@@ -1,4 +1,5 @@
-"""Friction and landings of pairs of materials: built-in values with their sources, and values of users."""
+"""Friction between pairs of materials, and bounces of one material on another: built-in values with their sources, and
+values that users give."""
 
 from __future__ import annotations
 
@@ -28,14 +29,15 @@ _CTU: Final = {
     ("plastic", "steel"): 0.15,
     ("steel", "steel"): 0.2,
 }
-"""Dry surfaces, from the IMO/ILO/UNECE Code of Practice for Packing of Cargo Transport Units (CTU Code), Annex 7,
-Appendix 2: cardboard against cardboard; cardboard against wooden pallet; wooden pallet against shrink film; sawn timber
-against stainless steel sheet; plastic pallet against plywood; plastic pallet against stainless steel sheet; smooth
-metal against smooth metal."""
+"""Coefficients of static friction of dry surfaces, from the IMO/ILO/UNECE Code of Practice for Packing of Cargo
+Transport Units (CTU Code), Annex 7, Appendix 2. The entries there are: cardboard against cardboard; cardboard against
+wooden pallet; wooden pallet against shrink film; sawn timber against stainless steel sheet; plastic pallet against
+plywood; plastic pallet against stainless steel sheet; smooth metal against smooth metal."""
 
 _GUIDELINES: Final = {("wood", "wood"): 0.5, ("film", "film"): 0.3, ("film", "steel"): 0.3}
-"""Static friction, from a table of the European Best Practice Guidelines on Cargo Securing for Road Transport (European
-Commission): sawn timber against wood; shrink film against shrink film; shrink film against steel."""
+"""Coefficients of static friction, from a table of the European Best Practice Guidelines on Cargo Securing for Road
+Transport (European Commission). The entries there are: sawn timber against wood; shrink film against shrink film;
+shrink film against steel."""
 
 _PALLETS: Final = {
     (TRAILER_FLOOR, "wood"): (0.32, 0.26),
@@ -45,12 +47,12 @@ _PALLETS: Final = {
     ("hdpe", TRAILER_FLOOR): (0.31, 0.20),
     ("lldpe", TRAILER_FLOOR): (0.29, 0.24),
 }
-"""Static and kinetic friction of pallets on the wooden floor of a trailer (SAE 2001-01-2755 and 2002-01-3104). The
-pallets are of old wood, new wood, hickory, oak, and two plastics."""
+"""Coefficients of static and of kinetic friction of pallets on the wooden floor of a trailer (SAE 2001-01-2755 and
+2002-01-3104). The pallets are of old wood, new wood, hickory, oak, and two plastics."""
 
 _RACKS: Final = {(RACK_BEAM, "wood"): 0.37}
-"""Static friction of pallets on the beams of a rack: the smallest of measured values from 0.37 to 0.45, at loads of
-0.55 to 13 kN (Sideris and others 2010, Earthquake Spectra)."""
+"""Coefficient of static friction of pallets on the beams of a rack. Measurements gave 0.37 to 0.45, at loads of 0.55 to
+13 kN (Sideris and others 2010, Earthquake Spectra); the smallest value is used."""
 
 _ON_FLOORS: Final = {
     ("cardboard", TRAILER_FLOOR): 0.5,
@@ -58,7 +60,8 @@ _ON_FLOORS: Final = {
     ("steel", TRAILER_FLOOR): 0.3,
     ("plastic", TRAILER_FLOOR): 0.2,
 }
-"""Other goods on the wooden floor of a trailer: the values of ``_CTU`` for wood."""
+"""Coefficients of static friction of other materials on the wooden floor of a trailer. They are the values for wood
+from ``_CTU``."""
 
 FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     **_CTU,
@@ -67,20 +70,20 @@ FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     **_ON_FLOORS,
     **{pair: static for pair, (static, _) in _PALLETS.items()},
 }
-"""Pair of materials in alphabetical order → coefficient of static friction between them. For sliding cargo, the CTU
-Code uses 75 % of this coefficient (``physics.kinetic_friction_share``)."""
+"""Pair of materials in alphabetical order → coefficient of static friction between them. For cargo that already slides,
+the CTU Code uses 75 % of this coefficient (option ``physics.kinetic_friction_share``)."""
 
 KINETIC_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {pair: kinetic for pair, (_, kinetic) in _PALLETS.items()}
-"""Pair of materials in alphabetical order → coefficient of friction while they slide. Only pairs with a known
-coefficient are listed."""
+"""Pair of materials in alphabetical order → coefficient of kinetic friction between them. Pairs without a known
+coefficient are missing."""
 
 RESTITUTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     ("cardboard", "cardboard"): RESTITUTION,
     ("cardboard", "wood"): RESTITUTION,
 }
-"""Pair of materials in alphabetical order → restitution between them: the middle of the range measured for cartons, 0.1
-to 0.3 (TU/e, T-RO 2023). When a carton falls on a hard surface, the carton itself absorbs the energy, so the value is
-the same for all hard surfaces."""
+"""Pair of materials in alphabetical order → restitution (speed after a bounce as a share of the speed before). The
+value is the middle of the range that was measured for cartons, 0.1 to 0.3 (TU/e, T-RO 2023). When a carton falls on a
+hard surface, the carton itself absorbs the energy, so the value is the same for all hard surfaces."""
 
 _MOST_NAMED: Final = 5
 
@@ -88,7 +91,7 @@ Name = Annotated[str, Field(min_length=1, max_length=100)]
 
 
 class FrictionPair(CheckedRecord):
-    """The coefficient of sliding friction between two materials, or of a material with itself."""
+    """The coefficient of sliding friction between two materials. Both may be the same material."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(description="coefficient of sliding friction")
@@ -106,12 +109,13 @@ class FrictionPair(CheckedRecord):
 
     @property
     def key(self) -> tuple[str, str]:
-        """The two materials in alphabetical order, without case and white space. Equal pairs have equal keys."""
+        """The two materials in alphabetical order, in lower case and without white space around them. Pairs of the same
+        materials have equal keys."""
         return _pair(*self.between)
 
 
 class LandingPair(CheckedRecord):
-    """How one material lands on another, or on itself."""
+    """How a box of one material bounces and stops when it lands on another material. Both may be the same material."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(
@@ -129,12 +133,12 @@ class LandingPair(CheckedRecord):
 
 
 def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> tuple[float | None, float | None]:
-    """The restitution of a pair of materials, and the time in which its landings stop, s. If a value is None, the value
-    of ``Physics`` applies.
+    """The restitution of a pair of materials, and the time in which a landing box is stopped, s. If a value is None,
+    the value of ``petmjx.Physics`` is used.
 
     Args:
-        user_pairs: the user's pairs. A user's pair takes precedence over petmjx's value, and a later pair over an
-            earlier one.
+        user_pairs: pairs that the user gives. They take precedence over petmjx's values, and later pairs take
+            precedence over earlier pairs.
     """
     pair = _pair(one, other)
     user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
@@ -144,13 +148,13 @@ def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> 
 
 
 def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
-    """The coefficient of friction of a pair of materials; None if it is unknown.
+    """The coefficient of static friction of a pair of materials; None if it is unknown.
 
-    Names are compared without case and white space around them.
+    Upper and lower case of names, and white space around names, are ignored.
 
     Args:
-        user_pairs: the user's pairs. A user's pair takes precedence over petmjx's value, and a later pair over an
-            earlier one.
+        user_pairs: pairs that the user gives. They take precedence over petmjx's values, and later pairs take
+            precedence over earlier pairs.
     """
     pair = _pair(one, other)
     frictions = [friction_pair.friction for friction_pair in user_pairs if friction_pair.key == pair]
@@ -158,7 +162,8 @@ def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -
 
 
 def kinetic_share_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
-    """The kinetic friction of a pair of materials, as a share of its static friction. None: the share of ``Physics``.
+    """The kinetic friction of a pair of materials, as a share of the pair's static friction. None means that the share
+    in ``petmjx.Physics`` is used.
 
     Args:
         user_pairs: as for ``friction_between``.
@@ -176,16 +181,17 @@ def _pair(one: str, other: str) -> tuple[str, str]:
 
 
 def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequence[FrictionPair]) -> None:
-    """Check that the friction is known for each pair of materials that may touch: box on box and box on board.
+    """Check that the friction is known for each pair of materials that may touch: materials of two boxes, or of a box
+    and a board.
 
     Args:
-        boxes: the materials of boxes; boxes without a material are left out. A material is paired with itself only if
-            at least two boxes have it.
-        boards: the materials of boards.
-        user_pairs: the user's pairs.
+        boxes: the material of each box that has one. A material is paired with itself only if at least two boxes have
+            it.
+        boards: the materials of the carrier's boards.
+        user_pairs: pairs whose friction the user gives.
 
     Raises:
-        InputError: the friction of some pairs is unknown. The message names them.
+        InputError: the friction of some pairs is unknown. The message names these pairs.
     """
     count = Counter(boxes)
     pairs = {*itertools.combinations(sorted(count), 2), *((name, name) for name, number in count.items() if number > 1)}

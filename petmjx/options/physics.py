@@ -1,4 +1,5 @@
-"""The physics of a world (``Physics``) and its presets: contacts, carrier, floor, gravity and timestep."""
+"""The physical parameters of a simulation (``Physics``) and their presets: contacts, carrier, floor, gravity and
+timestep."""
 
 from __future__ import annotations
 
@@ -12,27 +13,30 @@ from petmjx.common.checked_records import CheckedRecord, shown_value, within
 
 SHORTEST_TIMESTEP_S: Final = 0.0001
 HIGHEST_FRICTION: Final = 100.0
-"""Largest allowed coefficient of friction. A larger value has the wrong unit or a digit too many."""
+"""Largest allowed coefficient of friction. A larger value is probably a mistake."""
 
 HIGHEST_RESTITUTION: Final = 0.9
-"""Largest allowed restitution. Cardboard has 0.1 to 0.3, and in single tosses up to 0.6."""
+"""Largest allowed restitution (speed after a bounce as a share of the speed before). Cardboard has 0.1 to 0.3, and up
+to 0.6 in single tosses."""
 
 LANDING_S: Final = 0.003
-"""Time in which the preset ``pallet`` stops a box that lands. With this value, a box that falls 10 mm penetrates its
-support by less than 1 mm, and a box that falls 300 mm by less than 9 mm. A landing takes one and a half steps of 2 ms,
-which are enough for an accurate landing. No measured stiffness of landing cartons is known."""
+"""Time in which the preset ``pallet`` stops a landing box, s. With this value, a box that falls 10 mm penetrates its
+support by less than 1 mm, and a box that falls 300 mm by less than 9 mm. The time is one and a half steps of 2 ms,
+which is sufficient for an accurate landing. It is an assumption, because no measured stiffness of landing cartons is
+known."""
 
 SHORTEST_LANDING_S: Final = 0.0002
 LONGEST_LANDING_S: Final = 0.02
-"""Limits of ``landing_s``, the time in which a landing box is stopped."""
+"""Smallest and largest value of ``landing_s``, the time in which a landing box is stopped, s."""
 
 RESTITUTION: Final = 0.2
-"""Restitution of cardboard: the middle of 0.1 to 0.3. Four cartons on a conveyor had ranges of .05 to .40, 0 to .35,
-.25 to .40 and .40 to .60 (TU/e, T-RO 2023)."""
+"""Restitution of cardboard (speed after a bounce as a share of the speed before): the middle of the range 0.1 to 0.3.
+Measurements of four cartons on a conveyor gave the ranges .05 to .40, 0 to .35, .25 to .40 and .40 to .60 (TU/e, T-RO
+2023)."""
 
 
 class Cone(StrEnum):
-    """Friction cone of the contact model."""
+    """Shape of the friction cone in MuJoCo's contact model."""
 
     PYRAMIDAL = "pyramidal"
     ELLIPTIC = "elliptic"
@@ -58,30 +62,29 @@ def _impedances(values: Triple) -> Triple:
 
 
 def _contact_times(values: tuple[float, float]) -> tuple[float, float]:
-    # Negative values are allowed: MuJoCo reads them as a stiffness and a damping.
+    # Negative values are allowed, because MuJoCo reads them as stiffness and damping.
     if max(map(abs, values)) > 1e6:
         raise ValueError(f"must be from -1e+06 to 1e+06, got {values}")
     return values
 
 
 Friction = Annotated[Triple, AfterValidator(_no_negatives)]
-"""MuJoCo's sliding, torsional and rolling friction of a geom. When two geoms touch, each of the three is the larger
-value of the two geoms."""
+"""MuJoCo's coefficients of sliding, torsional and rolling friction of a geom. When two geoms touch, MuJoCo uses the
+larger of the two geoms' values for each of the three coefficients."""
 
 CUSTOM: Final = "custom"
 
 
 class Physics(CheckedRecord):
-    """Contacts, carrier, floor, gravity and timestep.
-
-    The values are those of the reference implementation (PET-Physics), except for values that differ between the
-    presets: the cone, the carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio,
-    slip_correction, landing_s, skin_m), and whether boxes fall into their places. The friction of 0.5 between boxes is
+    """The physical parameters of a simulation: contacts, carrier, floor, gravity and timestep. The values are those of
+    the reference implementation (PET-Physics), except for values that differ between the presets: the cone, the
+    carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio, slip_correction,
+    landing_s, skin_m), and whether boxes fall into their places. The coefficient of friction between boxes, 0.5, is
     that of cardboard on cardboard (CTU Code, Annex 7, Appendix 2).
 
-    A ``Physics`` can be made in three ways: from a preset's name ("pallet"); from a table that names a preset and
-    changes some of its values (``{"name": "reference", "timestep_s": 0.001}``); or as ``Physics(timestep_s=0.001)``,
-    which changes the preset ``pallet``.
+    A ``Physics`` can be made in three ways: from the name of a preset ("pallet"); from a mapping that names a preset
+    and changes some of its values (``{"name": "reference", "timestep_s": 0.001}``); or by calling
+    ``Physics(timestep_s=0.001)``, which changes values of the preset ``pallet``.
     """
 
     cone: Cone = Field(Cone.ELLIPTIC, description="friction cone")
@@ -142,34 +145,35 @@ class Physics(CheckedRecord):
 
     @property
     def carrier_skin_m(self) -> float:
-        """Distance by which the collider enlarges the carrier, m.
+        """Distance by which the carrier is enlarged for collision detection, m.
 
-        The carrier's skin is larger than the skin of boxes. So if a box stands flush with the carrier's edge, its face
-        is inside the enlarged carrier, and the collider finds the box's corners (docs/validation.md).
+        The carrier is enlarged by more than boxes are. So if a box stands flush with the carrier's edge, the box's face
+        is inside the enlarged carrier, and collision detection finds contacts at the box's corners
+        (docs/validation.md).
         """
         return 2 * self.skin_m
 
     @property
     def has_landings(self) -> bool:
-        """Whether landings have their own contact law (petmjx/world/contact_laws.py). Only elliptic cones allow a
-        separate contact law."""
+        """Whether landing boxes have a contact law of their own (petmjx/world/contact_laws.py). This is possible only
+        with elliptic friction cones."""
         return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
     def has_own_friction(self) -> bool:
-        """Whether friction has its own time constant. Only elliptic cones allow a separate time constant."""
+        """Whether friction has a time constant of its own. This is possible only with elliptic friction cones."""
         return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
 
     @computed_field(description="name of the preset that has these values, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
     @property
     def name(self) -> str:
-        """The preset that has exactly these values, or "custom"."""
+        """The name of the preset that has exactly these values, or "custom"."""
         return next((name for name, preset in PHYSICS.items() if preset == self), CUSTOM)
 
     @model_validator(mode="before")
     @classmethod
     def _from_preset(cls, values: Any) -> Any:
-        """Accept a preset's name, or a table that changes a preset."""
+        """Accept the name of a preset, or a mapping that changes a preset, as the value of the record."""
         if values == CUSTOM:  # the name "custom" alone does not define any values
             raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {shown_value(values)}")
         if isinstance(values, str):
@@ -198,7 +202,7 @@ PHYSICS["reference"] = Physics(
     skin_m=0.0,
     falls_into_place=True,
 )
-"""The presets. ``reference`` is PET-Physics. With ``pallet``, pallets come to rest (docs/validation.md). For this
-purpose, ``pallet`` has elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that
-yields 250 times less than with MuJoCo's defaults. ``pallet`` also has the friction of cardboard on a wooden pallet (CTU
-Code, Annex 7, Appendix 2)."""
+"""The presets, by name. ``reference`` has the values of the reference implementation (PET-Physics). With ``pallet``,
+pallets come to rest (docs/validation.md). For this purpose, ``pallet`` has elliptic friction cones, an impedance that
+rises from 0.1 to 0.999 within 0.1 mm, and friction that yields 250 times less than with MuJoCo's defaults. ``pallet``
+also has the friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""

@@ -1,4 +1,4 @@
-"""Options of placing (``Placing``): the pose at which a box starts, and its path to its place.
+"""The options of the placement of boxes (``Placing``): the pose at which a box starts, and its path to its place.
 
 Defaults, units, checks and descriptions are defined only here. docs/rules.md, section 4, has the exact rules, step by
 step; docs/placing.md explains the options to users.
@@ -16,7 +16,7 @@ from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 
 
 class Way(StrEnum):
-    """How a box gets to its place."""
+    """The way in which a box gets to its place. The option ``Placing.name`` describes each way."""
 
     AUTO = "auto"
     EXACT = "exact"
@@ -26,11 +26,11 @@ class Way(StrEnum):
 
 
 class Placing(CheckedRecord):
-    """How a box is placed. Can be made from the name of a ``Way`` ("hand"), or from a table (``{"name": "hand",
-    "force_n": 50}``).
+    """How boxes are placed. A ``Placing`` can be made from the name of a ``Way`` ("hand"), or from a mapping
+    (``{"name": "hand", "force_n": 50}``).
 
-    The defaults are assumptions. No figures about a robot's last movement were found in publications: not its starting
-    point, its speed or the largest force with which the robot may press.
+    The defaults are assumptions. No publication was found that states where a robot's last movement starts, its speed,
+    or the largest force with which the robot may press.
     """
 
     name: Annotated[Way, CliFlag("--placing")] = Field(
@@ -67,12 +67,12 @@ class Placing(CheckedRecord):
 
     @property
     def appears(self) -> bool:
-        """Whether boxes without errors appear at their places."""
+        """Whether boxes without placement errors appear at their places, instead of being moved there."""
         return self.name in (Way.AUTO, Way.EXACT)
 
     @property
     def for_errors(self) -> Placing:
-        """The placing of boxes whose places or sizes have errors."""
+        """The options for the placement of boxes whose places or sizes have errors."""
         return self.model_copy(update={"name": Way.HAND}) if self.name is Way.AUTO else self
 
     @property
@@ -82,4 +82,4 @@ class Placing(CheckedRecord):
 
 
 EXACT: Final = Placing(name=Way.EXACT)
-"""The placing with which boxes appear at their places."""
+"""The options with which all boxes appear at their places."""

@@ -1,4 +1,5 @@
-"""Options of a run, of confidence and of transport. The module also sorts options by the record that they belong to.
+"""The options of a run (``RunOptions``), of the confidence of verdicts (``Confidence``) and of a transport chain
+(``Transport``). This module also sorts options by the record to which they belong.
 
 Defaults, checks and descriptions are defined only here.
 """
@@ -25,17 +26,19 @@ MOST_WORKERS: Final = 4096
 
 ALL: Final = "all"
 FAILED: Final = "failed"
-"""Values of ``RunOptions.record``: record all plans, or only plans that fail."""
+"""Values of the option ``RunOptions.record``: record all plans, or only plans that fail."""
 
 WORLDS: Final = "worlds"
-"""A value of ``RunOptions.keep``: keep only the tables of worlds. The other value is ``ALL``."""
+"""A value of the option ``RunOptions.keep``: keep only the tables with one row per world (one simulation of one plan),
+not those of boxes. The other value is ``ALL``."""
 
 FRAME_INTERVAL_S: Final = 0.05
-"""Time between two frames. At 20 frames per second, a viewer can follow a box."""
+"""Default time between two frames of a recording, s. At 20 frames per second, a viewer can follow the motion of a
+box."""
 
 
 def _share(text: str | None) -> str | None:
-    """Validator of a shard: I/N with 1 ≤ I ≤ N, without leading zeros."""
+    """Validator of the option ``shard``: I/N with 1 ≤ I ≤ N. Leading zeros are removed."""
     if text is None:
         return None
     match = re.fullmatch(r"0*([0-9]{1,9})/0*([0-9]{1,9})", text)
@@ -45,7 +48,7 @@ def _share(text: str | None) -> str | None:
 
 
 def _workers(value: Any) -> Any:
-    """Validator of workers: a whole number ≥ 1, or ``auto``. The command line passes both as text."""
+    """Validator of the option ``workers``: a whole number ≥ 1, or ``auto``. The command line passes both as text."""
     number = int(value) if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value) else value
     if number is None or (isinstance(number, str) and number == AUTO):
         return number
@@ -55,8 +58,8 @@ def _workers(value: Any) -> Any:
 
 
 def _address(text: str | None) -> str | None:
-    """Validator of Ray's address: ``auto`` or HOST:PORT. Addresses of Ray clients are refused, since Ray clients cannot
-    stream results."""
+    """Validator of the option ``ray``, an address: ``auto`` or HOST:PORT. Addresses for Ray's client mode are refused,
+    because results cannot be streamed in this mode."""
     if text not in (None, AUTO) and ("://" in text or not re.fullmatch(r"\S+:\d{1,5}", text)):
         raise ValueError(
             f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {shown_value(text)}"
@@ -65,7 +68,7 @@ def _address(text: str | None) -> str | None:
 
 
 def _units(text: str | None) -> str | None:
-    """Validator of units: the unit of lengths, the unit of masses, or both, such as "cm,g"."""
+    """Validator of the option ``units``: the unit of lengths, the unit of masses, or both, such as "cm,g"."""
     if text is None:
         return None
     try:
@@ -76,7 +79,8 @@ def _units(text: str | None) -> str | None:
 
 
 def _columns(value: Any) -> Any:
-    """Validator of columns: a mapping role → column name, or text such as "x=Pos X,y=Pos Y"."""
+    """Validator of the option ``columns``: a mapping from roles to names of columns, or text such as "x=Pos X,y=Pos
+    Y"."""
     if isinstance(value, str):
         pairs = [pair.partition("=") for pair in value.split(",") if pair.strip()]
         if not pairs or not all(role.strip() and middle and name.strip() for role, middle, name in pairs):
@@ -88,7 +92,7 @@ def _columns(value: Any) -> Any:
 
 
 def _is_path(value: Any) -> Any:
-    """Validator of a path: neither empty nor with a NUL character."""
+    """Validator of paths: a path must not be empty, and must not contain a NUL character."""
     if value is not None and not isinstance(value, Path) and not (isinstance(value, str | PathLike) and str(value)):
         raise ValueError(f"must be a path, {shown_value(value)}")
     if "\0" in str(value):
@@ -97,23 +101,24 @@ def _is_path(value: Any) -> Any:
 
 
 File = Annotated[Path, BeforeValidator(_is_path)]
-"""A path as the value of an option."""
+"""The type of options whose value is a path."""
 
 Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
 """The point of a box that a plan's coordinates describe. ``far-corner`` has the largest x, y and z."""
 
 
 READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
-"""Fields of ``RunOptions`` that determine how files of plans are read."""
+"""Names of the fields of ``RunOptions`` that determine how files of plans are read."""
 OF_ORDERS: Final = ("units", "columns", "density", "items", "reading")
-"""Fields of ``RunOptions`` that determine how files of orders are read."""
+"""Names of the fields of ``RunOptions`` that determine how files of orders are read."""
 
 _BY_FILE: Final = "found out"
 _OR_BY_FILE: Final = "found out in files of other tools"
 
 
 class Confidence(CheckedRecord):
-    """Whether a score has a confidence, and which errors of places and boxes it covers."""
+    """Whether a score also reports how certain its verdicts are, and with which random errors of placements and boxes
+    this is computed."""
 
     confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
         None,
@@ -140,7 +145,8 @@ class Confidence(CheckedRecord):
 
 
 class Transport(CheckedRecord):
-    """The transport chain that a score simulates for each plan after all boxes are placed."""
+    """The transport chain (stages such as trucks and forklifts) that a score simulates for each plan after all boxes
+    are placed."""
 
     chain: Annotated[File | None, CliFlag("--chain", "NAME|FILE")] = Field(
         None,
@@ -151,10 +157,11 @@ class Transport(CheckedRecord):
 
 
 class RunOptions(CheckedRecord):
-    """How a run is computed: engine, threads, workers, files and so on.
+    """The options of how a run is computed: engine, threads, workers (processes), files and so on.
 
-    Only two of these options affect outcomes. ``engine`` may change the outcome of a world. ``world_timeout_s`` may
-    stop a world before it has an outcome (``invalid`` by ``timeout``).
+    Only two of these options affect results. With a different ``engine``, the outcome of a plan may differ.
+    ``world_timeout_s`` may end a simulation before it has an outcome; the verdict is then ``invalid``, for the reason
+    ``timeout``.
     """
 
     engine: Annotated[Any, CliFlag("--engine")] = Field(
@@ -310,14 +317,14 @@ class RunOptions(CheckedRecord):
 
     @property
     def asked_workers(self) -> int | str | None:
-        """The workers that the user has requested: ``workers``, or ``auto`` if only a cluster is named. None: no
-        workers; the whole run is computed in this process.
+        """The number of workers (processes) that the user has requested, or ``auto``. If the user names only a Ray
+        cluster, this is ``auto``. None means that the whole run is computed in this process.
         """
         return AUTO if self.workers is None and self.ray is not None else self.workers
 
     def takes(self, plan_id: str) -> bool:
-        """Whether a plan is in this run's shard. The shard of a plan depends only on the plan's id, so all worlds of a
-        plan are in the same shard."""
+        """Whether a plan belongs to this run's shard (its share of the plans). The shard of a plan depends only on the
+        plan's id, so all simulations of a plan are in the same shard."""
         if self.shard is None:
             return True
         share, shares = (int(number) for number in self.shard.split("/"))
@@ -326,7 +333,8 @@ class RunOptions(CheckedRecord):
 
 
 def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tuple[dict[str, Any], ...]:
-    """Sort options by record: one dict each for ``Simulation``, ``RunOptions`` and the records ``more``.
+    """Sort options by the record to which they belong. Returns a dict for ``Simulation``, a dict for ``RunOptions``,
+    and a dict for each record in ``more``.
 
     Raises:
         InputError: an option is unknown. The message suggests the most similar name.
@@ -342,7 +350,8 @@ def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tu
 
 
 def _advice(name: str, records: tuple[type[CheckedRecord], ...]) -> str:
-    """Advice for an unknown option: a table of ``Simulation`` that has such a field, or a similar name."""
+    """Advice about an unknown option: the record within ``Simulation`` that has a field of this name, or an option with
+    a similar name."""
     for table, field in Simulation.model_fields.items():
         inner = field.annotation
         if not (isinstance(inner, type) and issubclass(inner, CheckedRecord)):

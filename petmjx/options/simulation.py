@@ -1,8 +1,9 @@
-"""Options of a simulation (``Simulation``): all options that affect the results.
+"""The options of a simulation (``Simulation``): all options that affect its results.
 
-petmjx/options/run_options.py has the options for how and where a run computes. Defaults, units, checks and descriptions
-are defined only here: ``petmjx.score``, ``petmjx.sweep``, the command line and the ``[simulation]`` table of sweep
-files are built from these records. ``run.json`` stores their values.
+petmjx/options/run_options.py has the options for how and where a run is computed. Defaults, units, checks and
+descriptions are defined only here. The arguments of ``petmjx.score`` and ``petmjx.sweep``, the options of the command
+line and the ``[simulation]`` table of sweep files are generated from these records. ``run.json`` stores the values of
+the options.
 """
 
 from __future__ import annotations
@@ -20,29 +21,28 @@ from petmjx.options.placing import Placing, Way
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
-# Limits of physical or useful values.
-# A value beyond these limits has the wrong unit or a digit too many.
-# Such a value would lead to infinite values, a run that does not end, or tables that are longer than any useful run.
+# Limits of options. A value beyond such a limit probably has the wrong unit or a digit too many. It would lead to
+# infinite numbers, to a run that does not end, or to tables that are too long to be useful.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Limit of all other times. With this limit, the number of steps of a run fits into 32 bits, even with the shortest
-timestep and 512 boxes."""
+"""Largest value of all other times, s. With this limit, the number of steps of a simulation fits into 32 bits, even
+with the shortest timestep and 512 boxes."""
 MOST_STEPS: Final = 100_000
 
 SOFT_START_STEPS: Final = 100
-"""Length of each half of a soft start, in steps, before the clock starts. In the first half there is no gravity. In the
-second half gravity rises: in step k it is gravity × k / ``SOFT_START_STEPS``."""
+"""Number of steps in each half of the soft start, which precedes a simulation's time 0. In the first half, there is no
+gravity. In the second half, gravity increases: in step k it is gravity × k / ``SOFT_START_STEPS``."""
 
 
 class Check(StrEnum):
-    """Whether boxes are placed one by one, or are all in place from the start."""
+    """Whether boxes are placed one by one, or all boxes are in place from the start."""
 
     ONE_BY_ONE = "one-by-one"
     STATIC = "static"
 
 
 class Schedule(StrEnum):
-    """When the next box is placed.
+    """The rule for when the next box is placed.
 
     ``Simulation.schedule`` describes each schedule; docs/rules.md, section 5, has the exact rules, step by step.
     """
@@ -52,21 +52,22 @@ class Schedule(StrEnum):
 
 
 class Solver(StrEnum):
-    """Constraint solver. petmjx/engines/attempts.py chooses the solver of each attempt."""
+    """MuJoCo's constraint solver. A simulation that fails is repeated in further attempts with other settings;
+    petmjx/engines/attempts.py chooses the solver of each attempt."""
 
     NEWTON = "newton"
     CG = "cg"
 
 
 class Attempts(StrEnum):
-    """Whether boxes are rigid or soft in the last attempt at a world (petmjx/engines/attempts.py)."""
+    """Whether boxes are rigid or soft in the last attempt at a simulation (petmjx/engines/attempts.py)."""
 
     RIGID = "rigid"
     SOFT = "soft"
 
 
 class Thresholds(CheckedRecord):
-    """Thresholds above which a plan counts as unstable, or a simulation as invalid (PET-Physics paper, section
+    """The thresholds above which a plan counts as unstable, or a simulation as invalid (PET-Physics paper, section
     IV-C)."""
 
     shift_m: Annotated[float, within(0, 100), CliFlag("--shift-limit-m", "M")] = Field(
@@ -92,21 +93,22 @@ class Thresholds(CheckedRecord):
 
 
 class Quiet(CheckedRecord):
-    """When a pallet is quiet enough for the next box, and when a world is at rest.
+    """The conditions under which a pallet is quiet enough for the next box, and under which a simulated pallet is at
+    rest.
 
-    A pallet is quiet when all boxes were slower than ``quiet_m_s`` for ``steps`` steps. The speed of a box is that of
-    its fastest point. docs/rules.md, section 5, has the exact rules, step by step.
+    A pallet is quiet when all boxes have been slower than ``quiet_m_s`` for ``steps`` steps. The speed of a box is the
+    speed of its fastest point. docs/rules.md, section 5, has the exact rules, step by step.
 
-    With elliptic cones there are two more conditions. First, each box must be slow or have slowed down. Second, no
-    moving box may have become faster, because a box that begins to topple becomes faster. A box that breaks one of
-    these conditions is said to creep. Once a creeping box has dropped or tilted too far, the outcome is known, so the
-    schedule no longer waits for it.
+    With elliptic friction cones, there are two more conditions. First, each box must be slow or have slowed down.
+    Second, no moving box may have become faster, because a box that begins to topple becomes faster. A box that
+    violates one of these conditions is said to creep, and the next box is delayed. When a creeping box has dropped or
+    tilted too far, the outcome is known, so there is no more waiting for this box.
 
-    A box that moves back and forth without any net motion is said to tremble. The schedule does not wait for trembling
-    boxes either.
+    A box that moves back and forth without net motion is said to tremble. Trembling boxes do not delay the next box
+    either.
 
-    A world is at rest if no point of any box moved faster than ``still_m_s`` in the last ``still_steps`` steps of its
-    rest window.
+    A simulated pallet is at rest if no point of any box moved faster than ``still_m_s`` in the last ``still_steps``
+    steps of its rest window (the time at the end over which forces at rest are averaged).
     """
 
     quiet_m_s: Annotated[float, within(0, 100)] = Field(
@@ -142,12 +144,12 @@ class Quiet(CheckedRecord):
 
     @property
     def tremble_looks(self) -> int:
-        """``tremble_steps`` as a number of checks, rounded up."""
+        """``tremble_steps`` converted to a number of checks, rounded up."""
         return -(-self.tremble_steps // self.poll_steps)
 
 
 class Simulation(CheckedRecord):
-    """All options on which the outcome of a world depends, besides the plan and the variant."""
+    """All options on which the result of a simulation depends, besides the plan and random errors."""
 
     check: Annotated[Check, CliFlag("--check")] = Field(
         Check.ONE_BY_ONE,
@@ -318,15 +320,15 @@ class Simulation(CheckedRecord):
 
     @property
     def has_soft(self) -> bool:
-        """Whether boxes may be flex bodies."""
+        """Whether boxes may be simulated as flex bodies (MuJoCo's deformable bodies)."""
         return self.soft or self.attempts is Attempts.SOFT
 
     @property
     def may_carry(self) -> bool:
-        """Whether a hand or tines may place boxes.
+        """Whether boxes may be carried to their places by a simulated hand or by tines.
 
-        A kind of placing that the user has chosen gives the answer. With ``auto``, a hand may place boxes unless boxes
-        fall into their places or the schedule does not wait for a hand.
+        If the user has chosen a way of placing, the answer follows from it. With ``auto``, a hand may carry boxes,
+        unless boxes fall into their places or the schedule does not wait for a hand.
         """
         if self.placing.name is not Way.AUTO:
             return self.placing.carries
@@ -335,9 +337,10 @@ class Simulation(CheckedRecord):
 
     @property
     def waits_for_rest(self) -> bool:
-        """Whether creeping boxes delay the next box (schedule adaptive), a profile and the end of the world.
+        """Whether creeping boxes (see ``Quiet``) delay the next box (schedule adaptive), the start of a profile (a
+        shaking of the carrier) and the end of the simulation.
 
-        With pyramidal cones, creeping boxes never delay anything, because every box then creeps a little
-        (benchmarks/notebook/performance.md).
+        With pyramidal friction cones, creeping boxes never delay anything, because with these cones every box creeps a
+        little (benchmarks/notebook/performance.md).
         """
         return self.physics.cone is Cone.ELLIPTIC

@@ -1,5 +1,5 @@
-"""Options of ``petmjx loads`` (``Stacking``): how much of their strength boxes lose through their arrangement in the
-stack, through moist air and over time.
+"""The options of ``petmjx loads`` (``Stacking``): how much of their strength boxes lose by the way in which they are
+stacked, by moist air and over time.
 
 Defaults, units, checks and descriptions are defined only here. docs/loads.md explains the options to users, and has the
 sources of the numbers.
@@ -15,25 +15,26 @@ from pydantic import Field
 from petmjx.common.checked_records import CheckedRecord, within
 
 HUMIDITY_LOSS: Final = ((50, 0.0), (60, 0.10), (70, 0.20), (80, 0.32), (90, 0.52), (100, 0.85))
-"""Relative humidity, % → the share of their strength that corrugated boxes lose. Source: table of the Fibre Box
-Association, as a maker of boxes reproduces it (http://www.richbox.com/about_boxes/target_compression.asp)."""
+"""Relative humidity, % → share of their strength that boxes of corrugated board lose. Source: a table of the Fibre Box
+Association, as reproduced by a maker of boxes (http://www.richbox.com/about_boxes/target_compression.asp)."""
 
 TIME_LOSS: Final = ((10.0, 0.37), (30.0, 0.40), (90.0, 0.45), (180.0, 0.50))
-"""Days under a load → the share of its strength that a box loses. Source: the same table."""
+"""Number of days under a load → share of its strength that a box loses. Source: the table of ``HUMIDITY_LOSS``."""
 
 PRESS_DAYS: Final = 1.0 / 1440
-"""How long a box in a press bears its load, in days: one minute, during which the box loses no strength. From one
-minute to ten days, the loss is assumed to grow with the logarithm of time, as creep does."""
+"""Time for which a box in a press bears its load, in days: one minute. In this time, the box loses no strength. From
+one minute to ten days, the loss is assumed to grow with the logarithm of time, as creep does."""
 
 
 class Stacking(CheckedRecord):
-    """Shares of its strength that a box loses because of its arrangement in the stack. A share of 0 turns a loss off.
+    """The shares of its strength that a box loses by the way in which it is stacked, by moist air and over time. A
+    share of 0 turns a loss off.
 
-    McKee's formula and presses give the strength of a box between two plates. On a pallet, the box's walls bear the
-    boxes above.
+    McKee's formula and tests in a press give the strength of a box between two flat plates. On a pallet, the loads on a
+    box's walls depend on the boxes above and below.
 
-    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. No source gives a number for
-    parts of walls that hang over nothing: such parts are assumed to bear nothing.
+    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. No source states how much
+    parts of walls bear that have nothing below them. Such parts are assumed to bear nothing.
     """
 
     interlocked_loss: Annotated[float, within(0, 1)] = Field(
@@ -63,13 +64,13 @@ class Stacking(CheckedRecord):
     )
 
     def with_losses(self, factor: float) -> Self:
-        """The options with each loss from stacking multiplied by a factor, and at most 1."""
+        """The same options, with each loss by stacking multiplied by a factor and limited to 1."""
         names = ("interlocked_loss", "overhang_loss", "gap_loss", "soft_deck_loss")
         return self.changed(**{name: min(factor * getattr(self, name), 1.0) for name in names})
 
     @property
     def humidity_loss(self) -> float:
-        """The share of its strength that a box loses through moisture."""
+        """The share of its strength that a box loses by moist air."""
         percent, losses = np.array(HUMIDITY_LOSS).T
         return float(np.interp(self.humidity_percent, percent, losses))
 

@@ -1,4 +1,5 @@
-"""Options of a carrier's walls (``Walls``): which sides have a wall, how high walls are, and which walls are open.
+"""The options of a carrier's walls (``Walls``): which sides have a wall, how high the walls are, and which walls are
+open.
 
 Defaults, units, checks and descriptions are defined only here. docs/carriers.md explains the options to users.
 """
@@ -24,20 +25,20 @@ class Side(StrEnum):
 
     @property
     def axis(self) -> int:
-        """The axis at a right angle to the wall: 0 for x, 1 for y."""
+        """The axis that is perpendicular to a wall on this side: 0 for x, 1 for y."""
         return 0 if self in (Side.LEFT, Side.RIGHT) else 1
 
     @property
     def is_far(self) -> bool:
-        """Whether the wall is at the upper end of its axis."""
+        """Whether a wall on this side is at the end of the axis with the larger coordinate."""
         return self in (Side.RIGHT, Side.BACK)
 
 
 class Walls(CheckedRecord):
-    """Walls around a carrier's deck. Walls can be given as a list of sides, or as a table.
+    """The walls around a carrier's top. A ``Walls`` can be made from a list of sides, or from a mapping.
 
-    A wall is a rigid upright plate along a whole side, and belongs to the carrier's body. A field that is None takes
-    the carrier's own value (``petmjx.options.carriers.walls_of``), else the value of ``USUAL``.
+    A wall is a rigid upright plate along a whole side. It is part of the carrier's body. If a field is None, the
+    carrier's own value is used (``petmjx.options.carriers.walls_of``), or else the value from ``USUAL``.
     """
 
     sides: Annotated[tuple[Side, ...] | None, CliFlag("--walls", "SIDE,…")] = Field(
@@ -80,7 +81,7 @@ class Walls(CheckedRecord):
     @field_validator("sides", "open", mode="before")
     @classmethod
     def _from_text(cls, value: Any) -> Any:
-        if isinstance(value, str):  # a command line gives the sides as text
+        if isinstance(value, str):  # the command line passes the sides as text
             return tuple(side.strip() for side in value.split(",") if side.strip())
         return value
 
@@ -93,7 +94,7 @@ class Walls(CheckedRecord):
         return None if value is None else tuple(side for side in Side if side in value)
 
     def or_of(self, other: Walls) -> Self:
-        """The same walls, except that each field that is None here has the value from ``other``."""
+        """These walls, but with the values from ``other`` for fields that are None here."""
         missing = [name for name in type(self).model_fields if getattr(self, name) is None]
         return self.model_copy(
             update={name: getattr(other, name) for name in missing} | {"open": self.open or other.open}
@@ -101,21 +102,21 @@ class Walls(CheckedRecord):
 
     @property
     def standing(self) -> tuple[Side, ...]:
-        """The sides with a closed wall, which can bear load: all sides with walls, except sides whose wall is open."""
+        """The sides that have a wall which is not open. Boxes can lean only on such walls."""
         return tuple(side for side in self.sides or () if side not in self.open)
 
     def check_open(self) -> None:
-        """Check that every open wall is on a side that has a wall. The error names the field ``walls`` of the outer
-        record."""
+        """Check that every side with an open wall has a wall. The error names the field ``walls`` of the record that
+        holds this record."""
         for at, side in enumerate(self.open):
             if side not in (self.sides or ()):
                 raise complaint(f"is {side}, but the carrier has no wall on this side", "walls", "open", at)
 
     def room_fault(self, extent_mm: Sequence[float]) -> str | None:
-        """The error text for walls that leave no room on a carrier's top; None if there is room.
+        """The error text if the walls leave no room for boxes on a carrier's top; None if there is room.
 
-        A negative gap narrows the room. A wall is as long as its side plus two gaps, even if the adjacent sides have no
-        walls.
+        A negative gap between walls and the carrier's sides narrows the room. The length of a wall is that of its side
+        plus two gaps, even if the adjacent sides have no walls.
 
         Args:
             extent_mm: extents of the carrier's top along x and y, mm.
@@ -131,5 +132,6 @@ class Walls(CheckedRecord):
 USUAL: Final = Walls(
     sides=(), height_mm=1500.0, gap_mm=0.0, thickness_mm=30.0, mass_kg_m2=6.0, friction=None, material="wood"
 )
-"""Values that apply if neither the user nor the carrier gives any. The mass is an assumption, from roll containers with
-three sides: they weigh 40 to 45 kg, of which the base is about 25 kg, and the sides have about 3 m²."""
+"""The values that are used if neither the user nor the carrier sets them. The mass per area is an assumption. It is
+derived from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and walls
+of about 3 m²."""

@@ -1,4 +1,5 @@
-"""Options of stretch wrap around a finished pallet (``Wrap``): how much film, and how hard it pulls.
+"""The options of the stretch film around a finished pallet (``Wrap``): how much film there is, and how strongly it
+pulls.
 
 Defaults, units, checks and descriptions are defined only here. docs/wrap.md explains the options to users.
 """
@@ -13,10 +14,10 @@ from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 
 
 class Wrap(CheckedRecord):
-    """Film that is wound around a pallet before it is shaken.
+    """The film that is wound around a pallet before the pallet is shaken.
 
     The force of the film is proportional to the number of turns (Sensors 2025, 25(22), 6883). The defaults of the
-    forces and the friction are assumptions: measure your own film.
+    forces and of the friction are assumptions, so measure your own film.
     """
 
     turns: Annotated[float, within(0, 1000), CliFlag("--wrap-turns", "N")] = Field(
@@ -33,5 +34,5 @@ class Wrap(CheckedRecord):
 
     @property
     def holds(self) -> bool:
-        """Whether any film is around the pallet."""
+        """Whether there is any film around the pallet."""
         return self.turns > 0

@@ -1,10 +1,10 @@
 """The packer ``balanced``: best fit, with the condition that the pile stays in balance, so that plans stand.
 
-At every step, all kinds of remaining boxes compete for all corner points (best fit, after Allen, Burke, Kendall 2011,
-"A hybrid placement strategy for the three-dimensional strip packing problem", European J. of Operational Research 209,
-219–227). Low places, large bases, heavy boxes and tall boxes score well; bases that hang over score badly. The packer
-chooses the best candidate that keeps the pile in balance (:mod:`petmjx.packers.pile_balance`). So the pile is in
-balance after every step.
+A candidate is a kind of remaining box at a corner point of the pile. At every step, the packer rates all candidates
+(best fit, after Allen, Burke, Kendall 2011, "A hybrid placement strategy for the three-dimensional strip packing
+problem", European J. of Operational Research 209, 219–227). Low places, large bases, heavy boxes and tall boxes are
+rated well; overhangs are rated badly. The packer chooses the best candidate with which the pile stays in static balance
+(:mod:`petmjx.packers.pile_balance`). So the pile is in balance after every step.
 
 The packer is deterministic: an order always gets the same plan.
 """
@@ -19,14 +19,15 @@ from petmjx.packers.packing_state import Packing, Taste
 from petmjx.plans.order_generator import Item
 
 TASTES: Final = (Taste(), Taste(per_height=0.6), Taste(per_overhang=0.0), Taste(per_base_side=1.0))
-"""Sets of weights for the rule that rates candidates. The first set is the best of 50 random sets on the first 40
-orders of seed 0, by volume utilisation and boxes left out; similar sets are about as good. If a set leaves boxes out,
-the next set is tried. In 600 orders of seed 0, the first set leaves out 35 boxes from 10 orders; all sets together
-leave out no box."""
+"""Sets of weights with which candidates are rated. Of 50 random sets, the first set was the best on the first 40 orders
+of seed 0, by volume utilisation and number of boxes left out. Similar sets are about as good. If a set leaves boxes
+out, the next set is tried. In 600 orders of seed 0, the first set leaves out 35 boxes from 10 orders. If all sets are
+tried, no box is left out."""
 
 
 def pack_balanced(items: Sequence[Item], extent_mm: tuple[float, float]) -> list[PlacedBox]:
-    """Place the items on a target of ``extent_mm``, in packing order. Items without a place are left out."""
+    """Place the items on a target of length and width ``extent_mm``. Returns the placed boxes in packing order. Items
+    for which there is no place are left out."""
     best: list[PlacedBox] = []
     for taste in TASTES:
         packing = Packing(items, extent_mm, taste)

@@ -1,8 +1,9 @@
-"""The baseline packer: extreme points in three dimensions, lowest place first, with a support rule.
+"""The packer ``baseline``: each box goes to the lowest of the extreme points at which its base is sufficiently
+supported.
 
-Candidate corners are the extreme points of Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for
-three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384. A box is lowered at the x and y of a
-candidate until it rests on the carrier or on boxes. So every box can be placed from above, in packing order.
+The extreme points are those of Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional
+bin packing", INFORMS Journal on Computing 20(3), 368–384. At the x and y of an extreme point, a box is lowered until it
+rests on the carrier or on boxes. So every box can be placed from above, in packing order.
 """
 
 from __future__ import annotations
@@ -21,17 +22,18 @@ MAX_HEIGHT_MM = 2000.0
 
 @dataclass(frozen=True)
 class PackRules:
-    """The rules for placements, and parameters that may differ between plans.
+    """The rules of the packer ``baseline``, which may differ between plans.
 
     Attributes:
-        min_support: smallest share of a box's base that must rest on the carrier or on tops (0 to 1).
-        centre_supported: whether the centre of the base must be inside the convex hull of the contact areas under it.
-            Without this rule, a box may tip as soon as it is placed.
-        max_height_mm: greatest height of a box's top.
-        y_first: whether ties of height are broken by the smallest y, then x (else by x, then y).
-        sort_noise: standard deviation of the noise in the sorting key (natural logarithm). The noise is drawn once per
-            article.
-        weight_exponent: exponent of the weight in the sorting key, relative to the base area.
+        min_support: smallest share of a box's base that must rest on the carrier or on other boxes (0 to 1).
+        centre_supported: whether the centre of the base must be inside the convex hull of the contact areas under the
+            base. Without this rule, a box may tip as soon as it is placed.
+        max_height_mm: greatest allowed height of a box's top, mm.
+        y_first: whether, of several places of equal height, the place with the smallest y is chosen, then the smallest
+            x. If False, the smallest x is chosen, then the smallest y.
+        sort_noise: standard deviation of the random number that is added to the sorting key, one number per article.
+            The sorting key is the natural logarithm of base area × weight ** ``weight_exponent``.
+        weight_exponent: exponent of the weight in the sorting key.
     """
 
     min_support: float = 0.75
@@ -44,7 +46,8 @@ class PackRules:
 
 @dataclass(frozen=True)
 class PlacedBox:
-    """A box at its place. ``orientation`` 1 swaps length and width; ``corner_mm`` is the front-left-bottom corner."""
+    """A box at its place. If ``orientation`` is 1, length and width are swapped. ``corner_mm`` is the front-left-bottom
+    corner of the box."""
 
     item: Item
     orientation: int
@@ -54,7 +57,8 @@ class PlacedBox:
 def pack_best(
     items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator, attempts: int = 3
 ) -> list[PlacedBox]:
-    """The packing with the most boxes, out of up to ``attempts`` packings with different sorting noise."""
+    """The packing with the most boxes, of up to ``attempts`` packings whose boxes are sorted with different random
+    numbers."""
     best: list[PlacedBox] = []
     for _ in range(attempts):
         placed = pack(items, extent_mm, rules, rng)
@@ -73,10 +77,15 @@ def pack(
     *,
     as_they_come: bool = False,
 ) -> list[PlacedBox]:
-    """Place the items on a target of ``extent_mm``, in packing order. Items without a place are left out.
+    """Place the items on a target of length and width ``extent_mm``. Returns the placed boxes in packing order. Items
+    for which there is no place are left out.
 
     Args:
-        as_they_come: whether to keep the sequence of ``items`` instead of sorting them by volume and mass.
+        items: the items.
+        extent_mm: length (along x) and width (along y) of the target, mm.
+        rules: the rules.
+        rng: random numbers for the sorting of items.
+        as_they_come: whether to place the items in the given order, instead of sorting them by base area and weight.
     """
     pile = _Pile(len(items), extent_mm, rules)
     placed = []
@@ -90,8 +99,8 @@ def pack(
 
 
 def _sorted_items(items: Sequence[Item], rules: PackRules, rng: np.random.Generator) -> list[Item]:
-    """The items, sorted so that large bases and heavy boxes come first. Noise is drawn per article, so equal boxes stay
-    together."""
+    """The items, sorted so that large and heavy boxes come first. All items of an article get the same random number,
+    so equal boxes stay together."""
     key: dict[str, float] = {}
     for item in items:
         if item.item_id not in key:
@@ -106,7 +115,7 @@ def _base(item: Item, orientation: int) -> tuple[float, float]:
 
 
 class _Pile:
-    """The boxes placed so far, as arrays, and their extreme points (x and y in mm)."""
+    """The boxes placed so far, and their extreme points (x and y in mm)."""
 
     def __init__(self, capacity: int, extent_mm: tuple[float, float], rules: PackRules) -> None:
         self.extent_mm = extent_mm
@@ -117,7 +126,7 @@ class _Pile:
         self._points: dict[tuple[float, float], None] = {(0.0, 0.0): None}
 
     def find(self, item: Item) -> tuple[int, tuple[float, float, float]] | None:
-        """The best place for an item: orientation and front-left-bottom corner; None: the item has no place."""
+        """The best place for an item: orientation, and front-left-bottom corner in mm. None if there is no place."""
         points = np.array(list(self._points))
         allowed_orientations = (0, 1) if item.length_mm != item.width_mm else (0,)
         corners = np.concatenate([points] * len(allowed_orientations))
@@ -139,8 +148,8 @@ class _Pile:
         """Place a box and record its extreme points."""
         x, y, z = corner_mm
         x_end, y_end, top = x + base_mm[0], y + base_mm[1], z + height_mm
-        # Three corners of the box, and the same corners after they have slid towards the carrier's edges along x or y.
-        # The points need not slide down as well, since boxes are lowered anyway.
+        # The new points are three corners of the box, and the points to which these corners slide, along x or y towards
+        # the carrier's edges. The points need not slide down, since boxes are lowered anyway.
         new = [(x_end, y), (x_end, self._slide(1, y, x_end, z)), (x, y_end), (self._slide(0, x, y_end, z), y_end)]
         new += [(x, y), (self._slide(0, x, y, top), y), (x, self._slide(1, y, x, top))]
         for point in new:
@@ -150,7 +159,8 @@ class _Pile:
         self.n += 1
 
     def _slide(self, axis: int, start: float, across: float, level: float) -> float:
-        """Coordinate at which a point that slides along −``axis`` from ``start`` meets a box; 0: the carrier's edge."""
+        """Coordinate along ``axis``, mm, at which a point that slides from ``start`` towards 0 meets a box, or 0 (the
+        carrier's edge). ``across`` is the point's other horizontal coordinate, ``level`` its height, mm."""
         low, high = self._low[: self.n], self._high[: self.n]
         other = 1 - axis
         in_way = (low[:, other] <= across) & (across < high[:, other]) & (low[:, 2] <= level) & (level < high[:, 2])
@@ -158,10 +168,10 @@ class _Pile:
         return float(ends.max()) if len(ends) else 0.0
 
     def _rest(self, corners: FloatArray, bases: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(c,) heights z of boxes after lowering, and (c,) supported shares of their bases.
+        """(c,) heights z of boxes' bottoms after they are lowered, mm, and (c,) supported shares of their bases.
 
         Args:
-            corners, bases: (c, 2) corners and sides of the boxes, mm.
+            corners, bases: (c, 2) corners (x, y), and sides along x and y, of the boxes, mm.
         """
         area, tops = self._overlap(corners, bases), self._high[: self.n, 2]
         z = np.where(area > 0, tops, 0.0).max(axis=1, initial=0.0)
@@ -170,7 +180,7 @@ class _Pile:
         return z, share
 
     def _overlap(self, corners: FloatArray, bases: FloatArray) -> FloatArray:
-        """(c, n) overlap of each base with each placed box, seen from above, mm²."""
+        """(c, n) area of the overlap of each base with each placed box, seen from above, mm²."""
         low, high = self._low[: self.n], self._high[: self.n]
         ends = corners + bases
         x = np.minimum(ends[:, :1], high[:, 0]) - np.maximum(corners[:, :1], low[:, 0])
@@ -179,7 +189,7 @@ class _Pile:
         return area
 
     def _centre_supported(self, corner: FloatArray, base: FloatArray, z: float) -> bool:
-        """Whether the centre of a base is inside the convex hull of its contact areas."""
+        """Whether the centre of a base is inside the convex hull of the base's contact areas."""
         if z <= 0:
             return True
         under = (self._overlap(corner[None], base[None])[0] > 0) & (np.abs(self._high[: self.n, 2] - z) <= TOUCH_MM)
@@ -189,10 +199,10 @@ class _Pile:
 
 
 def in_hull_of_rectangles(point: FloatArray, low: FloatArray, high: FloatArray) -> bool:
-    """Whether a (2,) point lies in the convex hull of rectangles, given by (n, 2) low and (n, 2) high corners.
+    """Whether a (2,) point lies in the convex hull of n rectangles with the (n, 2) lowest and (n, 2) highest corners.
 
-    The point is outside if all corners are on one side of a line through it. The directions to the corners then leave a
-    gap of more than 180°.
+    The point is outside if all corners of the rectangles are on one side of a line through the point. The directions
+    from the point to the corners then leave a gap of more than 180°.
     """
     corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]]) - point
     if not len(corners):

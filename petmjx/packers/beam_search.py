@@ -1,10 +1,11 @@
-"""Beam search for dense packings of an order, over the candidates of ``balanced``.
+"""Beam search for dense packings of an order. Candidates (boxes at places) are those of the packer ``balanced``.
 
-Every step extends each of ``width`` packings by its ``branch`` best candidates. To rate a candidate, the packing with
-this candidate is filled up by best fit (the pilot method: Duin, Voß 1999, "The pilot method: a strategy for heuristic
-repetition with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width`` packings are
-kept. Filling up is aborted as soon as the packing is higher than all of the best ``width`` packings so far. In large
-orders, a step places several boxes: the first one is the candidate, and the others follow by best fit.
+The search keeps ``width`` packings. Every step extends each of these packings by its ``branch`` best candidates. To
+rate a candidate, the packing with this candidate is filled up by best fit, as in ``balanced`` (the pilot method: Duin,
+Voß 1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
+Networks 34, 181–191). The best ``width`` packings are kept. Filling up is aborted as soon as the packing is higher than
+all of the best ``width`` packings so far. In large orders, a step places several boxes: first the candidate, then
+further boxes by best fit.
 
 The search is deterministic, and does not depend on computing time.
 """
@@ -27,24 +28,24 @@ MOST_STEPS: Final = 80
 34 s."""
 
 _VOLUME_DECIMALS: Final = 9
-"""Volumes in m³ are rounded to this many decimals, which is to a cubic millimetre. Sums over the same boxes in
-different orders are then equal."""
+"""Number of decimals to which volumes in m³ are rounded, that is, to a cubic millimetre. Two sums over the same boxes
+in different sequences are then equal."""
 
 
 class PackingValue(NamedTuple):
-    """The value of a full packing. A larger value is better. The volume of the boxes counts first, then a low
-    height."""
+    """The value of a full packing. Values are compared first by the volume of the boxes, then by height, then by the
+    moment of the masses. The larger value is better."""
 
     volume_m3: float
     below_mm: float
-    """Minus the height of the highest top."""
+    """Minus the height of the highest top, mm."""
     deep_kg_mm: float
-    """Minus the moment of the masses (mass × height). Of two equally high packings, the one with its masses lower
-    stands better."""
+    """Minus the sum of mass × height over all boxes, kg·mm. Of two equally high packings, the packing with the lower
+    centre of mass stands better."""
 
     @classmethod
     def of(cls, filled: FullPacking) -> PackingValue:
-        """The value of a full packing."""
+        """The value of the packing ``filled``."""
         return cls(round(filled.volume_m3, _VOLUME_DECIMALS), -filled.top_mm, -filled.moment_kg_mm)
 
 
@@ -56,7 +57,7 @@ class RankedPacking(NamedTuple):
 
     @property
     def height_mm(self) -> float:
-        """The highest top, mm."""
+        """Height of the highest top, mm."""
         return -self.worth.below_mm
 
 
@@ -72,10 +73,10 @@ def search(
 
     Args:
         items: items of the order.
-        extent_mm: extent of the target, mm.
-        clearance_mm: free space between a box and its neighbours along x and y.
+        extent_mm: length and width of the target, mm.
+        clearance_mm: free space between a box and its neighbours along x and y, mm.
         width: number of packings that each step keeps.
-        branch: number of candidates tried for each packing.
+        branch: number of candidates that each step tries for each packing.
     """
     best: RankedPacking | None = None
     for taste in TASTES:
@@ -93,14 +94,12 @@ Fills = Callable[[Packing, NextCandidate | None, float], FullPacking | None]
 
 
 def fills_for(start: Packing) -> Fills:
-    """The function that fills up packings of an order. If Warp is installed, it is a compiled function, which gives the
-    same packings.
+    """The function that fills up packings of an order, given the empty packing of the order.
 
-    Args:
-        start: the empty packing of the order.
+    If Warp is installed, the function is compiled. It makes the same packings as the function in Python.
     """
     if why_no_warp_on_cpu() is None:
-        with suppress(Exception):  # Warp cannot be loaded, or cannot compile
+        with suppress(Exception):  # Warp cannot be loaded, or cannot compile the function
             from petmjx.packers.compiled_fill import FillKernel
 
             return FillKernel(start)
@@ -108,22 +107,22 @@ def fills_for(start: Packing) -> Fills:
 
 
 class _SearchNode(NamedTuple):
-    """A packing that the next step may extend, and the full packing that filling it up gives."""
+    """A packing that the next step may extend, and the full packing that results from filling up this packing."""
 
     packing: Packing
     filled: RankedPacking
 
 
 class _SearchBranch(NamedTuple):
-    """A packing, a candidate for its next box (None: the box is already placed), and the full packing made from
-    both."""
+    """A packing, a candidate for its next box, and the full packing that results from both. The candidate is None if
+    the packing already contains its box."""
 
     packing: Packing
     candidate: NextCandidate | None
     filled: RankedPacking
 
     def node(self) -> _SearchNode:
-        """The node of this branch, with the candidate's box placed."""
+        """The node that this branch leads to: the packing with the candidate's box."""
         if self.candidate is None:
             return _SearchNode(self.packing, self.filled)
         packing = self.packing.copy()
@@ -145,13 +144,13 @@ def _search(
 
 
 def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fills: Fills) -> list[_SearchNode]:
-    """The best packings with ``stride`` further boxes, best first; empty if no further box can be placed."""
+    """The best packings with ``stride`` more boxes, best first. The list is empty if no more boxes can be placed."""
     best: list[_SearchBranch] = []
     seen_packings: set[frozenset[PlacedBox]] = set()
     for way in ways:
         before = frozenset(way.packing.placed)
         for number, candidate in enumerate(way.packing.next(branch)):
-            packing = way.packing  # the packing is copied later, and only if it is among the best
+            packing = way.packing  # copied later, only if it is among the best packings
             first: NextCandidate | None = candidate
             boxes = before | {packing.box(candidate)}
             if stride > 1:
@@ -159,11 +158,11 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
                 packing.put(candidate)
                 packing.fill(most=stride - 1)
                 boxes = frozenset(packing.placed)
-            # Skip: an earlier packing has the same boxes at the same places, placed in another order.
+            # an earlier packing of this step has the same boxes at the same places
             if boxes in seen_packings:
                 continue
             seen_packings.add(boxes)
-            if number == 0:  # the known full packing began with this candidate
+            if number == 0:  # the known full packing contains the best candidate as its next box
                 filled: RankedPacking | None = way.filled
             else:
                 filled = _full_packing(fills, packing, first, _worst(best, width, packing.n_items))
@@ -175,8 +174,8 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
-    """The height that a further packing must not exceed to be among the best, mm."""
-    if len(best) < width or len(best[-1].filled.placed) < n_items:  # packings with more boxes may have any height
+    """Largest height of another packing that can still be among the best packings, mm."""
+    if len(best) < width or len(best[-1].filled.placed) < n_items:  # packings with more boxes are better at any height
         return inf
     return best[-1].filled.height_mm
 
@@ -184,6 +183,6 @@ def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
 def _full_packing(
     fills: Fills, packing: Packing, first: NextCandidate | None = None, highest_mm: float = inf
 ) -> RankedPacking | None:
-    """The packing, filled up; None if it becomes higher than ``highest_mm``."""
+    """The full packing that results from filling up a packing; None if it becomes higher than ``highest_mm``."""
     filled = fills(packing, first, highest_mm)
     return None if filled is None else RankedPacking(PackingValue.of(filled), filled.placed)

@@ -1,10 +1,10 @@
-"""The bundled plans: hand-made plans (``HANDMADE``), then generated plans, which are selected by number.
+"""The plans that come with petmjx: hand-made plans (``HANDMADE``) and generated plans.
 
-``python -m petmjx.packers.bundled_plans`` writes their file.
+``python -m petmjx.packers.bundled_plans`` writes the file with these plans.
 
-The verdicts of the hand-made plans are known in closed form. These verdicts hold for the check ``one-by-one`` and the
-carrier ``footprint``, which is as large as the plan's bounding box. The simulation reduces each dimension by 0.1 mm and
-keeps the corner. The reduction changes no verdict, since the margins of these plans are several centimetres.
+Statics determines whether the hand-made plans stand, if boxes are placed one by one on the carrier ``footprint``, which
+is as large as the plan's bounding box. The simulation makes boxes smaller by 0.1 mm. This changes no verdict, since all
+of these plans are several centimetres away from their limits.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from petmjx.plans.order_generator import Item
 BUNDLED_SEED = 0
 
 BUNDLED_INDICES = (3, 7, 13, 16, 38, 46, 92, 152, 189, 430, 443, 1349, 1784, 2112)
-"""Numbers of the generated plans. Seven stand and seven collapse (16, 46, 430, 443, 1349, 1784, 2112). Three of these
+"""Numbers of the generated plans. Seven plans stand and seven collapse (16, 46, 430, 443, 1349, 1784, 2112). Three
 plans have 41 to 45 boxes, three have about 30, and eight have 14 to 20, so that a demo is quick."""
 
 
 def bundled_plans() -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    """(plan id, placements) of all bundled plans."""
+    """(plan id, placements in BED-BPP's format) of all plans that come with petmjx."""
     for plan in HANDMADE:
         yield plan.plan_id, list(plan.placements)
     for index in BUNDLED_INDICES:
@@ -43,14 +43,14 @@ CARTON_KG = 6.0
 
 @dataclass(frozen=True)
 class HandmadePlan:
-    """A hand-made plan and its verdict.
+    """A hand-made plan and the verdict that statics gives.
 
     Attributes:
-        plan_id: starts with "hand-".
+        plan_id: id of the plan, which begins with "hand-".
         why: the reason of the verdict, in one sentence.
         placements: placements in BED-BPP's format.
-        culprit: index of the box that fails first (packing order, from 0); −1: the plan is stable.
-        rest_top_force_n: pairs of a box index and the force on top of that box at rest, N, where known.
+        culprit: number of the box that fails first, in packing order from 0; −1 if the plan is stable.
+        rest_top_force_n: (number of a box, force on top of the box at rest in N) for each box whose force is known.
     """
 
     plan_id: str
@@ -61,7 +61,7 @@ class HandmadePlan:
 
     @property
     def expected(self) -> Literal["stable", "unstable"]:
-        """The expected verdict."""
+        """The verdict that a simulation must have."""
         return "unstable" if self.culprit >= 0 else "stable"
 
 

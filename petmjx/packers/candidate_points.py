@@ -1,8 +1,8 @@
-"""Candidate places for the next box (``Candidates``): a table of all corner points of a pile combined with all shapes.
+"""Candidates for the next box of a pile (``Candidates``): each shape of box at each corner point of the pile.
 
-The points are the extreme points of Crainic, Perboli, Tadei (2008), as in :mod:`petmjx.packers.baseline_packer`. When a
-box is placed, the table is updated, not computed anew. Only the new box is compared with all candidates, and only the
-few new points are compared with all boxes.
+A shape is a kind of box in one orientation. The corner points are the extreme points of Crainic, Perboli, Tadei (2008),
+as in :mod:`petmjx.packers.baseline_packer`. When a box is placed, the table of candidates is updated, not computed
+anew. Only the new box is compared with all candidates, and only the few new points are compared with all boxes.
 """
 
 from __future__ import annotations
@@ -20,21 +20,22 @@ from petmjx.packers.pile_balance import TOUCH_MM
 
 _SLIDING = np.array([1, 0, 0, 1])
 _OTHER = 1 - _SLIDING
-"""For each of the four sliding points: the axis along which it slides, and the other axis."""
+"""For each of the four points that slide (see ``corner_points``): the axis along which the point slides, and the other
+horizontal axis. 0 is x, 1 is y."""
 
 
 class Candidates:
-    """The table of candidates: p points × s shapes. A shape is one kind of box in one orientation.
+    """The table of candidates: s shapes at p corner points.
 
     Attributes:
-        points: (p, 2) corners, mm.
+        points: (p, 2) corner points (x, y), mm: candidates have their front-left corner there.
         base: (s, 2) sides of the shapes along x and y, mm.
-        area: (s,) areas of the bases, mm².
+        area: (s,) areas of the shapes' bases, mm².
         height: (s,) heights of the shapes, mm.
-        z: (p, s) height of the shape's bottom at rest, mm.
-        carried: (p, s) supported area of the base at this place, mm².
-        open: (p, s) whether the candidate can be chosen: the shape is inside the carrier, and the candidate has not
-            been refused since a box was last placed under it.
+        z: (p, s) height of each candidate's bottom at rest, mm.
+        carried: (p, s) supported area of each candidate's base, mm².
+        open: (p, s) whether each candidate can be chosen. It must be inside the carrier's edges. After it was refused
+            because of the balance, it cannot be chosen until another box is placed under it.
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
@@ -55,12 +56,12 @@ class Candidates:
         """An independent copy of the table."""
         twin = copy.copy(self)
         twin.open, twin._known = self.open.copy(), set(self._known)
-        # all other arrays are never changed in place
+        # the twin shares all other arrays, since they are never changed in place
         twin._low, twin._high = _copied_rows(self._low, self._n), _copied_rows(self._high, self._n)
         return twin
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Write the table into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
+        """Copy the table into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
         points, shapes = self.z.shape
         tables["counts"][Count.BOXES], tables["counts"][Count.POINTS] = self._n, points
         tables["base"][:shapes], tables["area"][:shapes], tables["height"][:shapes] = self.base, self.area, self.height
@@ -71,17 +72,17 @@ class Candidates:
 
     @property
     def placed(self) -> tuple[FloatArray, FloatArray]:
-        """(n, 3) low and (n, 3) high corners of the boxes placed so far, mm."""
+        """(n, 3) lowest and (n, 3) highest corners of the boxes placed so far, mm."""
         return self._low[: self._n], self._high[: self._n]
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
-        """Remove shapes that have no remaining box."""
+        """Remove all shapes except those chosen by the mask ``kept``, (s,)."""
         self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
         self.z, self.carried = self.z[:, kept], self.carried[:, kept]
         self.open, self._inside = self.open[:, kept], self._inside[:, kept]
 
     def place(self, point: int, shape: int) -> None:
-        """Place a box at a candidate, and update the table."""
+        """Place a box of shape ``shape`` at corner point ``point``, and update the table."""
         (x, y), z = self.points[point].tolist(), float(self.z[point, shape])
         (width, depth), height = self.base[shape].tolist(), float(self.height[shape])
         ends = (x + width, y + depth, z + height)
@@ -92,7 +93,7 @@ class Candidates:
         self._add_points([(x, y) for x, y in points[:, 0].tolist()])
 
     def _cover(self, corner: tuple[float, float], ends: tuple[float, float, float]) -> None:
-        """Update the candidates for which the newest box is now the highest one under them."""
+        """Update the candidates for which the newest box is now the highest box under their base."""
         area = overlap(self.points, self.base, np.array([corner]), np.array([ends[:2]]))[:, :, 0]
         hit, top = area > 0, ends[2]
         higher = hit & (top > self.z + TOUCH_MM)
@@ -102,7 +103,8 @@ class Candidates:
         self.open |= (higher | level) & self._inside
 
     def _add_points(self, corners: Sequence[tuple[float, float]]) -> None:
-        """Add new points, if at least one shape at the point is inside the carrier."""
+        """Add new corner points. A point is added only if at least one shape at this point is inside the carrier's
+        edges."""
         fresh = [point for point in dict.fromkeys(corners) if point not in self._known]
         self._known.update(fresh)
         points = np.array(fresh, dtype=np.float64).reshape(-1, 2)
@@ -129,13 +131,14 @@ def _copied_rows(rows: FloatArray, n: int) -> FloatArray:
 
 
 def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(7, m, 2) corner points of the newest box of each of m piles, mm.
+    """(7, m, 2) corner points (x, y) that the newest box adds to each of m piles, mm.
 
-    The points are three corners of the box, and the same corners after they have slid towards x = 0 or y = 0 until they
-    meet a box. Points slide beside the box at the level of its bottom, and on the box at the level of its top.
+    Three points are corners of the box. The other four are points to which these corners slide, towards x = 0 or y = 0,
+    until they meet a box. Two of them slide beside the box at the height of its bottom, two on the box at the height of
+    its top.
 
     Args:
-        low, high: (m, n, 3) corners of the boxes of each pile, mm; the newest box is the last.
+        low, high: (m, n, 3) lowest and highest corners of the boxes of each pile, mm. The newest box is the last.
     """
     (x, y, z), (x_end, y_end, top) = low[:, -1].T, high[:, -1].T
     # Beside the box, one point slides from the box's end in x towards −y, and one from its end in y towards −x.
@@ -147,15 +150,14 @@ def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _slid(low: FloatArray, high: FloatArray, start: FloatArray, across: FloatArray, level: FloatArray) -> FloatArray:
-    """(4, m) coordinates at which the four sliding points of each of m piles meet a box; 0: the carrier's edge.
-
-    The points slide along −y, −x, −x and −y.
+    """(4, m) coordinates, mm, at which the four sliding points of each of m piles meet a box, or 0 (the carrier's
+    edge). The points slide along −y, −x, −x and −y.
 
     Args:
-        low, high: (m, n, 3) corners of boxes.
-        start: (4, m) coordinates of the points along the axis on which they slide.
-        across: (4, m) coordinates of the points along the other axis.
-        level: (4, m) heights of the points.
+        low, high: (m, n, 3) lowest and highest corners of the boxes of each pile, mm.
+        start: (4, m) coordinates of the points along the axis on which they slide, mm.
+        across: (4, m) coordinates of the points along the other horizontal axis, mm.
+        level: (4, m) heights of the points, mm.
     """
     low, high = low.transpose(2, 0, 1), high.transpose(2, 0, 1)
     across, level = across[..., None], level[..., None]
@@ -166,11 +168,11 @@ def _slid(low: FloatArray, high: FloatArray, start: FloatArray, across: FloatArr
 
 
 def let_down(area: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Heights of boxes at rest on n placed boxes, mm, and their supported areas, mm².
+    """(…) heights of the bottoms of boxes that rest on n placed boxes, mm, and (…) supported areas of their bases, mm².
 
     Args:
-        area: (…, n) overlap of each box with each placed box, seen from above, mm².
-        tops: (n,) tops of the placed boxes, mm.
+        area: (…, n) area of the overlap of each box with each placed box, seen from above, mm².
+        tops: (n,) heights of the placed boxes' tops, mm.
     """
     z = np.where(area > 0, tops, 0.0).max(axis=-1, initial=0.0)
     carried: FloatArray = np.where(np.abs(tops - z[..., None]) <= TOUCH_MM, area, 0.0).sum(axis=-1)
@@ -178,12 +180,12 @@ def let_down(area: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def overlap(points: FloatArray, base: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """(p, s, n) overlap of s shapes at p points with n boxes, seen from above, mm².
+    """(p, s, n) area of the overlap of s shapes at p points with n boxes, seen from above, mm².
 
     Args:
-        points: (p, 2) corners, mm.
-        base: (s, 2) sides of the shapes, mm.
-        low, high: (n, 2) corners of the boxes, mm.
+        points: (p, 2) corner points (x, y), mm.
+        base: (s, 2) sides of the shapes along x and y, mm.
+        low, high: (n, 2) lowest and highest corners (x, y) of the boxes, mm.
     """
     sides = []
     for axis in (0, 1):

@@ -1,7 +1,7 @@
-"""Compiled filling of packings: :meth:`petmjx.packers.packing_state.Packing.fill` in C++ (fill.cpp).
+"""Fills up packings with compiled code: :meth:`petmjx.packers.packing_state.Packing.fill` in C++ (fill.cpp).
 
 Warp compiles the code once per machine. The compiled code places the same boxes at the same places as Python, bit for
-bit. If that is not certain, Python fills up the packing.
+bit. If rounding might cause a difference, Python fills up the packing instead.
 """
 
 from __future__ import annotations
@@ -34,10 +34,12 @@ from petmjx.packers.pile_balance import (
 )
 
 GRAIN_MM: Final = 2.0**-10
-"""If all sides and the free space are multiples of this, sums of areas are exact whatever the order of summation."""
+"""Length, mm, of which all sides and the free space must be multiples. Sums of areas are then exact, in whatever
+sequence they are added."""
 
 POINTS, POINTS_PER_BOX, PLANES_PER_BOX = 64, 4, 16
-"""Capacities for corner points and for edges of hulls. Piles of 80 boxes have 2 points and 5 edges per box."""
+"""Capacities of the tables: ``POINTS`` + ``POINTS_PER_BOX`` per box for corner points, and ``PLANES_PER_BOX`` per box
+for edges of hulls. Piles of 80 boxes have 2 points and 5 edges per box."""
 
 _KINDS: Final = {np.float64: wp.float64, np.int32: wp.int32, np.bool_: wp.bool}
 
@@ -61,7 +63,7 @@ def _fill(tables: Tables) -> None: ...
 
 @functools.cache
 def _kernel() -> Any:
-    """The kernel that fills up packings. Fused multiply-add is switched off, since NumPy does not use it either."""
+    """The Warp kernel that fills up packings. It uses no fused multiply-add, since NumPy uses none."""
 
     def fill(tables: Tables) -> None:
         _fill(tables)
@@ -74,7 +76,7 @@ def _kernel() -> Any:
 
 
 class FillKernel:
-    """Fills up packings of one order with one set of weights and one clearance. Not thread-safe.
+    """Fills up packings of one order, with one set of weights and one free space between boxes. Not thread-safe.
 
     Args:
         start: a packing of the order.
@@ -116,7 +118,7 @@ class FillKernel:
     def __call__(
         self, packing: Packing, first: NextCandidate | None = None, highest_mm: float = inf
     ) -> FullPacking | None:
-        """The same as :meth:`petmjx.packers.packing_state.Packing.filled`."""
+        """The result of :meth:`petmjx.packers.packing_state.Packing.filled`."""
         if not self._exact:
             return packing.filled(first, highest_mm)
         packing.write(self._of)
@@ -145,7 +147,7 @@ class FillKernel:
         self._launch.launch()
 
     def _tips(self) -> bool:
-        """Answers the kernel's question: whether the next box would tip over on its supports."""
+        """Whether the next box would tip over on its supports: the answer to the kernel's question."""
         low, high = np.split(self._of["rectangles"][: self._of["counts"][Count.UNDER]], 2, axis=1)
         length, width = self._of["own_base"][self._of["counts"][Count.SHAPE]].tolist()
         return tips(hull_planes(low, high, margin_m((length, width))), self._of["own_load"])

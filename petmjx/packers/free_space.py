@@ -1,9 +1,9 @@
 """The free space that a pile leaves for future boxes: how low typical cartons could stand, and how many places are
 level.
 
-A policy that sees one box does not know the boxes after it, but it can expect typical cartons. For each candidate, the
-box is placed on a coarse height map of the pile. The map then shows the lowest place for each typical carton, and the
-air under the carton at that place.
+A packer that sees only the next box does not know the boxes after it, but it can expect typical cartons. For each
+candidate (a place for the next box), the box is put on a coarse height map of the pile. From this map follow the lowest
+place for each typical carton, and the volume of air under a carton at that place.
 """
 
 from __future__ import annotations
@@ -20,27 +20,29 @@ Heights = NDArray[np.float32]
 
 SMALL: Final = ((6, 4), (4, 6)), ((8, 6), (6, 8))
 LARGE: Final = ((11, 4), (4, 11)), ((12, 8), (8, 12))
-"""Bases of typical cartons in cells of 50 mm, in both orientations: 300 × 200 and 400 × 300 mm; 550 × 200 and
-600 × 400 mm."""
+"""Bases of typical cartons, as numbers of cells of 50 mm along x and y, in both orientations. Small cartons have 300 ×
+200 and 400 × 300 mm, large ones 550 × 200 and 600 × 400 mm."""
 
 AIR: Final = 0.5
-"""Cost of a millimetre of air under the carton (the mean over its base), in mm of height."""
+"""Cost of a millimetre of air under a carton (mean over its base), as millimetres of additional height."""
 
 LEVEL_MM: Final = 15.0
-"""A place with less air than this counts as level."""
+"""Largest mean height of air under a carton's base at which the place counts as level, mm."""
 
 NAMES: Final = ("room_small", "room_large", "level_small", "level_large")
 
 
 def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[str, FloatArray]:
-    """The free space that c candidates would leave.
+    """The free space that remains after each of c candidates is placed.
 
     Args:
-        low, high: (c, 3) corners of each candidate's box on the pile, mm.
+        surface: height map of the pile before.
+        low, high: (c, 3) lowest and highest corners of each candidate's box on the pile, mm.
 
     Returns:
-        Name, of ``NAMES`` → (c,) values. ``room_…``: height and air of the lowest place, m, as the mean over cartons.
-        ``level_…``: share of places that are level, as the mean over cartons.
+        A dict: name in ``NAMES`` → (c,) values. ``room_small`` and ``room_large`` are the height of the lowest place
+        plus the cost of the air below, m, as the mean over small or large cartons. ``level_small`` and ``level_large``
+        are the share of places that are level, as the mean over small or large cartons.
     """
     lines = np.concatenate([surface.lines(low), surface.lines(high)], axis=1)[:, :, None]
     x, y = (np.arange(n) for n in surface.height.shape)
@@ -64,22 +66,24 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
 
 def _wider(highest: Heights, more: int) -> Heights:
-    """Maxima over windows that are wider by ``more`` cells. The result is computed from ``maxima`` over narrower
-    windows, which must be at least ``more`` cells wide."""
+    """Maxima of heights over windows that are wider by ``more`` cells, computed from the maxima ``highest`` over
+    narrower windows, which must be at least ``more`` cells wide."""
     wider: Heights = np.maximum(highest[:, : max(highest.shape[1] - more, 0)], highest[:, more:])
     return wider
 
 
 _DEEPER: Final = {4: (1, 2), 6: (1, 2, 2), 8: (1, 2, 4), 11: (1, 2, 4, 3), 12: (1, 2, 4, 4)}
-"""Depth of a window → steps by which the window grows from one cell to this depth. No step is longer than the depth
-before the step."""
+"""Depth of a window in cells → numbers of cells by which the window grows, step by step, from one cell to this depth.
+No number is larger than the depth before the step."""
 
 _NOWHERE_MM: Final = 2000.0
 
 
 def _places(highest: Heights, sums: Heights, wide: int, deep: int) -> tuple[FloatArray, FloatArray]:
-    """Two arrays: (c,) cost of the lowest place of a base, computed from height and air, mm; and (c,) share of places
-    that are level."""
+    """(c,) smallest cost of a place for a base, mm, and (c,) share of places that are level.
+
+    The cost is the height of the place plus the cost of the air below. The base has ``wide`` × ``deep`` cells.
+    """
     for more in _DEEPER[deep]:
         highest = np.maximum(highest[:, :, : max(highest.shape[2] - more, 0)], highest[:, :, more:])
     if not highest.size:

@@ -1,4 +1,4 @@
-"""Height maps (``HeightMap``): the heights of a pile on a grid, with sums over rectangles in constant time."""
+"""Height maps (``HeightMap``): the heights of a pile's tops on a grid, with sums over rectangles in constant time."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ CELL_MM: Final = 25.0
 
 
 class HeightMap:
-    """Highest top in each cell of a grid. Boxes are lowered from above, so a new box is the highest in its cells.
+    """The height of the highest top in each cell of a grid.
+
+    Boxes are lowered from above, so a new box is the highest box in its cells.
 
     Attributes:
-        height: (nx, ny) heights, mm.
+        height: (nx, ny) heights of the tops, mm.
         cells: number of cells.
 
     Args:
-        extent_mm: extent of the target, mm.
+        extent_mm: length and width of the target, mm.
         cell_mm: side of a cell, mm.
     """
 
@@ -32,7 +34,7 @@ class HeightMap:
         self._sums = self._squares = np.zeros(self._lines + 1)
 
     def put(self, low: FloatArray, high: FloatArray) -> None:
-        """Add a box, given by its (3,) corners, mm."""
+        """Add a box with the (3,) lowest and (3,) highest corners ``low`` and ``high``, mm."""
         (x0, y0), (x1, y1) = self.lines(low[None])[0].tolist(), self.lines(high[None])[0].tolist()
         self.height[x0:x1, y0:y1] = high[2]
         self._sums, self._squares = _summed_area(self.height), _summed_area(self.height**2)
@@ -45,27 +47,28 @@ class HeightMap:
         return twin
 
     def lines(self, corner_mm: FloatArray) -> NDArray[np.intp]:
-        """(m, 2) the grid lines nearest to corners. Only the first two columns of ``corner_mm`` are used."""
+        """(m, 2) numbers of the grid lines nearest to the x and y of corners. Other columns of ``corner_mm`` are
+        ignored."""
         lines: NDArray[np.intp] = np.minimum(np.rint(corner_mm[:, :2] / self._cell_mm).astype(np.intp), self._lines)
         return lines
 
     @property
     def mean(self) -> float:
-        """Mean height, mm."""
+        """Mean height over all cells, mm."""
         return float(self._sums[-1, -1]) / self.cells
 
     @property
     def mean_square(self) -> float:
-        """Mean squared height, mm²."""
+        """Mean squared height over all cells, mm²."""
         return float(self._squares[-1, -1]) / self.cells
 
     def over(self, low: NDArray[np.intp], high: NDArray[np.intp]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(m,) number of cells, sum of heights and sum of squared heights in rectangles.
+        """(m,) number of cells, (m,) sum of heights, mm, and (m,) sum of squared heights, mm², in m rectangles.
 
-        Parts outside the target are ignored.
+        Parts of a rectangle outside the target are ignored.
 
         Args:
-            low, high: (m, 2) grid lines of the rectangles' corners.
+            low, high: (m, 2) grid lines through the rectangles' lowest and highest corners.
         """
         (x0, y0), (x1, y1) = np.maximum(low, 0).T, np.minimum(high, self._lines).T
         count = ((x1 - x0) * (y1 - y0)).astype(np.float64)
@@ -76,7 +79,8 @@ class HeightMap:
 
 
 def _summed_area(values: FloatArray) -> FloatArray:
-    """(nx + 1, ny + 1) sums over all rectangles that begin at the first cell (Crow 1984, "Summed-area tables")."""
+    """(nx + 1, ny + 1) sum of the values of all cells before each pair of grid lines (Crow 1984, "Summed-area
+    tables")."""
     sums = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
     values.cumsum(axis=0).cumsum(axis=1, out=sums[1:, 1:])
     return sums

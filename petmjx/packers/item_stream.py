@@ -19,16 +19,16 @@ MOST_LOOK_AHEAD: Final = 200
 
 
 class Places(NamedTuple):
-    """c candidates for the visible boxes.
+    """c candidates for the next box: visible boxes at places on the pile.
 
     Attributes:
-        point, shape: (c,) row and column of the candidate in the packing's table.
-        kind: (c,) kind of the box.
-        corner_mm: (c, 3) low corner, mm.
-        size_mm: (c, 3) size with the free space along x and y, mm.
+        point, shape: (c,) row and column of each candidate in the packing's table of candidates.
+        kind: (c,) number of the kind of box.
+        corner_mm: (c, 3) lowest corner of the box, mm.
+        size_mm: (c, 3) size of the box along x, y and z, including the free space along x and y, mm.
         mass_kg: (c,) mass of the box, kg.
-        support: (c,) supported share of the base.
-        own_mm2: (c,) area of the base of the box itself, without free space, mm².
+        support: (c,) supported share of the box's base.
+        own_mm2: (c,) area of the box's base without free space, mm².
     """
 
     point: NDArray[np.intp]
@@ -44,25 +44,26 @@ class Places(NamedTuple):
         return len(self.point)
 
     def take(self, rows: NDArray[np.intp]) -> Places:
-        """The candidates in some rows."""
+        """The candidates in the given rows."""
         row_values: list[Any] = [values[rows] for values in self]
         return Places(*row_values)
 
 
 class ItemStream(Packing):
-    """A packing and the boxes that are still to arrive.
+    """A packing, and the boxes that are still to arrive.
 
     Attributes:
-        clearance: (3,) free space of a box along x, y and z, mm.
-        surface: height map of the pile of boxes placed so far.
+        clearance: (3,) free space that a box needs along x, y and z, mm.
+        surface: height map of the boxes placed so far.
         skipped: number of boxes left out so far.
 
     Args:
         items: items of one order, in order of arrival.
-        extent_mm: extent of the target along x and y, mm.
-        clearance_mm: free space between a box and its neighbours along x and y.
-        look_ahead: number of next boxes that the packer sees. Any visible box may be placed next.
-        taste: weights of the rule of ``balanced``; None: its first set.
+        extent_mm: length and width of the target, mm.
+        clearance_mm: free space between a box and its neighbours along x and y, mm.
+        look_ahead: number of boxes that the packer sees at a time. Any of these visible boxes may be placed next.
+        taste: weights with which candidates are rated, as in the packer ``balanced``. If None, the first set of weights
+            of ``balanced`` is used.
     """
 
     def __init__(
@@ -92,17 +93,17 @@ class ItemStream(Packing):
 
     @property
     def seen(self) -> list[int]:
-        """The kinds of the visible boxes, in order of arrival."""
+        """Numbers of the kinds of the visible boxes, in order of arrival."""
         return self._coming[: self.look_ahead]
 
     @property
     def boxes(self) -> tuple[FloatArray, FloatArray]:
-        """(n, 3) low and (n, 3) high corners of the placed boxes with the free space along x and y, mm."""
+        """(n, 3) lowest and (n, 3) highest corners of the placed boxes including the free space along x and y, mm."""
         return self._table.placed
 
     @property
     def bare_boxes(self) -> tuple[FloatArray, FloatArray]:
-        """(n, 3) low and (n, 3) high corners of the placed boxes without free space, mm."""
+        """(n, 3) lowest and (n, 3) highest corners of the placed boxes without free space, mm."""
         low, high = self._table.placed
         return low, high - self.clearance
 
@@ -112,17 +113,18 @@ class ItemStream(Packing):
         return self._masses[: len(self.placed)]
 
     def worth(self, places: Places) -> FloatArray:
-        """(c,) value of each candidate's box in the rule of ``balanced``, apart from its place, mm."""
+        """(c,) value of each candidate's box as in the packer ``balanced``, without regard to its place, as mm of
+        height."""
         worths: FloatArray = self._worth[places.shape]
         return worths
 
     @property
     def pile(self) -> Balance:
-        """The balance of the placed boxes."""
+        """The static balance of the placed boxes."""
         return self._pile
 
     def put(self, chosen: NextCandidate) -> None:
-        """Place a candidate."""
+        """Place the box of a candidate."""
         self._coming.remove(int(self._kind_of[chosen.shape]))
         super().put(chosen)
         low, high = self.boxes
@@ -133,7 +135,7 @@ class ItemStream(Packing):
         """Leave out the next box."""
         kind = self._coming.pop(0)
         self.skipped += 1
-        # equal boxes are interchangeable in a packing, so the candidates of one of them are those of all
+        # equal boxes have the same candidates, so it does not matter which of them is removed
         self._stock[kind].pop(0)
         if not self._stock[kind]:
             self._keep_shapes(self._kind_of != kind)
@@ -142,11 +144,13 @@ class ItemStream(Packing):
 S = TypeVar("S", bound=ItemStream)
 
 Chooses = Callable[[S], NextCandidate | None]
-"""Function that makes one step of a packer. The function returns a candidate, or None if no visible box has a place."""
+"""A function that makes one step of a packer. It returns the chosen candidate, or None if there is no place for any
+visible box."""
 
 
 def pack_stream(stream: S, chooses: Chooses[S]) -> list[PlacedBox]:
-    """Place the boxes of a stream until none is left. If no visible box has a place, the first one is left out."""
+    """Place the boxes of a stream until no box is left. If there is no place for any visible box, the first visible box
+    is left out."""
     while stream.seen:
         chosen = chooses(stream)
         if chosen is None:
@@ -157,6 +161,6 @@ def pack_stream(stream: S, chooses: Chooses[S]) -> list[PlacedBox]:
 
 
 def by_taste(stream: ItemStream) -> NextCandidate | None:
-    """One step of the rule of ``balanced``, restricted to the visible boxes."""
+    """One step of the packer ``balanced``, restricted to the visible boxes."""
     candidates = stream.next(1, kinds=stream.seen)
     return candidates[0] if candidates else None

@@ -1,8 +1,8 @@
 """Candidates of the packer ``learned``: extreme points seen from all four corners of the target.
 
 At an extreme point (Crainic, Perboli, Tadei 2008), a box touches its neighbours on the sides that face the origin. With
-such points alone, a pile grows from one corner and leaves its free space in slivers along the opposite edges. Here the
-pile is also mirrored, so that points are found from the three other corners as well.
+such points alone, a pile grows from one corner of the target and leaves narrow free strips along the opposite edges. In
+this module, the pile is also mirrored, so that there are extreme points for the three other corners as well.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Smallest supported share of a base. This limit can be low, because two other rules decide: the balance, and the
-chance to stand that the stability head predicts."""
+"""Smallest supported share of a base. This limit can be low, because two other rules decide: the static balance, and
+the probability to stand that a network predicts."""
 
 COARSE_MM: Final = 50.0
 
 OVERHANG_MM: Final = 40.0
-"""Cost of a base that is not supported at all, mm of height."""
+"""Cost of a base without any support, as mm of additional height. A partly supported base costs less, in proportion to
+its unsupported share."""
 
 MIRRORS: Final = ((False, False), (True, False), (False, True), (True, True))
-"""For each corner of the target: whether x and y are mirrored."""
+"""For each corner of the target, whether x, and whether y, is mirrored."""
 
 _DECIMALS: Final = 9
-"""Corners and costs in mm are rounded to this many decimals, because the last digits of a sum depend on the order of
-summation."""
+"""Number of decimals to which corners and costs in mm are rounded, because the last digits of a sum depend on the
+sequence in which numbers are added."""
 
 
 class MirroredCandidates(Candidates):
     """Corner points seen from all four corners of the target, as a table for ``Packing``.
 
-    Unlike ``Candidates``, this table does not store candidates for each shape: ``found`` computes candidates on
-    request.
+    Unlike ``Candidates``, this table does not store candidates: ``candidates`` computes them on request.
 
     Attributes:
-        corners: (c, 2) corners of the candidates of the last call of ``found``, mm.
-        rests: (c,) heights of their bottoms, mm.
+        corners: (c, 2) lowest corners (x, y) of the candidates that the last call of ``candidates`` returned, mm.
+        rests: (c,) heights of these candidates' bottoms, mm.
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
         super().__init__(base, height, extent_mm, most_boxes)
         self.corners, self.rests = np.zeros((0, 2)), np.zeros(0)
-        # Lowest and highest corners of the boxes in each mirror image, then the candidate points of all mirror images
-        # and the mirror image to which each point belongs.
+        # lowest and highest corners of the boxes in each mirror image; the corner points of all mirror images; and
+        # whether x and y are mirrored in the mirror image of each point
         self._lows, self._highs = np.zeros((2, len(MIRRORS), most_boxes, 3))
         self._points = np.zeros((len(MIRRORS), 2))
         self._in = np.array(MIRRORS)
@@ -66,10 +66,11 @@ class MirroredCandidates(Candidates):
         return twin
 
     def candidates(self, shapes: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
-        """The c candidates for some shapes.
+        """The c candidates for boxes of the given shapes.
 
         Returns:
-            (c,) shapes; (c, 2) corners, mm; (c,) heights of the bottom, mm; (c,) supported shares of the base.
+            (c,) numbers of the shapes; (c, 2) lowest corners (x, y), mm; (c,) heights of the bottoms, mm; (c,)
+            supported shares of the bases.
         """
         extent, (low, high) = np.array(self.extent_mm), self.placed
         parts = []
@@ -87,11 +88,11 @@ class MirroredCandidates(Candidates):
         return shape, self.corners, self.rests, support
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
-        """Remove shapes that have no remaining box."""
+        """Remove all shapes except those chosen by the mask ``kept``, (s,)."""
         self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
 
     def place(self, point: int, shape: int) -> None:
-        """Place a box at a candidate of the last call of ``found``."""
+        """Place a box of shape ``shape`` at candidate ``point`` of the last call of ``candidates``."""
         (x, y), z = self.corners[point].tolist(), float(self.rests[point])
         (length, width), height = self.base[shape].tolist(), float(self.height[shape])
         low, high, n = np.array([x, y, z]), np.array([x + length, y + width, z + height]), self._n
@@ -112,7 +113,7 @@ class MirroredCandidates(Candidates):
 
 
 class FourSidedStream(ItemStream):
-    """A stream with candidates beside boxes on all four sides.
+    """A stream of boxes whose candidates may touch other boxes on any of their four sides.
 
     Attributes:
         coarse: height map of the pile with cells of ``COARSE_MM``.
@@ -135,12 +136,12 @@ class FourSidedStream(ItemStream):
         return twin
 
     def places(self, least_support: float = LEAST_SUPPORT) -> Places:
-        """All candidates for the visible boxes with sufficient support and allowed height.
+        """All candidates for the visible boxes that have sufficient support and are not too high.
 
-        The balance is not checked here, but by ``keeps_balance``.
+        ``keeps_balance`` checks the balance of a candidate later.
 
         Args:
-            least_support: smallest allowed share of a base that is supported.
+            least_support: smallest allowed supported share of a base.
         """
         table, kinds = self._table, set(self.seen)
         visible_columns = np.array(
@@ -163,8 +164,7 @@ class FourSidedStream(ItemStream):
         )
 
     def keeps_balance(self, places: Places, row: int) -> NextCandidate | None:
-        """The candidate in a row, if the pile keeps its balance with this box. None: some box would lose its
-        balance."""
+        """The candidate in a row of ``places``, or None if a box would lose its balance with this candidate."""
         point, shape = int(places.point[row]), int(places.shape[row])
         x, y, z = places.corner_mm[row].tolist()
         length, width = self._base[shape].tolist()
@@ -175,11 +175,11 @@ class FourSidedStream(ItemStream):
         return NextCandidate(point, shape, (x, y, z), rest)
 
     def still_open(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) False for candidates that were refused because of their balance, else True."""
+        """(c,) whether each candidate has not been refused by ``keeps_balance``."""
         return np.array([point not in self._refused for point in places.point.tolist()], dtype=bool)
 
     def put(self, chosen: NextCandidate) -> None:
-        """Place a candidate."""
+        """Place the box of a candidate."""
         super().put(chosen)
         low, high = self.boxes
         self.coarse.put(low[-1], high[-1])
@@ -192,7 +192,8 @@ class FourSidedStream(ItemStream):
 
 
 def cost_mm(stream: ItemStream, places: Places) -> FloatArray:
-    """(c,) cost of places, mm: the height, plus a cost of overhang and a cost of the distance to the nearest edges."""
+    """(c,) cost of candidates, mm: height of the bottom + cost of the overhang + cost of the distance from the nearest
+    edges of the target."""
     start, size = places.corner_mm[:, :2], places.size_mm[:, :2]
     aside = np.minimum(start, np.array(stream.extent_mm) - start - size).sum(axis=1)
     cost: FloatArray = places.corner_mm[:, 2] + OVERHANG_MM * (1 - places.support) + 0.01 * aside
@@ -200,9 +201,10 @@ def cost_mm(stream: ItemStream, places: Places) -> FloatArray:
 
 
 def lowest_first(stream: FourSidedStream) -> NextCandidate | None:
-    """One step of a rule with these candidates: it chooses the place of least cost that keeps the balance.
+    """One step of a simple packer: the candidate of least cost that keeps the balance. None if there is no candidate.
 
-    If several boxes are visible, their value in the rule of ``balanced`` counts as well.
+    The value of the candidate's box, as in the packer ``balanced``, is subtracted from the cost. This matters if
+    several boxes are visible.
     """
     places = stream.places()
     cost = cost_mm(stream, places) - stream.worth(places)

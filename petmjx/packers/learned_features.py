@@ -1,6 +1,7 @@
-"""Features of candidates for the packer ``learned``: the place, its neighbours, and the pile once the box lies on it.
+"""Features of candidates for the packer ``learned``. A candidate is a visible box at a place.
 
-All features are scaled to a magnitude of about 1. No feature depends on boxes that the packer does not see.
+Features describe the place, its neighbours, and the pile with the box. All features are scaled to a magnitude of about
+1. No feature depends on boxes that the packer does not see.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.pile_balance import TOUCH_MM
 
 LATE: Final = ("z", "support", "rougher", "room_small", "room_large")
-"""Features whose weight may depend on the height of the pile. These features appear a second time, multiplied by the
-pile's mean height in m."""
+"""Features that appear a second time, multiplied by the pile's mean height in m. So their total weight can depend on
+the height of the pile."""
 
 NAMES: Final = (
     *("z", "grows", "below_top"),
@@ -36,18 +37,19 @@ NAMES: Final = (
 """Names of the features, in order. docs/packers.md explains them."""
 
 NEAR_MM: Final = 8.0
-"""Sides at most this far apart count as touching. Tops whose heights differ by at most this count as level."""
+"""Largest gap between two sides that count as touching, and largest difference of the heights of two tops that count as
+level, mm."""
 
 SLIVER_MM: Final = 100.0
-"""Gaps narrower than this are too narrow for most cartons."""
+"""Width below which a gap is too narrow for most cartons, mm."""
 
 MOST_GAP_MM: Final = 400.0
 
 _RING: Final = 3
-"""Width of the ring around a base in which heights are compared, in cells."""
+"""Width of the ring around a base whose heights are compared with the box's top, in cells of the height map."""
 
 _LEVEL_MM: Final = 500.0
-"""Scale of features that are heights or lengths."""
+"""Length, mm, by which heights and lengths are divided to get a feature."""
 
 
 def features(stream: FourSidedStream, places: Places) -> FloatArray:
@@ -97,7 +99,15 @@ def features(stream: FourSidedStream, places: Places) -> FloatArray:
 def _off_centre(
     low: FloatArray, high: FloatArray, volume: FloatArray, middle: FloatArray, extent: FloatArray
 ) -> FloatArray:
-    """(c,) distance of the centre of all volume from the target's middle, relative to the target's extent."""
+    """(c,) horizontal distance between the centre of all boxes' volume and the target's middle, relative to the
+    target's extent.
+
+    Args:
+        low, high: (n, 3) lowest and highest corners of the placed boxes, mm.
+        volume: (c,) volume of each candidate's box, mm³.
+        middle: (c, 2) vector from the target's middle to the middle of each candidate's box, mm.
+        extent: (2,) length and width of the target, mm.
+    """
     sides = high - low
     weight = sides[:, 0] * sides[:, 1] * sides[:, 2]
     moment = weight @ ((low + high)[:, :2] / 2 - extent / 2) + volume[:, None] * middle
@@ -118,20 +128,22 @@ def _neighbour_features(
     high: FloatArray,
     extent: FloatArray,
 ) -> None:
-    """Add the features of boxes beside and below the candidates.
+    """Add the features that depend on placed boxes beside and below the candidates to ``columns``.
 
     Args:
-        start, end: (c, 3) corners of the candidates.
-        low, high: (n, 3) corners of the placed boxes.
+        columns: name of a feature → values.
+        start, end: (c, 3) lowest and highest corners of the candidates, mm.
+        low, high: (n, 3) lowest and highest corners of the placed boxes, mm.
+        extent: (2,) length and width of the target, mm.
     """
     size = end - start
-    # three arrays (3, c, n): distance from the candidate's start to boxes before it, distance from its end to boxes
-    # after it, and overlap
+    # arrays (3, c, n), one value per axis, candidate and box: gap if the box is before the candidate, gap if the box is
+    # after the candidate, and overlap
     starts, ends, lows, highs = start.T[:, :, None], end.T[:, :, None], low.T[:, None, :], high.T[:, None, :]
     before, after = starts - highs, lows - ends
     shared = -np.maximum(np.maximum(before, after), np.maximum(lows - highs, starts - ends))
     along, upwards = shared[:2], shared[2]
-    is_beside = along[::-1] > TOUCH_MM  # a box is a neighbour along x if both overlap along y
+    is_beside = along[::-1] > TOUCH_MM  # two boxes are neighbours along x if they overlap along y, or vice versa
     is_facing = is_beside & (upwards > NEAR_MM)
     level = highs[2] - ends[2]
     is_level, is_deeper = np.abs(level) <= NEAR_MM, level > NEAR_MM
@@ -165,8 +177,8 @@ def _neighbour_features(
 
 
 def _heights(columns: dict[str, FloatArray | float], start: FloatArray, end: FloatArray, surface: HeightMap) -> None:
-    """Add the features from the height map: of the cells under the box, of the cells around it, and of the map after
-    the placement."""
+    """Add the features that depend on the height map to ``columns``: on the cells under the box, on the cells around
+    the box, and on the map with the box."""
     low, high = surface.lines(start), surface.lines(end)
     count, under, under_square = surface.over(low, high)
     n_outer, outer, outer_square = surface.over(low - _RING, high + _RING)

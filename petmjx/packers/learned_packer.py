@@ -1,8 +1,8 @@
-"""The packer ``learned``: learned weights rank the candidates, and a small network predicts how likely the box is to
-stand at each of them.
+"""The packer ``learned``. A candidate is a visible box at a place. Learned weights rank the candidates, and a small
+network predicts the probability that the box stands there.
 
-The packer was trained on generated orders only (examples/train_packer), with physics in the loop. When it packs, it
-runs no simulation and is deterministic: an order always gets the same plan.
+The packer was trained on generated orders only, with simulations (examples/train_packer). When it packs, it runs no
+simulation and is deterministic: an order always gets the same plan.
 """
 
 from __future__ import annotations
@@ -32,26 +32,26 @@ LEARNED: Final = "learned"
 """The packer's name."""
 
 CLEARANCE_MM: Final = 4.0
-"""Free space between neighbours, with which plans stand even if a robot places the boxes inexactly
+"""Free space between neighbours, mm. With this space, plans stand even if a robot places the boxes inexactly
 (docs/packers.md)."""
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6
-"""Only the lowest candidates are rated: ``MOST_PLACES`` in all, and at least ``LEAST_PLACES`` of each visible kind of
-box."""
+"""Only the lowest candidates of each visible kind of box are rated: ``MOST_PLACES`` divided by the number of kinds, but
+at least ``LEAST_PLACES``."""
 
 SURE: Final = 0.98
-"""The packer takes the best candidate whose chance to stand is at least this."""
+"""Probability to stand that is high enough: the packer takes the best candidate that reaches it."""
 
 LEAST_SURE: Final = 0.5
-"""If no candidate reaches ``SURE``, the packer takes the candidate with the largest chance, provided that it is at
-least ``LEAST_SURE``."""
+"""Smallest acceptable probability to stand. If no candidate reaches ``SURE``, the packer takes the candidate with the
+largest probability, provided that this reaches ``LEAST_SURE``."""
 
 MOST_TRIED: Final = 16
-"""Largest number of candidates whose chance is computed when none reaches ``SURE``."""
+"""Largest number of candidates whose probability is computed if none reaches ``SURE``."""
 
 SCORE_DECIMALS: Final = 6
-"""Scores are rounded to this many decimals, so that processors with different rounding choose the same places."""
+"""Number of decimals to which scores are rounded, so that processors that round differently choose the same places."""
 
 
 class ChosenCandidate(NamedTuple):
@@ -59,8 +59,8 @@ class ChosenCandidate(NamedTuple):
 
     Attributes:
         row: row of the candidate in ``Places``.
-        next: the candidate itself.
-        chance: predicted chance that the box stands when a robot places it inexactly.
+        next: the candidate.
+        chance: predicted probability that the box stands if a robot places it inexactly.
     """
 
     row: int
@@ -69,7 +69,7 @@ class ChosenCandidate(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """One step: the rated candidates, their features, and the chosen candidate."""
+    """One step of the packer: the rated candidates, their features, and the chosen candidate."""
 
     places: Places
     rows: FloatArray
@@ -81,27 +81,28 @@ class Policy:
     """The two learned networks.
 
     Attributes:
-        taste: network that scores candidates from their ``features``; it may have only its linear part.
-        head: network that predicts from ``stability_features`` the chance that a placement stands.
+        taste: network that computes a candidate's score from its ``features``. The network may be linear.
+        head: network that computes a box's probability to stand from its ``stability_features``.
     """
 
     taste: Network
     head: Network
 
     def with_linear(self, weights: FloatArray) -> Policy:
-        """The same policy with other linear weights in ``taste``."""
+        """This policy with other linear weights in ``taste``."""
         return replace(self, taste=replace(self.taste, linear=weights))
 
     def seen(self, stream: FourSidedStream) -> tuple[Places, FloatArray] | None:
-        """The candidates that are rated, with their features; None if there are none."""
+        """The candidates that are rated, and their features; None if there are no candidates."""
         places = lowest(stream, stream.places())
         return (places, features(stream, places)) if len(places) else None
 
     def take(self, stream: FourSidedStream, places: Places, scores: FloatArray) -> ChosenCandidate | None:
-        """The best candidate that keeps the balance and whose chance to stand is at least ``SURE``.
+        """The chosen candidate: the best candidate that keeps the balance and whose probability to stand is at least
+        ``SURE``.
 
-        If none of the first ``MOST_TRIED`` candidates reaches ``SURE``, the one with the largest chance is taken. None:
-        none of these candidates reaches ``LEAST_SURE``.
+        If none of the best ``MOST_TRIED`` candidates reaches ``SURE``, the candidate with the largest probability is
+        chosen. The result is None if none of them reaches ``LEAST_SURE``.
         """
         surest: ChosenCandidate | None = None
         tried = 0
@@ -120,24 +121,24 @@ class Policy:
         return surest if surest is not None and surest.chance >= LEAST_SURE else None
 
     def decide(self, stream: FourSidedStream) -> Decision | None:
-        """One step of the packer; None: no visible box has a place."""
+        """One step of the packer; None if there is no place for any visible box."""
         while (view := self.seen(stream)) is not None:
             places, rows = view
             chosen = self.take(stream, places, np.round(self.taste.scores(rows), SCORE_DECIMALS))
             if chosen is not None:
                 return Decision(places, rows, chosen)
-            # Some places keep the balance, but the predicted chance that the box stands there is too small.
+            # some candidates keep the balance, but their probability to stand is too small
             if stream.still_open(places).any():
                 return None
         return None
 
     def choose(self, stream: FourSidedStream) -> NextCandidate | None:
-        """The chosen candidate of one step; None: no visible box has a place."""
+        """The candidate that one step chooses; None if there is no place for any visible box."""
         decision = self.decide(stream)
         return None if decision is None else decision.chosen.next
 
     def save(self, file: Path | IO[bytes]) -> None:
-        """Write the weights, in single precision."""
+        """Write the weights to a file, in single precision."""
         arrays = {**self.taste.arrays("taste"), **self.head.arrays("head")}
         np.savez_compressed(
             file, allow_pickle=False, **{name: values.astype(np.float32) for name, values in arrays.items()}
@@ -145,21 +146,21 @@ class Policy:
 
     @classmethod
     def load(cls, file: Path | IO[bytes]) -> Policy:
-        """A policy with the weights of a file."""
+        """The policy with the weights in a file."""
         with np.load(file, allow_pickle=False) as arrays:
             weights = dict(arrays)
         return cls(Network.of_arrays("taste", weights), Network.of_arrays("head", weights))
 
 
 def placing_of(stream: FourSidedStream, places: Places, row: int, rest: Rest | None = None) -> PlacementState:
-    """The state in which a candidate is placed, without the free space around boxes."""
+    """The state in which the box of a candidate is placed. Boxes have their own sizes, without free space."""
     low, high = stream.bare_boxes
     corner, size = places.corner_mm[row], places.size_mm[row] - stream.clearance
     return placement_state(stream.pile, low, high, stream.masses, corner, size, float(places.mass_kg[row]), rest)
 
 
 def lowest(stream: FourSidedStream, places: Places) -> Places:
-    """The lowest candidates of each kind of box."""
+    """The candidates of least cost (mainly height) of each kind of box."""
     cost = cost_mm(stream, places) + places.size_mm[:, 2]
     kinds = np.unique(places.kind)
     most = max(MOST_PLACES // max(len(kinds), 1), LEAST_PLACES)
@@ -170,7 +171,7 @@ def lowest(stream: FourSidedStream, places: Places) -> Places:
 
 @functools.cache
 def published_policy() -> Policy:
-    """The policy with the weights that are part of petmjx."""
+    """The policy with the weights that come with petmjx."""
     with files(__package__).joinpath("learned.npz").open("rb") as file:
         return Policy.load(file)
 
@@ -178,11 +179,14 @@ def published_policy() -> Policy:
 def pack_learned(
     items: Sequence[Item], extent_mm: tuple[float, float], look_ahead: int = 1, policy: Policy | None = None
 ) -> list[PlacedBox]:
-    """Place the items on a target of ``extent_mm``, in order of arrival. Items without a place are left out.
+    """Place the items on a target of length and width ``extent_mm``, as they arrive. Items for which there is no place
+    are left out.
 
     Args:
-        look_ahead: number of next boxes that the packer sees. Any visible box may be placed next.
-        policy: a policy; None: the published policy.
+        items: the items in order of arrival.
+        extent_mm: length and width of the target, mm.
+        look_ahead: number of boxes that the packer sees at a time. Any of these visible boxes may be placed next.
+        policy: the policy. If None, the published policy is used.
     """
     return pack_stream(
         FourSidedStream(items, extent_mm, CLEARANCE_MM, look_ahead), (policy or published_policy()).choose

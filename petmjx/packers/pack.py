@@ -1,4 +1,4 @@
-"""``petmjx.pack``: packs orders so that their plans stand."""
+"""``petmjx.pack``: packs orders so that the plans stand."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
-"""Fields of ``RunOptions`` that a packer accepts, for the simulation of packings."""
+"""Fields of ``RunOptions`` that ``pack`` accepts. They affect how packings are simulated."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "order"),
@@ -46,7 +46,7 @@ SHOWN: Final = (
     ShownColumn("verdict", "placed exactly"),
     ShownColumn("share", "with errors %", 1, 100.0),
 )
-"""Columns of ``orders`` in a notebook."""
+"""Columns of the table ``Packed.orders`` that notebooks show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,32 +54,43 @@ class Packed:
     """The result of ``petmjx.pack``.
 
     Attributes:
-        packed_orders: the result of each order, in the order of the input.
+        packed_orders: the result of each order, in the sequence of the input.
     """
 
     packed_orders: tuple[PackedOrder, ...]
 
     @property
     def each(self) -> tuple[PackedOrder, ...]:
-        """The name of ``packed_orders`` in version 0.2."""
+        """The same as ``packed_orders``, under its name in version 0.2."""
         warnings.warn("Packed.each is now Packed.packed_orders", DeprecationWarning, stacklevel=2)
         return self.packed_orders
 
     @property
     def plans(self) -> list[Plan]:
-        """The plans, for ``petmjx.score`` and ``petmjx.save_plans``. An order has no plan if no box has a place."""
+        """The plans, for ``petmjx.score`` and ``petmjx.save_plans``. An order has no plan if there is no place for any
+        of its boxes."""
         return [packed.plan for packed in self.packed_orders if packed.plan is not None]
 
     @property
     def orders(self) -> pd.DataFrame:
         """A table with one row for each order.
 
-        Columns: ``plan_id``; ``order_boxes``: number of boxes in the order; ``boxes``: number of placed boxes;
-            ``left_out``: number of other boxes; ``why``: the reason; ``utilisation``: volume over area of the target ×
-            height; ``height_mm``; ``clearance_mm``; ``verdict`` when placed exactly; ``n_worlds``: number of worlds
-            with errors; ``n_standing``: number of worlds with errors in which the plan stands; ``share``: n_standing /
-            n_worlds, with its Wilson 95 % interval ``low``, ``high``; ``tried``: number of simulated packings;
-            ``good``: whether the plan stands as often as requested.
+        The columns are
+
+        - ``plan_id``: id of the order and of its plan.
+        - ``order_boxes``: number of boxes in the order.
+        - ``boxes``: number of placed boxes.
+        - ``left_out``: number of boxes that are left out.
+        - ``why``: the reason why boxes are left out.
+        - ``utilisation``: volume of the placed boxes / (area of the target × height of the pile).
+        - ``height_mm``: height of the pile, mm.
+        - ``clearance_mm``: free space between neighbours, mm.
+        - ``verdict``: the verdict if boxes are placed exactly.
+        - ``n_worlds``: number of worlds with errors.
+        - ``n_standing``: number of worlds with errors in which the plan stands.
+        - ``share``: n_standing / n_worlds, with its Wilson 95 % interval ``low``, ``high``.
+        - ``tried``: number of simulated packings.
+        - ``good``: whether the plan stands as often as requested.
         """
         return pd.DataFrame([packed.row() for packed in self.packed_orders])
 
@@ -89,7 +100,7 @@ class Packed:
         return f"Packed({count_text(len(orders), 'order')}, utilisation {orders['utilisation'].mean():.3f}{sure})"
 
     def _repr_html_(self) -> str:
-        """The display in a notebook: the means, and a row for each order."""
+        """The display in a notebook: mean values, and a table with one row for each order."""
         return block_as_html([repr(self)], [table_as_html(self.orders, SHOWN, "orders")])
 
     def save(self, path: PathArgument) -> None:
@@ -122,33 +133,33 @@ def pack(
 ) -> Packed:
     """Pack orders with the packer ``physical`` or ``learned``.
 
-    ``physical`` packs densely, and chooses plans that stand in simulation, both when boxes are placed exactly and with
-    the errors of a robot. ``learned`` places boxes in the order of their arrival; its plans are simulated as well.
+    ``physical`` packs densely, and chooses plans that stand in simulations, both if boxes are placed exactly and with
+    the errors of a robot. ``learned`` places boxes in the sequence of their arrival; its plans are simulated as well.
 
     ``petmjx.pack("orders.json", least_share=0.95).save("plans.json")``
 
-    On the same engine, an order always gets the same plan: only the errors are random, and they depend on the plan's id
-    alone.
+    On the same engine, an order always gets the same plan. Only the errors are random, and they depend only on the
+    plan's id.
 
     Args:
-        orders: file of orders, in BED-BPP's form or any other that ``petmjx samples --orders`` reads; or a data frame
-            of items; None: ``n`` generated orders, as in ``petmjx samples``.
+        orders: file of orders, in BED-BPP's form or any other form that ``petmjx samples --orders`` reads; or a data
+            frame of items. If None, ``n`` orders are generated, as in ``petmjx samples``.
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
-        look_ahead: number of next boxes that ``learned`` sees; None: 1.
+        look_ahead: number of boxes that ``learned`` sees at a time. If None, it is 1.
         workers: number of processes for the search. The plans do not depend on this number. Scripts that use more than
             one process need ``if __name__ == "__main__":``.
-        on_bad_order: function that is called with the error of an unusable order, which is then skipped; None: the
-            error is raised.
-        target: carrier for orders whose file does not name one: ``euro-pallet``, ``rollcontainer``, or sizes in mm such
-            as ``1200x1000``; None: the file's container if it is a pallet, else a Euro pallet.
-        options: ``width``, ``branch``, ``clearances_mm``, ``worlds``, ``least_share``, ``maximise`` (docs/packers.md);
-            ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``; and how a
-            file of orders is read: ``units``, ``columns``, ``density``, ``items``, ``reading``
-            (docs/plan-format.md#orders).
+        on_bad_order: function that is called with the error of each unusable order; the order is then skipped. If None,
+            the error is raised.
+        target: carrier for orders whose file does not name a carrier: ``euro-pallet``, ``rollcontainer``, or sizes in
+            mm such as ``1200x1000``. If None, it is the file's container if that is a pallet, else a Euro pallet.
+        options: options of the packer ``physical``: ``width``, ``branch``, ``clearances_mm``, ``worlds``,
+            ``least_share``, ``maximise`` (docs/packers.md). Options of the simulation: ``errors``, a sweep file; fields
+            of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``. Options for reading a file of orders:
+            ``units``, ``columns``, ``density``, ``items``, ``reading`` (docs/plan-format.md#orders).
 
     Raises:
-        InputError: orders or options are unusable.
+        InputError: the orders or the options are unusable.
         EngineUnavailable: the requested engine cannot run on this machine.
     """
     reading, options = reading_of(orders is not None, target, options)
@@ -170,11 +181,11 @@ def pack_each(
     workers: int = 1,
     **options: Any,
 ) -> Iterator[PackedOrder]:
-    """Yield the results of ``pack``, each as soon as it is known.
+    """Yield the result of each order as soon as it is known. Arguments are those of ``pack``, except ``orders``.
 
     Args:
         orders: pairs of an id and an order.
-        options: as in ``pack``. The options are checked before the first order is read.
+        options: options of ``pack``. They are checked before the first order is read.
     """
     packer_options, simulation_options = _split_options(options)
     if packer not in (PHYSICAL, LEARNED):
@@ -195,10 +206,11 @@ def orders_of(
     on_bad_order: Callable[[InputError], None] | None = None,
     reading: OrderReading | None = None,
 ) -> Iterator[tuple[str, Order]]:
-    """The orders of a file, or generated orders.
+    """The orders of a file, or generated orders, as pairs of an id and an order.
 
     Args:
-        reading: the reading of a file that is not in BED-BPP's form; None: the most plausible reading.
+        orders, n, seed, on_bad_order: as in ``pack``.
+        reading: how a file is read that is not in BED-BPP's form. If None, it is read in the most plausible way.
     """
     integer_of(seed, "seed", 0)
     if orders is not None:
@@ -214,10 +226,12 @@ def orders_of(
 def reading_of(
     are_read: bool, target: str | None, options: Mapping[str, Any]
 ) -> tuple[OrderReading | None, dict[str, Any]]:
-    """Split options into how a file of orders is read, and the remaining options.
+    """Split options into those that state how a file of orders is read, and the remaining options.
 
     Args:
-        are_read: whether there is a file. If not, these options must not be set.
+        are_read: whether orders are read from a file. If not, options for reading must not be set.
+        target: as in ``pack``.
+        options: the options.
 
     Raises:
         InputError: an option is unusable.
@@ -232,7 +246,7 @@ def reading_of(
 
 
 def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[str, Any]]:
-    """The options of the packer, and the options of its simulations."""
+    """Split options into those of the packer and those of its simulations."""
     sim, run, sure, of_packer = sorted_options(options, Confidence, PhysicalOptions)
     if other := next((name for name in run if name not in OF_RUN), None):
         raise InputError(f"{other}: a packer has no such option; the run options that it has are {', '.join(OF_RUN)}")

@@ -1,4 +1,5 @@
-"""The finalists of an order: its packings that are simulated, so that physics chooses among them."""
+"""The finalists of an order: those of its packings that may be simulated. The results of simulations decide which of
+them is chosen."""
 
 from __future__ import annotations
 
@@ -14,14 +15,14 @@ from petmjx.plans.order_generator import Order, target_extent_mm
 
 @dataclass(frozen=True)
 class Finalist:
-    """A packing of an order.
+    """A packing of an order that may be simulated.
 
     Attributes:
         placed: boxes in packing order.
-        clearance_mm: free space between neighbours.
-        volume_m3: volume of the boxes.
-        height_mm: highest top.
-        utilisation: volume over area of the target × height (BED-BPP's kpi_2).
+        clearance_mm: free space between neighbours, mm.
+        volume_m3: volume of the boxes, m³.
+        height_mm: height of the highest top, mm.
+        utilisation: volume of the boxes / (area of the target × height of the highest top); BED-BPP's kpi_2.
     """
 
     placed: tuple[PlacedBox, ...]
@@ -32,10 +33,11 @@ class Finalist:
 
 
 def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
-    """The best packing for each clearance. Packings are sorted by volume, then by utilisation, largest first.
+    """The best packing of an order for each free space in ``options.clearances_mm``. Packings are sorted by volume,
+    then by utilisation, largest first.
 
-    If all of these packings leave boxes out, the best packing without clearance is added. The list is empty if no box
-    has a place.
+    If all of these packings leave boxes out, the best packing without free space is added. The list is empty if there
+    is no place for any box.
     """
     packings = {clearance: _search_result(order, clearance, options) for clearance in options.clearances_mm}
     if 0.0 not in packings and all(len(packing.placed) < len(order.items) for packing in packings.values()):
@@ -45,7 +47,7 @@ def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
 
 
 def learned_finalists(order: Order, look_ahead: int) -> list[Finalist]:
-    """A list with the packing of the packer ``learned``; empty if no box has a place."""
+    """A list with one packing, made by the packer ``learned``. The list is empty if there is no place for any box."""
     placed = pack_learned(order.items, target_extent_mm(order.target), look_ahead)
     if not placed:
         return []

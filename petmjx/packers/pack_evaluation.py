@@ -1,4 +1,4 @@
-"""Evaluates packings by simulation, both placed exactly and in worlds with errors."""
+"""Evaluates packings by simulations of worlds in which boxes are placed exactly, and of worlds with errors."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 
 SOURCE = "pack"
-"""Source of packed plans in messages. Other plans have the name of a file instead."""
+"""Text that stands in messages as the source of packed plans. The source of other plans is a file."""
 
 FIRST_WORLDS: Final = 4
-"""Number of worlds with errors that are simulated first. This number suffices to refuse most packings that fall too
-often."""
+"""Number of worlds with errors that are simulated first. Most packings that fall too often can be refused after this
+number."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Evaluation:
         verdict: the verdict of the nominal world, in which all boxes are placed exactly.
         n_worlds: number of worlds with errors that have a verdict.
         n_standing: number of worlds with errors in which the plan stands.
-        n_simulated: number of simulated worlds, including the nominal one and invalid ones.
+        n_simulated: number of simulated worlds, including the nominal world and worlds without a valid verdict.
     """
 
     finalist: Finalist
@@ -43,14 +43,13 @@ class Evaluation:
 
     @property
     def stands(self) -> bool:
-        """Whether the plan stands when placed exactly."""
+        """Whether the plan stands if its boxes are placed exactly."""
         return self.verdict is Verdict.STABLE
 
     @property
     def share(self) -> float:
-        """Share of the worlds with errors in which the plan stands. Without worlds with errors, the share is 1 if the
-        plan stands when placed exactly, else 0.
-        """
+        """Share of the worlds with errors in which the plan stands. If there are no worlds with errors, the share is 1
+        if the plan stands in the nominal world, else 0."""
         return self.n_standing / self.n_worlds if self.n_worlds else float(self.stands)
 
     def is_good(self, options: PhysicalOptions) -> bool:
@@ -59,13 +58,14 @@ class Evaluation:
 
 
 class Trial:
-    """A packing during its simulation: first the nominal world, then worlds with errors.
+    """A packing that is being simulated: first its nominal world, then worlds with errors.
 
     Attributes:
         finalist: the packing.
         plan: the packing as a plan.
-        asked: number of requested worlds.
-        n_worlds, n_standing: as in ``Evaluation``, for the verdicts so far.
+        n_requested: number of worlds requested so far.
+        n_worlds: number of worlds with errors that have a verdict so far.
+        n_standing: number of worlds with errors in which the plan stands so far.
     """
 
     def __init__(self, plan_id: str, finalist: Finalist) -> None:
@@ -74,12 +74,13 @@ class Trial:
         self._nominal: Verdict | None = None
 
     def ask(self, n_worlds: int) -> range:
-        """Request the nominal world and ``n_worlds`` worlds with errors. Returns the variants not requested before."""
+        """Request the nominal world (variant 0) and ``n_worlds`` worlds with errors. Returns the variants that were not
+        requested before."""
         first, self.n_requested = self.n_requested, 1 + n_worlds
         return range(first, self.n_requested)
 
     def take(self, variant: int, verdict: Verdict) -> None:
-        """Record the verdict of a world."""
+        """Record the verdict of one world."""
         if variant == 0:
             self._nominal = verdict
         elif verdict is not Verdict.INVALID:
@@ -87,7 +88,7 @@ class Trial:
             self.n_standing += verdict is Verdict.STABLE
 
     def is_hopeless(self, options: PhysicalOptions) -> bool:
-        """Whether the packing can no longer be good, whatever the remaining verdicts are."""
+        """Whether the packing cannot stand as often as requested any more, whatever the remaining verdicts are."""
         fallen = self.n_worlds - self.n_standing
         most = (options.worlds - fallen) / options.worlds if options.worlds else 1.0
         return not self.judged.stands or most < options.least_share
@@ -98,29 +99,31 @@ class Trial:
 
     @property
     def judged(self) -> Evaluation:
-        """The evaluation so far."""
+        """The evaluation with the verdicts so far."""
         assert self._nominal is not None
         return Evaluation(self.finalist, self.plan, self._nominal, self.n_worlds, self.n_standing, self.n_requested)
 
 
 Asks = list[tuple[Trial, range]]
-"""Requested worlds: pairs of a packing and its variants."""
+"""Requested worlds: pairs of a packing and the variants to simulate."""
 
 
 def order_evaluation(
     plan_id: str, finalists: Sequence[Finalist], options: PhysicalOptions, spare: Callable[[], bool] = lambda: False
 ) -> Generator[Asks, None, list[Evaluation]]:
-    """Evaluate the packings of an order: yields requests for worlds, and returns the evaluations.
+    """Evaluate the packings of an order: a generator that yields requests for worlds, and returns the evaluations.
 
-    The caller resumes the generator when all requested worlds have verdicts. Packings are evaluated one after the other
-    until one is good. Each packing begins with a few worlds, and gets the remaining worlds only if it can still be
-    good. If no packing is good, all worlds of all packings are requested, because then the packing that stands most
-    often is chosen.
+    The caller resumes the generator when all requested worlds have verdicts. Packings are evaluated one after another
+    until one is good, that is, stands as often as requested. For each packing, a few worlds are simulated first. Its
+    remaining worlds are simulated only if the packing can still be good. If no packing is good, all worlds of all
+    packings are simulated, since then the packing that stands most often is chosen.
 
     Args:
+        plan_id: id of the order and of its plan.
         finalists: packings of the order, the best first.
-        spare: function that tells whether the engine has spare capacity. If the engine has, worlds are requested before
-            it is certain that they are needed.
+        options: options of the packer.
+        spare: function that returns whether the engine has spare capacity. If so, worlds are requested before it is
+            certain that they are needed.
     """
     tried: list[Trial] = []
     by_share = options.maximise == "share"
@@ -142,18 +145,17 @@ def order_evaluation(
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """The evaluations among which ``choose`` chooses. All later evaluations are dropped, so the choice does not depend
-    on how many further packings were simulated.
+    """The evaluations among which ``choose`` chooses: those up to the first good packing, since later packings are less
+    dense. If the share of standing worlds is maximised, all evaluations are used.
 
-    The evaluations end with the first good packing, since later ones are less dense. If the share is maximised, all
-    evaluations count.
+    Dropping later evaluations makes the choice independent of how many packings were simulated.
     """
     good = next((number for number, packing in enumerate(judged) if packing.is_good(options)), None)
     return judged if good is None or options.maximise == "share" else judged[: good + 1]
 
 
 def plan_of(plan_id: str, finalist: Finalist) -> Plan:
-    """A packing as a plan, the same as if it had been read from a file of ``petmjx samples``."""
+    """A packing as a plan. The plan is the same as if it had been read from a file of ``petmjx samples``."""
     placements = as_placements(finalist.placed)
     return parse_plan(plan_id, SOURCE, placements, len(placements), {})
 
@@ -161,11 +163,13 @@ def plan_of(plan_id: str, finalist: Finalist) -> Plan:
 def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation:
     """Choose a packing from its evaluations.
 
-    Among good packings, the packing with the largest volume is chosen, and among equal volumes that with the largest
-    value of ``options.maximise``. If no packing is good, the packing that stands most often is chosen.
+    Of the good packings (those that stand as often as requested), the packing with the largest volume of boxes is
+    chosen; of several with this volume, that with the largest value of ``options.maximise``. If no packing is good, the
+    packing that stands most often is chosen.
 
     Args:
-        judged: evaluations, at least one.
+        judged: at least one evaluation.
+        options: options of the packer.
     """
     good_packings = [packing for packing in judged if packing.is_good(options)]
     if not good_packings:

@@ -1,4 +1,5 @@
-"""Moves orders through search and simulation (``Flow``). An order continues as soon as its own results are known."""
+"""Takes orders through the search for packings and the simulation of packings (``Flow``). An order continues as soon as
+its own results are known, without waiting for other orders."""
 
 from __future__ import annotations
 
@@ -22,12 +23,12 @@ class Orders(NamedTuple):
     """Limits on the numbers of orders and worlds that are simulated at the same time.
 
     Attributes:
-        few: an idle engine waits until this number of orders has been searched.
-        most: largest number of orders in simulation. More orders do not make an engine faster.
-        worlds: an engine with fewer worlds than this has spare capacity, which is used for worlds that may turn out not
-            to be needed.
-        rows: the tables of ``mjx-warp`` have rows for at least this number of worlds. When the tables are full, all
-            their worlds must end before new ones begin.
+        few: number of searched orders for which an idle engine waits.
+        most: largest number of orders that are simulated at a time. More orders do not make an engine faster.
+        worlds: number of worlds below which an engine has spare capacity. Spare capacity is used for worlds that may
+            turn out not to be needed.
+        rows: smallest number of worlds for which the engine ``mjx-warp`` reserves memory. When this memory is full, all
+            its worlds must end before new worlds begin.
     """
 
     few: int
@@ -40,19 +41,20 @@ CPU: Final = Orders(4, 16, 0, 1024)
 GPU: Final = Orders(64, 1024, 256, 8192)
 
 GRANULE: Final = 96
-"""Capacities of tables, in boxes, are multiples of this. With a smaller granule, more orders would not fit into the
-present tables. Such an order, and all orders after it, must wait until the worlds of the earlier orders have ended."""
+"""Number of boxes of which the engine's capacities (boxes per world) are multiples. With a smaller number, more orders
+would exceed the present capacity. An order that exceeds the capacity, and all orders after it, must wait until the
+worlds of the earlier orders have ended."""
 
 FEW_ALONE: Final = 16
-"""Upper limit of ``Orders.few`` if the simulating process also searches."""
+"""Upper limit of ``Orders.few`` if searches run in the process that simulates."""
 
 Searched = tuple[str, Order, list[Finalist]]
-"""Id, order, and the packings to simulate."""
+"""The result of a search: id of the order, the order, and the packings to simulate."""
 
 
 @runtime_checkable
 class TableEngine(Protocol):
-    """An engine with tables of worlds: ``mjx-warp`` and ``mjx-warp-cpu``."""
+    """An engine that keeps its worlds in tables, with one row per world: ``mjx-warp`` and ``mjx-warp-cpu``."""
 
     least_rows: int
     granule: int
@@ -63,10 +65,12 @@ class _OpenOrder:
     """An order whose packings are being simulated.
 
     Attributes:
-        number: position in the input.
-        finalists: its packings.
-        asking: the generator of ``order_evaluation``, which requests worlds.
-        unanswered: number of requested worlds without a result.
+        number: position of the order in the input.
+        order_id: id of the order.
+        order: the order.
+        finalists: the packings of the order.
+        asking: the generator ``order_evaluation`` of the order, which requests worlds.
+        unanswered: number of requested worlds that have no result yet.
     """
 
     number: int
@@ -79,19 +83,20 @@ class _OpenOrder:
 
 @dataclass(frozen=True, eq=False)
 class _PackingWorld(World):
-    """A world of a packing."""
+    """A world in which a packing is simulated."""
 
     of: _OpenOrder
     trial: Trial
 
 
 class Flow:
-    """Takes orders from the search, through the simulation, to their chosen packing.
+    """Takes orders from the search, through the simulation of their packings, to the chosen packing.
 
     Args:
         searched: the results of the searches.
-        worlds: makes the worlds of plans.
-        at_a_time: limits on orders and worlds.
+        options: options of the packer.
+        worlds: an object that makes the worlds of plans.
+        at_a_time: limits on the numbers of orders and worlds.
     """
 
     def __init__(
@@ -111,7 +116,7 @@ class Flow:
         self._packed: dict[int, PackedOrder] = {}
 
     def packed(self, engine: Engine) -> Iterator[PackedOrder]:
-        """Each packed order, in the order of the input."""
+        """The result of each order, in the sequence of the input."""
         if isinstance(engine, TableEngine):
             engine.least_rows, engine.granule = self._at_a_time.rows, GRANULE
         for result in score_worlds((), self._worlds.sim, engine, following=self._more):
@@ -133,7 +138,7 @@ class Flow:
     def _more(self) -> list[World]:
         """The worlds requested since the last call, including worlds of newly searched orders.
 
-        The flow waits for searches only if the engine has no other work, or if the search runs in this process.
+        This method waits for searches only if the engine has no other work, or if the searches run in this process.
         """
         while self._open < self._at_a_time.most:
             idle = self._unanswered == len(self._following)
@@ -148,14 +153,12 @@ class Flow:
         return worlds
 
     def _has_spare(self) -> bool:
-        """Whether the engine has spare capacity for worlds that may not be needed. An engine has spare capacity near
-        the end of a run, when few orders are left.
-        """
+        """Whether the engine has spare capacity for worlds that may not be needed: near the end of a run, when few
+        worlds are left."""
         return self._searched.ended and self._unanswered < self._at_a_time.worlds
 
     def _go_on(self, order: _OpenOrder) -> None:
-        """Request the next worlds of an order. If no world is missing, the order is complete and its packing is
-        chosen."""
+        """Request the next worlds of an order. If the order needs no more worlds, its packing is chosen."""
         try:
             requests = next(order.asking)
         except StopIteration as end:

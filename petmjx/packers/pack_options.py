@@ -15,11 +15,12 @@ MOST_CLEARANCE_MM: Final = 200.0
 MOST_CLEARANCES: Final = 16
 LEAST_WORLDS: Final = 4
 MOST_WORLDS: Final = 100_000
-"""Limits of the number of worlds, the same as in ``petmjx.options.run_options.Confidence``."""
+"""Limits of the number of worlds with errors, the same as in ``petmjx.options.run_options.Confidence``."""
 
 
 def _split(values: Any) -> Any:
-    """Split text with numbers and commas, as the command line passes it. Any other value is returned unchanged."""
+    """The numbers in a text with commas, as the command line passes it. A value that is no text is returned
+    unchanged."""
     if not isinstance(values, str):
         return values
     try:

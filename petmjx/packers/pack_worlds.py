@@ -1,4 +1,5 @@
-"""The worlds of packings (``WorldsOfPlans``), which are the same as in ``petmjx.score`` with ``confidence``."""
+"""The worlds in which packings are simulated (``WorldsOfPlans``): the same worlds as in ``petmjx.score`` with
+``confidence``."""
 
 from __future__ import annotations
 
@@ -19,18 +20,18 @@ from petmjx.world.scene import build_scene
 
 
 class WorldsOfPlans:
-    """Makes the worlds of plans. Variant 0 of a plan is the nominal world; all other variants have errors.
+    """Makes the worlds of plans. Variant 0 of a plan is the nominal (unchanged) world. All other variants have errors.
 
     Attributes:
-        sim: options of every world.
+        sim: options of the simulation of every world.
         run: options of the run.
 
     Args:
-        n_worlds: number of worlds with errors of each plan.
+        n_worlds: number of worlds with errors for each plan.
         how: options of ``petmjx.score``.
 
     Raises:
-        InputError: options are unusable.
+        InputError: the options are unusable.
     """
 
     def __init__(self, n_worlds: int, how: Mapping[str, Any]) -> None:
@@ -43,12 +44,12 @@ class WorldsOfPlans:
 
     @property
     def work(self) -> Work:
-        """The amount of work for one plan. Only the engine ``auto`` would need the amount for all plans, but here the
-        caller has named an engine."""
+        """The amount of work for one plan. The amount for all plans would matter only for the engine ``auto``, but an
+        engine is always named here."""
         return Work(self.sim, [1])
 
     def of(self, plan: Plan, variants: Iterable[int]) -> Iterator[World]:
-        """The worlds of some variants of a plan.
+        """The worlds of the given variants of a plan.
 
         Raises:
             InputError: a box has no extent left after the size reduction, or walls leave no room.
@@ -58,7 +59,7 @@ class WorldsOfPlans:
         if self._sweep is None:
             yield from (World(plan, number, Job(build_scene(plan, self.sim))) for number in variants)
             return
-        if self._variants is None:  # variants are made only once, since they are the same for all plans
+        if self._variants is None:  # made only once, since the variants are the same for all plans
             self._variants = SweepPlan(self._sweep, [plan])
         placements = [*self._variants.placements()]
         groups = (PlacementGroup(plan, number, *placements[number]) for number in variants)

@@ -26,14 +26,14 @@ class PackedOrder:
     """The chosen packing of an order, with the results of its simulations.
 
     Attributes:
-        order_id: id of the order and of the plan.
-        n_items: number of boxes of the order.
-        taken: the chosen packing; None: no box has a place.
-        tried: number of packings that were evaluated, up to and including the first good one.
+        order_id: id of the order and of its plan.
+        n_items: number of boxes in the order.
+        taken: the chosen packing; None if there is no place for any box.
+        tried: number of packings among which the packing was chosen: those up to the first good packing.
         n_simulated: number of simulated worlds. This number may depend on other orders.
         good: whether the plan stands as often as requested.
-        left_out: items that the packing leaves out; None: no item.
-        why: the reason why items are left out; "": no item is left out.
+        left_out: items that the packing leaves out; None if it leaves out no item.
+        why: the reason why items are left out; "" if no item is left out.
     """
 
     order_id: str
@@ -57,8 +57,11 @@ class PackedOrder:
         """Choose a packing of an order.
 
         Args:
-            finalists: all packings of the order.
+            order_id: id of the order.
+            order: the order.
+            finalists: all packings of the order that the search found.
             judged: the evaluations of the simulated packings.
+            options: options of the packer.
         """
         tried = decisive_evaluations(judged, options)
         packing = choose(tried, options) if tried else None
@@ -71,16 +74,16 @@ class PackedOrder:
 
     @property
     def plan(self) -> Plan | None:
-        """The packing as a plan."""
+        """The chosen packing as a plan; None if there is no packing."""
         return self.taken.plan if self.taken else None
 
     @property
     def placements(self) -> list[Placement]:
-        """The packing in BED-BPP's format."""
+        """The chosen packing in BED-BPP's format."""
         return as_placements(self.taken.finalist.placed) if self.taken else []
 
     def row(self) -> dict[str, Any]:
-        """Column of ``Packed.orders`` → value."""
+        """The row of this order in ``Packed.orders``: name of a column → value."""
         packing = self.taken
         n_worlds, n_standing = (packing.n_worlds, packing.n_standing) if packing else (0, 0)
         low, high = wilson_interval(n_standing, n_worlds)

@@ -1,4 +1,4 @@
-"""Registry of packers by name (``PACKERS``). Packers receive the items of an order and return them in packing order."""
+"""The registry of packers by name (``PACKERS``)."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ BALANCED: Final = "balanced"
 
 
 class Packer(Protocol):
-    """A function that packs one order. Boxes are lowered from above, and placed from the bottom upwards. Items without
-    a place are left out.
-    """
+    """A function that packs one order. It returns the placed boxes in packing order. In this order, each box can be
+    lowered to its place from above. Items for which there is no place are left out."""
 
     def __call__(
         self, items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules | None, rng: np.random.Generator
     ) -> list[PlacedBox]:
-        """Place items on a target of ``extent_mm`` (x, y). The placed boxes refer to the same objects as ``items``.
+        """Place items on a target. The placed boxes refer to the same objects as ``items``.
 
         Args:
-            rules: rules of the packer ``baseline``; None: its defaults.
-            rng: random numbers of this order. A packer need not use them.
+            items: the items of the order.
+            extent_mm: length (along x) and width (along y) of the target, mm.
+            rules: rules of the packer ``baseline``. If None, its default rules are used.
+            rng: random numbers for this order. A packer need not use them.
         """
 
 
@@ -68,17 +69,18 @@ PACKERS: Final[Mapping[str, Packer]] = MappingProxyType(
 WHY: Final[Mapping[str, str]] = MappingProxyType(
     {LEARNED: "when they came, no place below 2 m was in balance and likely to stand"}
 )
-"""Name of a packer → its reason for leaving boxes out, if it differs from the usual reason."""
+"""Name of a packer → why it leaves boxes out. Other packers leave out boxes for which there is no place below 2 m."""
 
 
 def packer_named(name: str, look_ahead: int | None = None) -> Packer:
     """The packer with a name.
 
     Args:
-        look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
+        name: the name.
+        look_ahead: number of boxes that the packer ``learned`` sees at a time. If None, it is 1.
 
     Raises:
-        InputError: no packer has this name, or the packer has no look-ahead.
+        InputError: no packer has this name, or ``look_ahead`` is given for another packer than ``learned``.
     """
     if not isinstance(name, str):
         raise InputError(f"packer must be text, {shown_value(name)}")

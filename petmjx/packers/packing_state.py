@@ -1,6 +1,8 @@
-"""The state of a growing packing (``Packing``): the pile, the remaining items, and the candidates for the next box.
+"""The state of a growing packing (``Packing``): the placed boxes, the remaining items, and the candidates for the next
+box.
 
-A packing can be copied, so that a search can try several extensions of it.
+A candidate is a shape (a kind of box in one orientation) at a corner point of the pile. A packing can be copied, so
+that a search can extend the same packing in several ways.
 """
 
 from __future__ import annotations
@@ -22,20 +24,23 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.5
-"""Smallest supported share of a base. The balance is the main rule; this rule also limits overhangs."""
+"""Smallest supported share of a base. The main rule for supports is the static balance of the pile; this rule also
+limits overhangs."""
 
 
 @dataclass(frozen=True)
 class Taste:
-    """Weights of the features of a candidate, in mm of the height at which it is placed.
+    """Weights with which candidates are rated. Values and costs are in mm: a cost of 1 mm counts like a place that is
+    1 mm higher.
 
     Attributes:
         per_base_side: value per mm of the square root of the base area.
-        per_log_weight: value per unit of the natural logarithm of the weight.
+        per_log_weight: value per unit of the natural logarithm of the weight in kg, mm.
         per_height: value per mm of the box's height.
-        per_overhang: cost of a base without any support. A partly supported base costs this times its unsupported
+        per_overhang: cost of a base without any support, mm. A partly supported base costs this × its unsupported
             share.
-        per_distance: cost per mm of x + y. Among equally good places, the place nearest to the corner is chosen.
+        per_distance: cost per mm of x + y of the candidate's corner. So, of equally good places, the place nearest to
+            the target's corner is chosen.
     """
 
     per_base_side: float = 1.4
@@ -46,7 +51,8 @@ class Taste:
 
 
 class NextCandidate(NamedTuple):
-    """A candidate for the next box: row and column in the table, corner in mm, and effect on the balance."""
+    """A candidate for the next box: number of the corner point, number of the shape, lowest corner of the box in mm,
+    and effect of the box on the balance."""
 
     point: int
     shape: int
@@ -55,7 +61,7 @@ class NextCandidate(NamedTuple):
 
 
 class FullPacking(NamedTuple):
-    """A packing in which no further box has a place. The fields are those of ``Packing``."""
+    """A packing in which there is no place for any more boxes. The fields are those of ``Packing``."""
 
     placed: tuple[PlacedBox, ...]
     top_mm: float
@@ -64,22 +70,23 @@ class FullPacking(NamedTuple):
 
 
 class Packing:
-    """Boxes on a target, and the remaining items.
+    """The placed boxes on a target, and the remaining items.
 
     Attributes:
-        n_items: number of boxes of the order.
-        extent_mm: extent of the target, plus the free space of the last box.
-        placed: boxes in packing order, with the same objects as the items.
-        top_mm: highest top.
-        volume_m3: volume of the placed boxes.
-        moment_kg_mm: Σ mass × height of the box's middle. If two packings are equally high, the one with the smaller
-            moment stands better.
+        n_items: number of boxes in the order.
+        extent_mm: length and width of the target + ``clearance_mm``, since the last box of a row needs no free space
+            behind it, mm.
+        placed: placed boxes in packing order. They refer to the same objects as ``items``.
+        top_mm: height of the highest top, mm.
+        volume_m3: volume of the placed boxes, m³.
+        moment_kg_mm: sum of mass × height of the middle over all placed boxes, kg·mm. Of two equally high packings, the
+            packing with the smaller moment stands better.
 
     Args:
         items: items of one order.
-        extent_mm: extent of the target along x and y, mm.
-        taste: weights of the features of candidates.
-        clearance_mm: free space between a box and its neighbours along x and y.
+        extent_mm: length and width of the target, mm.
+        taste: weights with which candidates are rated.
+        clearance_mm: free space between a box and its neighbours along x and y, mm.
     """
 
     _Table: ClassVar[type[Candidates]] = Candidates
@@ -105,8 +112,8 @@ class Packing:
         self._weight = np.array([firsts[kind].weight_kg for kind in self._kind_of])
         self._worth = _worth(sizes, self._weight, taste)
         self._taste = taste
-        # In the table, a base includes the free space, and the target is larger by the free space of the last box.
-        # In the balance, the base has only the box's own size, since free space does not support anything.
+        # In the table of candidates, a box's base includes its free space, and the target is larger by one free space.
+        # In the balance, a base is only as large as the box, since free space supports nothing.
         self._base = sizes[:, :2]
         length, width = extent_mm
         self.extent_mm = (length + clearance_mm, width + clearance_mm)
@@ -122,7 +129,7 @@ class Packing:
 
     @property
     def n_shapes(self) -> int:
-        """The number of shapes. Each remaining kind of box has one shape per orientation."""
+        """Number of shapes: kinds of remaining boxes × allowed orientations."""
         return len(self._kind_of)
 
     @property
@@ -135,10 +142,12 @@ class Packing:
         return grain
 
     def next(self, count: int = 1, kinds: Sequence[int] | None = None) -> list[NextCandidate]:
-        """The best candidates that keep the pile in balance, at most ``count`` of them, best first.
+        """The best candidates with which the pile stays in balance, best first.
 
         Args:
-            kinds: only boxes of these kinds, numbered by their first appearance in the items; None: all kinds.
+            count: largest number of candidates.
+            kinds: numbers of the kinds of boxes that are considered. Kinds are numbered in the sequence of their first
+                appearance in the items. If None, all kinds are considered.
         """
         table, weight = self._table, self._weight
         support = table.carried / table.area
@@ -164,12 +173,12 @@ class Packing:
         return candidates
 
     def box(self, chosen: NextCandidate) -> PlacedBox:
-        """The placed box that a candidate of the last call of ``next`` would become."""
+        """The placed box that would result from a candidate of the last call of ``next``."""
         item = self._stock[int(self._kind_of[chosen.shape])][-1]
         return PlacedBox(item, int(self._turned[chosen.shape]), chosen.corner_mm)
 
     def put(self, chosen: NextCandidate) -> None:
-        """Place a candidate of the last call of ``next``."""
+        """Place the box of a candidate that the last call of ``next`` returned."""
         point, shape, corner, rest = chosen
         kind, height = int(self._kind_of[shape]), float(self._table.height[shape])
         self._pile.add(corner, (*self._base[shape].tolist(), height), rest)
@@ -184,10 +193,10 @@ class Packing:
             self._keep_shapes(self._kind_of != kind)
 
     def fill(self, highest_mm: float = inf, most: float = inf) -> bool:
-        """Place the best candidate repeatedly, until there is none. Returns False if filling was aborted.
+        """Place the best candidate repeatedly, until there is no candidate. Returns False if filling up was aborted.
 
         Args:
-            highest_mm: abort as soon as a top is higher than this.
+            highest_mm: height of a top, mm, above which filling up is aborted.
             most: largest number of boxes to place.
         """
         end = len(self.placed) + most
@@ -199,11 +208,13 @@ class Packing:
         return False
 
     def filled(self, first: NextCandidate | None = None, highest_mm: float = inf) -> FullPacking | None:
-        """Fill up a copy of this packing. Returns the full packing; None if a top would be too high.
+        """Fill up a copy of this packing. Returns the full packing, or None if a top would be higher than
+        ``highest_mm``.
 
         Args:
-            first: candidate of the last call of ``next`` that is placed first; None: the best candidate.
-            highest_mm: greatest height of a top.
+            first: candidate that is placed first, one of those that the last call of ``next`` returned. If None, the
+                best candidate is placed first.
+            highest_mm: largest allowed height of a top, mm.
         """
         twin = self.copy()
         if first is not None:
@@ -213,7 +224,8 @@ class Packing:
         return FullPacking(tuple(twin.placed), twin.top_mm, twin.volume_m3, twin.moment_kg_mm)
 
     def filled_with(self, shapes: Sequence[int], corners_mm: Sequence[Sequence[float]]) -> FullPacking:
-        """The full packing: this one plus boxes of these shapes at these corners, in this sequence."""
+        """The full packing that consists of this packing and boxes of the given shapes at the given corners, in this
+        sequence."""
         placed, top, volume, moment = list(self.placed), self.top_mm, self.volume_m3, self.moment_kg_mm
         kinds, turned, heights = self._kind_of.tolist(), self._turned.tolist(), self._table.height.tolist()
         left = [len(same) for same in self._stock]
@@ -228,7 +240,7 @@ class Packing:
         return FullPacking(tuple(placed), top, volume, moment)
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Write the packing into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
+        """Copy the packing into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
         shapes = self.n_shapes
         tables["own_base"][:shapes] = self._base
         tables["weight"][:shapes] = self._weight
@@ -254,11 +266,12 @@ def _size(item: Item, orientation: int) -> tuple[float, float, float]:
 
 
 def _worth(sizes: FloatArray, weight: FloatArray, taste: Taste) -> FloatArray:
-    """(s,) values of shapes, independent of their places, mm.
+    """(s,) value of each shape, without regard to its place, mm.
 
     Args:
         sizes: (s, 3) sizes of the shapes, mm.
-        weight: (s,) weights, kg.
+        weight: (s,) weights of the shapes, kg.
+        taste: weights with which candidates are rated.
     """
     side = np.sqrt(sizes[:, 0] * sizes[:, 1])
     worth: FloatArray = (

@@ -1,5 +1,5 @@
-"""The interface between Python and fill.cpp: the tables of a packing (``AXES``), and enumerations that name their
-entries."""
+"""The interface between Python and fill.cpp, which fills up a packing: the tables that describe a packing (``AXES``),
+and enumerations that name entries of these tables."""
 
 from __future__ import annotations
 
@@ -11,42 +11,46 @@ import numpy as np
 
 
 class End(IntEnum):
-    """How filling up ended.
+    """How the compiled code ended.
 
-    ``FILLED``: complete. ``HIGHER``: aborted, because a top is too high. ``UNSURE``: Python must fill up the packing.
-    ``ASKS``: Python must decide whether the next box tips over.
+    ``FILLED``: the packing is full. ``HIGHER``: filling up was aborted, because a top is too high. ``UNSURE``: because
+    of rounding, Python must fill up the packing. ``ASKS``: Python must decide whether the next box tips over; then the
+    compiled code continues.
     """
 
     FILLED, HIGHER, UNSURE, ASKS = range(4)
 
 
 class Begin(IntEnum):
-    """How filling up begins: with the best candidate; with a candidate that is known to keep the balance; or with the
-    answer to a question about the balance.
+    """How the compiled code begins.
+
+    ``WITH_BEST``: with the best candidate. ``WITH_FIRST``: with a candidate that is known to keep the balance.
+    ``WITH_ANSWER``: with Python's answer whether the next box tips over.
     """
 
     WITH_BEST, WITH_FIRST, WITH_ANSWER = range(3)
 
 
 class Answer(IntEnum):
-    """Answers about a balance.
+    """Answers to the question whether a pile keeps its balance with the next box.
 
-    ``UNKNOWN``: Python must decide whether the box itself tips over. ``NEAR``: the load of a box below acts too close
-    to its limit.
+    ``TIPS``: no. ``KEEPS``: yes. ``UNKNOWN``: the next box is so close to tipping that Python must decide. ``NEAR``: a
+    box below is so close to tipping that rounding might decide.
     """
 
     TIPS, KEEPS, UNKNOWN, NEAR = range(4)
 
 
 class Count(IntEnum):
-    """Entries of the table ``counts``: sizes of the tables, number of placed boxes, the first candidate, and how
-    filling up begins and ends."""
+    """Entries of the table ``counts``: numbers of boxes, corner points, shapes and edges of hulls; number of boxes that
+    the compiled code has placed; point and shape of the first candidate; and how the compiled code begins and ends."""
 
     BOXES, POINTS, SHAPES, PLANES, MADE, POINT, SHAPE, HOW, OWN, END, UNDER = range(11)
 
 
 class Number(IntEnum):
-    """Entries of the table ``numbers``: the greatest allowed height, the packing's top, its taste, and constants."""
+    """Entries of the table ``numbers``: the largest allowed height, the height of the packing's highest top, weights
+    with which candidates are rated, and constants."""
 
     HIGHEST, TOP, PER_OVERHANG, PER_DISTANCE, EXTENT_X, EXTENT_Y, MOST_HEIGHT, LEAST_SUPPORT = range(8)
     TOUCH, MARGIN, MARGIN_SHARE, SLACK, LEAST_TURN, DECIMALS = range(8, 14)
@@ -100,8 +104,9 @@ AXES: Final[Mapping[str, tuple[Any, str]]] = {
     "corners": (_F, "corner 2"),
     "chain": (_F, "corner 2"),
 }
-"""Table of a packing → its element type and axes. The tables have room for all boxes that will be placed.
+"""Name of a table → type of its elements, and its axes. The tables have room for all boxes that will be placed.
 
-``base`` includes the free space, ``own_base`` does not. ``stock`` is the number of remaining boxes by kind. Lengths are
-in m in the tables of the balance (``low_m`` to ``owner``), and in mm in all other tables. ``made_shape`` and
-``made_corner`` are the placed boxes; all tables after them are scratch memory."""
+``base`` includes the free space beside a box, ``own_base`` does not. ``stock`` is the number of remaining boxes of each
+kind. Lengths are in m in the tables of the balance (``low_m`` to ``owner``), and in mm in all other tables.
+``made_shape`` and ``made_corner`` describe the boxes that the compiled code has placed. All tables after them are
+scratch memory."""

@@ -1,9 +1,10 @@
-"""The packer ``physical``: rules find dense packings, and physics chooses among them.
+"""The packer ``physical``: rules find dense packings, and simulations decide which of them is chosen.
 
 Rules find packings that are dense and in balance (:mod:`petmjx.packers.beam_search`), with different free spaces
-between neighbours. Simulation shows which of them stand, placed exactly and placed by a robot. Searches run in worker
-processes. One engine simulates the packings of all orders, because engines are fast with many worlds at a time. The
-engine gets the packings of an order as soon as they exist, so that no order waits for another.
+between neighbours. Simulations show which of these packings stand if boxes are placed exactly, and if a robot places
+them with errors. Searches run in worker processes. One engine simulates the packings of all orders, because engines are
+fastest with many worlds at a time. The engine gets the packings of an order as soon as they are found, so that no order
+waits for another.
 """
 
 from __future__ import annotations
@@ -31,17 +32,18 @@ def pack_physical(
     workers: int,
     look_ahead: int | None = None,
 ) -> Iterator[PackedOrder]:
-    """Pack orders. The results are in the order of the input.
+    """Pack orders. The results are in the sequence of the input.
 
     Args:
         orders: pairs of an id and an order.
-        how: options of ``petmjx.score`` for the simulation.
+        options: options of the packer.
+        how: options of ``petmjx.score`` for the simulations.
         workers: number of processes for the search. This number does not affect the plans.
-        look_ahead: number of next boxes that the packer ``learned`` sees. If it is given, the packing of ``learned`` is
-            simulated instead of those of the search. None: the search is used.
+        look_ahead: if given, the packer ``learned`` makes the packing that is simulated, and sees this number of boxes
+            at a time. If None, the search makes the packings.
 
     Raises:
-        InputError: options are unusable.
+        InputError: the options are unusable.
         EngineUnavailable: the requested engine cannot run on this machine.
     """
     engine = how.get("engine", AUTO)
@@ -57,9 +59,10 @@ def pack_physical(
 
 
 def fastest() -> str:
-    """The engine that is fastest on this machine for many worlds.
+    """The name of the engine that is fastest on this machine if there are many worlds.
 
-    ``auto`` would choose by the number of orders, but an order's plan must not depend on other orders.
+    The engine ``auto`` is not used, since it would depend on the number of orders, but an order's plan must not depend
+    on other orders.
     """
     if why_no_warp() is None:
         return "mjx-warp"

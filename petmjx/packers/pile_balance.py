@@ -1,16 +1,17 @@
-"""The static balance of a pile (``Balance``): loads pass from box to box, and each must act inside the box's supports.
+"""The static balance of a pile (``Balance``): the load of each box must act within the hull of the box's supports.
 
 The criterion is mechanical equilibrium (Ramos, Oliveira, Gonçalves, Lopes 2016, "A container loading algorithm with
-static mechanical equilibrium constraints", Transportation Research Part B 91, 565–581): the resultant of a box's weight
-and of all loads on it must act within the convex hull of the box's contacts. Here the resultant must be inside by at
-least a margin. Statics does not determine how a box distributes its load among the boxes below. The pressure under its
-base is assumed to be a plane, p = a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die Lehre von der
-Elasticität und Festigkeit"). The plane has the same force and moments as the load. On two narrow supports, this is the
-lever rule.
+static mechanical equilibrium constraints", Transportation Research Part B 91, 565–581). The load of a box is the
+resultant of its own weight and of all forces on its top. The load must act within the convex hull of the areas on which
+the box stands, and in this module inside by at least a margin. Statics does not determine how a box distributes its
+load among the boxes below. This module assumes that the pressure under its base is linear, p = a + b·x + c·y, as on a
+bed of equal springs (Winkler 1867, "Die Lehre von der Elasticität und Festigkeit"). The force and the moments of this
+pressure balance the load. On two narrow supports, this is the lever rule.
 
-So a load is a vector (F, F·x, F·y), and the load that a box passes to a box below is linear in its own load: a 3 × 3
-matrix. ``Balance`` stores the products of these matrices, from each box to all boxes below it. So adding a box takes
-only a few small products, however high the pile is. Forces are in kg (without g, which cancels), lengths in metres.
+A load is a vector (F, F·x, F·y), where (x, y) is the point at which the force F acts. The load that a box passes to a
+box below is a linear function of its own load: a 3 × 3 matrix. ``Balance`` stores the products of these matrices, from
+each box to all boxes below. So adding a box takes only a few small products, however high the pile is. Forces are given
+in kg, since the factor g cancels, and lengths in m.
 """
 
 from __future__ import annotations
@@ -27,42 +28,44 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.packers.packing_tables import Count
 
 TOUCH_MM: Final = 1e-6
-"""Tolerance for rounding errors of float64 sums. Tops whose heights differ by less count as equally high, and overlaps
-smaller than this do not count."""
+"""Tolerance of lengths for rounding errors of float64 sums, mm. Tops whose heights differ by less count as equally
+high. Smaller overlaps are ignored."""
 
 SHARE_SLACK: Final = 1e-9
-"""Tolerance for rounding errors: a supported share may be lower than the smallest allowed share by this much."""
+"""Tolerance of supported shares for rounding errors: a share may be lower than the smallest allowed share by this
+number."""
 
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
-"""Margin by which a resultant must act inside the hull: 20 mm, or for small boxes a share of the shorter side. With a
-margin of 10 mm and a supported share of at least 0.6, all of 60 plans stood as well. The larger margin allows for the
-errors of a robot."""
+"""Distance inside the hull at which the load of a box must act: ``MARGIN_M``, or ``MARGIN_SHARE`` of the base's shorter
+side if that is smaller. With 10 mm and a supported share of at least 0.6, all of 60 plans stood as well. The larger
+distance allows for the errors of a robot."""
 
 FAR_M: Final = 0.2
-"""Upper limit of reported margins. A box on the carrier has this margin."""
+"""Upper limit of computed margins against tipping, m. A box on the carrier has this margin."""
 
 SAME_PLACE_DECIMALS: Final = 9
-"""Corners are rounded to a nanometre. The algorithm of the hull processes points from left to right. Without rounding,
-it could lose a point that lies so little to the left of others that products in float64 cannot resolve the distance."""
+"""Number of decimals to which corners in m are rounded, that is, to a nanometre. The algorithm of the hull processes
+points from left to right. Without rounding, it could lose a point that lies so little to the left of others that
+products in float64 cannot resolve the distance."""
 
 LEAST_TURN_M2: Final = 1e-12
-"""If the hull turns by less than this at a point, the point is not a corner but lies on an edge. The limit covers
-rounding errors in products of coordinates."""
+"""Smallest cross product, m², of two successive edges of the hull at a corner. If it is smaller, the point is not a
+corner but lies on an edge: the difference is rounding."""
 
 SLACK_KG_M: Final = 1e-9
-"""Tolerance for rounding errors when a load is compared with an edge."""
+"""Tolerance for rounding errors when a load is compared with an edge, kg·m."""
 
 
 class Rest(NamedTuple):
     """The effect of one more box on the balance.
 
     Attributes:
-        load: (3,) the box's own weight as a load.
-        passed: (n, 3, 3) matrices that turn a load on the box into the load that reaches each of the n earlier boxes;
-            None: the box stands on the carrier.
-        planes: (k, 3) edges of the box's hull, moved inward. The scalar product of an edge with a load is ≤ 0 if the
-            load acts inside.
+        load: (3,) the box's own weight as a load: kg, kg·m, kg·m.
+        passed: (n, 3, 3) for each of the n earlier boxes, the matrix that turns a load of the box into the part that
+            the earlier box carries. None if the box stands on the carrier.
+        planes: (k, 3) edges of the hull of the box's supports, moved inwards by the margin. The scalar product of such
+            a row with a load is ≤ 0 if the load acts inside the moved edge.
     """
 
     load: FloatArray
@@ -74,9 +77,9 @@ class Margins(NamedTuple):
     """The margins against tipping of a pile with one more box.
 
     Attributes:
-        rest: the effect of the box on the balance; None: the box has no support.
-        own_m: distance by which the box's weight acts inside its own hull.
-        pile_m: the smallest such distance for the loads of all boxes below.
+        rest: the effect of the box on the balance; None if the box has no support.
+        own_m: distance of the box's own weight from the nearest edge of its hull of supports, m; negative outside.
+        pile_m: smallest such distance of the loads of all earlier boxes, m.
     """
 
     rest: Rest | None
@@ -103,16 +106,16 @@ class Balance:
         self._moved = np.zeros(0)
 
     def copy(self) -> Balance:
-        """An independent copy of the pile."""
+        """An independent copy."""
         twin, n = copy.copy(self), self.n
         twin._low, twin._high = self._low.copy(), self._high.copy()
         twin._top_mm, twin._load = self._top_mm.copy(), self._load.copy()
-        twin._passed = np.zeros_like(self._passed)  # zeros cost nothing: pages that are never written take no memory
+        twin._passed = np.zeros_like(self._passed)  # pages of zeros that are never written take no memory
         twin._passed[:n, :n] = self._passed[:n, :n]
         return twin
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Write the balance into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
+        """Copy the balance into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
         n, planes = self.n, len(self._planes)
         tables["counts"][Count.PLANES] = planes
         tables["low_m"][:n], tables["high_m"][:n] = self._low[:n], self._high[:n]
@@ -122,18 +125,23 @@ class Balance:
 
     @property
     def loads(self) -> FloatArray:
-        """(n, 3) load of each box, its own weight and all loads from above: kg, kg·m, kg·m."""
+        """(n, 3) load of each box, which is its own weight and all forces on its top: kg, kg·m, kg·m."""
         return self._load[: self.n]
 
     def rest(self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float) -> Rest | None:
-        """The effect of one more box that rests on tops at the height of its bottom. None: the new box or a box below
-        would tip over."""
+        """The effect of one more box on the balance. None if the new box or a box below would tip over.
+
+        Args:
+            corner_mm: lowest corner of the box, mm. The box stands on all tops at the height of its bottom.
+            base_mm: sides of the box's base along x and y, mm.
+            mass_kg: mass of the box.
+        """
         let_down = self._let_down(corner_mm, base_mm, mass_kg)
         if corner_mm[2] <= 0:
             return let_down
         if let_down is None or tips(let_down.planes, let_down.load):
             return None
-        # All hulls of the pile are checked at once: each plane is compared with the load of its owner.
+        # The loads of all boxes of the pile are compared with the edges of their hulls at once.
         if len(self._planes) and self._over_planes(let_down).max() > SLACK_KG_M:
             return None
         return let_down
@@ -148,6 +156,7 @@ class Balance:
         """The margins against tipping with one more box, m, at most ``FAR_M``. A negative margin means that a box tips.
 
         Args:
+            corner_mm, base_mm, mass_kg: as in ``rest``.
             rest: result of the method ``rest`` for this box, if known.
         """
         let_down = rest or self._let_down(corner_mm, base_mm, mass_kg)
@@ -163,9 +172,8 @@ class Balance:
         return Margins(let_down, min(box_margin, FAR_M), min(pile, FAR_M))
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
-        """(k,) product of each plane of the pile with the load of the box that owns it, if one more box is placed. If
-        the product is above 0, the load acts outside.
-        """
+        """(k,) scalar product of each moved edge (see ``Rest.planes``) of the pile with the load of its box, if one
+        more box is placed, kg·m. If the product is above 0, the load acts outside."""
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load
         excess: FloatArray = np.einsum("kc,kc->k", self._planes, after[self._owner])
@@ -174,7 +182,7 @@ class Balance:
     def _let_down(
         self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float
     ) -> Rest | None:
-        """The effect of one more box, even if the pile loses its balance; None if the box has no support."""
+        """The effect of one more box on the balance, even if a box would tip over. None if the box has no support."""
         n = self.n
         corner = np.array(corner_mm[:2]) / MM_PER_M
         base = np.array(base_mm) / MM_PER_M
@@ -190,7 +198,7 @@ class Balance:
             return None
         low, high = low[under], high[under]
         planes = hull_planes(low, high, margin_m(base_mm))
-        if len(under) == 1:  # the only support takes the whole load
+        if len(under) == 1:  # the only support carries the whole load
             passed = self._passed[under[0], :n]
         else:
             moments = pressure_moments(low, high)
@@ -217,17 +225,21 @@ class Balance:
 
 
 def tips(planes: FloatArray, load: FloatArray) -> bool:
-    """Whether a box with a given load tips over an edge of its hull. ``planes`` is as in ``Rest``."""
+    """Whether a load acts outside one of the moved edges ``planes``; see ``Rest``."""
     return bool((planes @ load).max() > 0)
 
 
 def margin_m(base_mm: tuple[float, float]) -> float:
-    """The margin by which the load of a box with this base must act inside its hull, m."""
+    """Distance inside the hull at which the load of a box with this base must act, m."""
     return min(MARGIN_M, MARGIN_SHARE * (min(base_mm) / MM_PER_M))
 
 
 def pressure_moments(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(c, 3, 3) ∫ (1, x, y)ᵀ (1, x, y) dA over each of c rectangles, given by (c, 2) low and high corners."""
+    """(c, 3, 3) integral ∫ (1, x, y)ᵀ (1, x, y) dA over each of c rectangles.
+
+    Args:
+        low, high: (c, 2) lowest and highest corners of the rectangles, m.
+    """
     middle, side = (low + high) / 2, high - low
     ones = np.concatenate([np.ones((len(low), 1)), middle], axis=1)
     moments = ones[:, :, None] * ones[:, None, :]
@@ -238,14 +250,14 @@ def pressure_moments(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def hull_planes(low: FloatArray, high: FloatArray, margin: float) -> FloatArray:
-    """The edges of the convex hull of rectangles, each moved inward by ``margin``.
+    """The edges of the convex hull of c rectangles, moved inwards by ``margin``.
 
     Args:
-        low, high: (c, 2) corners of the rectangles, m.
-        margin: distance, m.
+        low, high: (c, 2) lowest and highest corners of the rectangles, m.
+        margin: distance by which edges are moved, m.
 
     Returns:
-        (k, 3) rows (d, n_x, n_y). A point p lies beyond the moved edge by d + n · p.
+        (k, 3) a row (d, n_x, n_y) for each edge. A point p lies beyond the moved edge by d + n · p, m.
     """
     lows, highs = np.round(low, SAME_PLACE_DECIMALS).tolist(), np.round(high, SAME_PLACE_DECIMALS).tolist()
     corners = [(x, y) for (x0, y0), (x1, y1) in zip(lows, highs, strict=True) for x in (x0, x1) for y in (y0, y1)]

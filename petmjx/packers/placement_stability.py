@@ -1,9 +1,10 @@
-"""Features and chances of placements: a network predicts whether a box stands when a robot places it inexactly.
+"""The probability that a box stands if a robot places it inexactly, predicted by a network, and the features from which
+the network predicts it.
 
-The network was trained on worlds in which all boxes are placed with the errors of a robot, in plans made by rules and
-partly at random (examples/train_packer). A box counts as standing if it stands to the end of the simulation, or if
-another box fails before it. So the product of these chances over a plan's boxes is the chance that the whole plan
-stands.
+The network was trained with simulations in which all boxes are placed with the errors of a robot
+(examples/train_packer). The plans were made by rules, and partly at random. A box counts as standing if it stands to
+the end of the simulation, or if another box fails before it. So the product of the probabilities over all boxes of a
+plan is the probability that the whole plan stands.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ NAMES: Final = (
 )
 
 MOST_GAP_MM: Final = 15.0
-"""Boxes at most this far apart count as touching. The errors of a robot are some millimetres, so neighbours further
-away have no effect."""
+"""Largest gap between a box and a neighbour that is considered, mm. The errors of a robot are some millimetres, so
+neighbours that are farther away have no effect."""
 
 _MARGIN_M: Final = 0.05
 
@@ -35,11 +36,11 @@ class PlacementState:
     """A box that is about to be placed on a pile.
 
     Attributes:
-        corner_mm, size_mm: (3,) low corner and size of the box as placed.
+        corner_mm, size_mm: (3,) lowest corner of the box, and its size along x, y and z, mm.
         mass_kg: mass of the box.
-        low, high: (n, 3) corners of the boxes of the pile, mm.
+        low, high: (n, 3) lowest and highest corners of the boxes of the pile, mm.
         masses: (n,) masses of the boxes of the pile, kg.
-        margins: margins against tipping once the box lies on the pile.
+        margins: margins against tipping of the pile with the box.
     """
 
     corner_mm: FloatArray
@@ -61,10 +62,11 @@ def placement_state(
     mass_kg: float,
     rest: Rest | None = None,
 ) -> PlacementState:
-    """The state of a box that is about to be placed on a pile.
+    """The state in which a box is placed on a pile.
 
     Args:
-        pile: balance of the pile.
+        pile: static balance of the pile.
+        low, high, masses, corner_mm, size_mm, mass_kg: as in ``PlacementState``.
         rest: effect of the box on the balance, if known.
     """
     (x, y, z), (length, width, _) = corner_mm.tolist(), size_mm.tolist()
@@ -73,10 +75,10 @@ def placement_state(
 
 
 def stability_features(box: PlacementState) -> FloatArray:
-    """(f,) features of a placement, in the order of ``NAMES``."""
+    """(f,) features of a box that is about to be placed, in the order of ``NAMES``."""
     start, size, low, high = box.corner_mm, box.size_mm, box.low, box.high
     end = start + size
-    away = np.maximum(start - high, low - end)  # (n, 3); a negative value is an overlap
+    away = np.maximum(start - high, low - end)  # (n, 3) gaps along x, y and z; a negative value is an overlap
     x, y, z = away.T
     shared = np.minimum(end, high) - np.maximum(start, low)
     over = (x < -TOUCH_MM) & (y < -TOUCH_MM)
@@ -135,7 +137,7 @@ def _clipped_number(value: float) -> float:
 
 
 def likely(network: Network, features: FloatArray) -> FloatArray:
-    """(m,) probabilities that placements stand, from (m, f) features."""
+    """(m,) probabilities that m boxes stand, from their (m, f) features."""
     logits = np.clip(network.scores(features), -30.0, 30.0)
     chances: FloatArray = 1.0 / (1.0 + np.exp(-logits))
     return chances

@@ -1,4 +1,4 @@
-"""A small network (``Network``) that scores rows of features: a linear part, plus one layer of hidden units."""
+"""A small neural network (``Network``) that computes a score from features: a linear part plus one hidden layer."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ class Network:
     """score = x · linear + tanh(x · hidden + bias) · out + constant, with x = (features − mean) / scale.
 
     Attributes:
-        mean, scale: (f,) mean and scale of the features, which are not trained.
+        mean, scale: (f,) mean and scale of the features. They are not trained.
         linear: (f,) weights of the linear part.
-        hidden: (f, h) weights of the hidden units.
-        bias: (h,) biases of the hidden units.
-        out: (h,) weights of the hidden units' outputs.
-        constant: () constant of the score.
+        hidden: (f, h) weights of the hidden layer's inputs.
+        bias: (h,) biases of the hidden layer.
+        out: (h,) weights of the hidden layer's outputs.
+        constant: () constant that is added to the score.
     """
 
     mean: FloatArray
@@ -33,25 +33,25 @@ class Network:
 
     @classmethod
     def fresh(cls, mean: FloatArray, scale: FloatArray, n_hidden: int, rng: np.random.Generator) -> Self:
-        """A network before training. All its scores are 0."""
+        """A network before training. All scores of this network are 0."""
         f = len(mean)
         hidden = rng.standard_normal((f, n_hidden)) / np.sqrt(f)
         return cls(mean, scale, np.zeros(f), hidden, np.zeros(n_hidden), np.zeros(n_hidden), np.zeros(()))
 
     def scores(self, features: FloatArray) -> FloatArray:
-        """(m,) scores of (m, f) features."""
+        """(m,) scores, from (m, f) features."""
         x = (features - self.mean) / self.scale
         scores: FloatArray = x @ self.linear + np.tanh(x @ self.hidden + self.bias) @ self.out + self.constant
         return scores
 
     @property
     def learned(self) -> FloatArray:
-        """All learned parameters as one vector."""
+        """All trained parameters as one vector."""
         parts = (self.linear, self.hidden, self.bias, self.out, self.constant)
         return np.concatenate([np.ravel(part) for part in parts])
 
     def with_learned(self, values: FloatArray) -> Self:
-        """The same network with other learned parameters, in the order of ``learned``."""
+        """This network with other trained parameters, given in the order of ``learned``."""
         f, h = self.hidden.shape
         linear, hidden, bias, out, constant = np.split(values, np.cumsum([f, f * h, h, h]))
         return replace(
@@ -59,12 +59,12 @@ class Network:
         )
 
     def slope(self, features: FloatArray, weights: FloatArray) -> FloatArray:
-        """The gradient of Σ weights · scores with respect to the learned parameters, which are in the order of
+        """The gradient of the sum of weights × scores with respect to the trained parameters, in the order of
         ``learned``.
 
         Args:
             features: (m, f) features.
-            weights: (m,) weights of the rows.
+            weights: (m,) weights of the m scores.
         """
         x = (features - self.mean) / self.scale
         active = np.tanh(x @ self.hidden + self.bias)
@@ -73,10 +73,10 @@ class Network:
         return np.concatenate([np.ravel(part) for part in parts])
 
     def arrays(self, name: str) -> dict[str, FloatArray]:
-        """The arrays of the network for a file of weights, with names that begin with ``name``."""
+        """The arrays of the network as they are stored in a file, with names that begin with ``name``."""
         return {f"{name}_{field}": getattr(self, field) for field in self.__dataclass_fields__}
 
     @classmethod
     def of_arrays(cls, name: str, arrays: dict[str, FloatArray]) -> Self:
-        """The network with the arrays of a file of weights. This function is the inverse of ``arrays``."""
+        """The network with the arrays of a file. This function is the inverse of ``arrays``."""
         return cls(**{field: np.asarray(arrays[f"{name}_{field}"], float) for field in cls.__dataclass_fields__})

@@ -1,4 +1,4 @@
-"""``petmjx.placement_stability``: the chance of each box of a plan to stand when a robot places the boxes."""
+"""``petmjx.placement_stability``: the probability of each box of a plan to stand if a robot places the boxes."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from petmjx.plans.plan import Plan
 
 
 def placement_stability(plan: Plan) -> FloatArray:
-    """(n,) the chance of each box of a plan to stand when a robot places all boxes inexactly.
+    """(n,) probability of each box of a plan to stand if a robot places all boxes inexactly.
 
-    A box counts as standing if it stands to the end of the simulation, or if another box fails before it. The product
-    of the chances is the chance that the whole plan stands. The chance of a box is 0 if it touches no top below it, or
-    if its bottom is below the carrier's top.
+    A box counts as standing if it stands to the end of the simulation, or if another box fails before it. So the
+    product of all probabilities is the probability that the whole plan stands. The probability of a box is 0 if nothing
+    touches its bottom, or if its bottom is below the carrier's top.
 
-    A network estimates the chances without a simulation, in a millisecond per box. ``petmjx.score(plan,
+    A network estimates the probabilities without a simulation, in a millisecond per box. ``petmjx.score(plan,
     confidence=64)`` simulates the plan instead. docs/packers.md states how reliable the estimate is.
 
     Raises:

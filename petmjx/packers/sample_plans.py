@@ -1,10 +1,10 @@
 """Sample plans in BED-BPP's format, packed from generated orders or from a file of orders.
 
 ``generate`` and ``write_samples`` generate orders with BED-BPP's statistics and pack them. If no packer is named, they
-make a mixed set for trials and benchmarks: about half of its plans (``loose_share``) are packed with an unsafe support
-rule, so that some plans stand and some collapse. A named packer packs all plans by its own rules, as comparisons
-require. Plan i depends only on seed, i, packer and loose_share, so the plans of ``n = 10`` are the first ten plans of
-``n = 1000``.
+make a mixed set for trials and benchmarks: some plans stand and some collapse. About half of these plans
+(``loose_share``) are loose, that is, packed with an unsafe support rule; the other plans are strict. If a packer is
+named, it packs all plans by its own rules, so that packers can be compared. Plan i depends only on the seed, i, the
+packer and ``loose_share``. So the plans of ``n = 10`` are the first ten plans of ``n = 1000``.
 
 ``pack_orders`` packs the orders of a file.
 """
@@ -36,15 +36,15 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 DEFAULT_LOOSE_SHARE = 0.5
-"""Share of the plans of a mixed set that are packed loosely. In the first 100 plans of seed 0 (one by one, adaptive,
-physics ``pallet``), 38 % fail: 38 of the 55 loose plans and none of the 45 strict ones."""
+"""Share of loose plans in a mixed set. Of the first 100 plans of seed 0 (check ``one-by-one``, schedule ``adaptive``,
+physics ``pallet``), 38 fail: 38 of the 55 loose plans, and none of the 45 strict plans."""
 
 MOST_SAMPLES = 200_000
-"""Largest number of plans of a set: twenty times BED-BPP's number. A file with this number of plans has nearly 4 GiB,
+"""Largest number of plans in a set: twenty times BED-BPP's number. A file with this number of plans has nearly 4 GiB,
 the largest size that petmjx reads."""
 
 LOOSE_SUPPORT = (0.3, 0.6)
-"""Range from which ``min_support`` of a loose plan is drawn. A strict plan has the default of ``PackRules``."""
+"""Range of the random ``min_support`` of loose plans. Strict plans have the default of ``PackRules``."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class LeftOutItems:
     Attributes:
         order_id: id of the order and of the plan.
         n_items: number of items of the order.
-        numbers: keys of the left-out items in the order's ``item_sequence``, in ascending order. A generated order has
-            no keys; its items are numbered from 1.
-        why: the reason; "" if the item has no place below 2 m.
+        numbers: keys of the left-out items in the order's ``item_sequence``, rising. A generated order has no keys; its
+            items are numbered from 1.
+        why: the reason why items are left out; "" if there is no place below 2 m for them.
     """
 
     order_id: str
@@ -65,7 +65,7 @@ class LeftOutItems:
     why: str = ""
 
     def __str__(self) -> str:
-        """The line for messages: "order 00100408: 3 of 40 boxes are left out: items 3, 7, 8"."""
+        """Text for messages, such as "order 00100408: 3 of 40 boxes are left out: items 3, 7, 8"."""
         many, few = count_text(self.n_items, "box", "boxes"), len(self.numbers)
         numbers = ", ".join(map(str, self.numbers))
         verb, items = ("is", "item") if few == 1 else ("are", "items")
@@ -74,7 +74,7 @@ class LeftOutItems:
 
 
 _Packed = tuple[str, list[Placement], LeftOutItems | None]
-"""Plan id, placements, and the items left out (None: none)."""
+"""Plan id, placements, and the items that are left out. None if no item is left out."""
 
 
 def generate(
@@ -87,15 +87,18 @@ def generate(
     workers: int = 1,
     on_left_out: Callable[[LeftOutItems], None] | None = None,
 ) -> Iterator[tuple[str, list[Placement]]]:
-    """Generate the first ``n`` plans of ``seed``, as (plan id, placements in packing order). Plans are made lazily.
+    """Generate the first ``n`` plans of ``seed``, as (plan id, placements in packing order). Plans are made when they
+    are needed, one after another.
 
     Args:
-        loose_share: share of loose plans, for the packer ``baseline``; other packers make no loose plans. None: 0 for a
-            named packer, else ``DEFAULT_LOOSE_SHARE``.
-        packer: a name of ``petmjx.packers.packer_registry.PACKERS``. All packers get the same orders. None: a mixed
-            set, packed by ``baseline``.
-        look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
-        workers: number of processes. It does not affect the plans.
+        n: number of plans.
+        seed: seed of the random numbers.
+        loose_share: share of loose plans, for the packer ``baseline``; other packers make no loose plans. If None, the
+            share is 0 for a named packer, else ``DEFAULT_LOOSE_SHARE``.
+        packer: a name in ``petmjx.packers.packer_registry.PACKERS``. All packers get the same orders. If None,
+            ``baseline`` packs a mixed set.
+        look_ahead: number of boxes that the packer ``learned`` sees at a time. If None, it is 1.
+        workers: number of processes. This number does not affect the plans.
         on_left_out: function that is called with the items that a plan leaves out, just before the plan is yielded.
 
     Raises:
@@ -116,14 +119,13 @@ def generate(
 def generate_one(
     index: int, seed: int, *, loose_share: float | None = None, packer: str | None = None
 ) -> tuple[str, list[Placement]]:
-    """Plan ``index`` of ``seed``: its id, such as "s0-000123", and its placements in packing order."""
+    """The plan ``index`` of ``seed``: its id, such as "s0-000123", and its placements in packing order."""
     plan_id, placements, _ = _pack_drawn(index, seed, loose_share_of(packer, loose_share), packer or BASELINE)
     return plan_id, placements
 
 
 def loose_share_of(packer: str | None, share: float | None = None) -> float:
-    """The share of loose plans: ``share`` if it is set; else 0 for a named packer, and ``DEFAULT_LOOSE_SHARE`` if none
-    is named."""
+    """The share of loose plans: ``share`` if it is given, else 0 if a packer is named, else ``DEFAULT_LOOSE_SHARE``."""
     if share is not None:
         return share
     return DEFAULT_LOOSE_SHARE if packer is None else 0.0
@@ -147,7 +149,7 @@ def write_samples(
     number of plans written so far. The other arguments are those of :func:`generate`.
 
     Raises:
-        InputError: as :func:`generate`, or the file cannot be written.
+        InputError: an argument is wrong (see :func:`generate`), or the file cannot be written.
     """
     samples = generate(
         n,
@@ -181,14 +183,15 @@ def pack_orders(
     Args:
         path: the file, gzipped or not.
         seed: seed of the packer's random numbers.
-        packer: a name of ``petmjx.packers.packer_registry.PACKERS``; None: ``baseline``.
-        rules: rules of the packer ``baseline``; None: its strict rules.
-        look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
-        workers: number of processes. It does not affect the plans.
-        on_bad_order: function that is called with the error of a bad order, which is then skipped; None: the error is
-            raised.
+        packer: a name in ``petmjx.packers.packer_registry.PACKERS``. If None, it is ``baseline``.
+        rules: rules of the packer ``baseline``. If None, its strict rules are used.
+        look_ahead: number of boxes that the packer ``learned`` sees at a time. If None, it is 1.
+        workers: number of processes. This number does not affect the plans.
+        on_bad_order: function that is called with the error of each bad order; the order is then skipped. If None, the
+            error is raised.
         on_left_out: function that is called with the items that a plan leaves out, just before the plan is yielded.
-        reading: the reading of a file that is not in BED-BPP's form, and its target; None: the most plausible reading.
+        reading: how a file is read that is not in BED-BPP's form, and its target. If None, it is read in the most
+            plausible way.
 
     Raises:
         InputError: the file has no orders, the packer is unknown, or an order is bad and ``on_bad_order`` is None.
@@ -237,7 +240,7 @@ def _pack(
 
 
 def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: str = "") -> LeftOutItems | None:
-    """The items of an order that a packing leaves out; None if there are none."""
+    """The items of an order that a packing leaves out; None if it leaves out no item."""
     counts = Counter(box.item for box in placed)
     missing = []
     # generated orders have no numbers, so their items are numbered from 1
@@ -251,7 +254,7 @@ def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: s
 def _plans(
     packed: Iterable[_Packed], on_left_out: Callable[[LeftOutItems], None] | None
 ) -> Iterator[tuple[str, list[Placement]]]:
-    """The plans that have boxes. ``on_left_out`` is called with the items that a plan leaves out."""
+    """The plans that have at least one box. ``on_left_out`` is called with the items that a plan leaves out."""
     for plan_id, placements, left_out in packed:
         if left_out is not None and on_left_out is not None:
             on_left_out(left_out)
@@ -260,7 +263,7 @@ def _plans(
 
 
 def as_placements(placed: Iterable[PlacedBox]) -> list[Placement]:
-    """Packed boxes as placements in BED-BPP's format. ``sequence`` counts the boxes in packing order, from 1."""
+    """Packed boxes as placements in BED-BPP's format. ``sequence`` is a box's number in packing order, from 1."""
     return [
         {
             "item": {
@@ -282,13 +285,14 @@ def as_placements(placed: Iterable[PlacedBox]) -> list[Placement]:
 
 
 def _seldom(item: Item) -> dict[str, Any]:
-    """The properties of an item that only few orders give."""
+    """Those properties of an item that few orders give."""
     fields: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
     fields |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
     return fields | ({"kind": item.kind} if item.kind else {})
 
 
 def _plain(value_mm: float) -> int | float:
-    """Whole millimetres as int, as in BED-BPP. Other values are rounded to the nanometre, without float64 noise."""
+    """A length as int if it is a whole number of millimetres, as in BED-BPP. Other lengths are rounded to a nanometre,
+    to remove float64 noise."""
     rounded = round(value_mm, 6)
     return int(rounded) if rounded == int(rounded) else rounded

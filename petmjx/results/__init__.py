@@ -1,1 +1,1 @@
-"""Reads and writes the folder of a run, one part at a time."""
+"""Reads and writes the folder of a run. Tables are written as several files, called *parts*."""

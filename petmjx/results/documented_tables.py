@@ -17,7 +17,7 @@ from petmjx.common.safe_read import read_regular
 from petmjx.results.run_folder import Write, csv, parquet, write_together
 
 Described = Mapping[str, tuple[str, str]]
-"""Column → its unit and description."""
+"""Name of a column → the column's unit and description."""
 
 _MOST_JSON_BYTES: Final = 1 << 28
 _LONGEST_HEADER: Final = 1 << 20
@@ -42,10 +42,10 @@ def write_documented_tables(
 ) -> None:
     """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder. Either all files are written, or none.
 
-    The folder is made if missing. Existing files are replaced, so call :func:`check_tables_free` first.
+    The folder is created if it does not exist. Existing files are replaced, so call :func:`check_tables_free` first.
 
     Args:
-        others: name of each further file → the function that writes it.
+        others: name of each additional file → the function that writes this file.
 
     Raises:
         OSError: a file cannot be written.
@@ -66,14 +66,14 @@ def check_tables_free(
     inputs: Iterable[Path] = (),
     others: Mapping[str, IsOurs] | None = None,
 ) -> None:
-    """Check that :func:`write_documented_tables` would replace no file that it must not replace. Call this function
+    """Check that :func:`write_documented_tables` would replace only files that it may replace. Call this function
     before the tables are computed, which can take minutes.
 
     Args:
         tables: names of the tables.
         overwrite: whether tables that petmjx wrote into the folder earlier may be replaced.
-        inputs: files that the command reads; they must not be replaced.
-        others: name of each further file → function that tells whether petmjx wrote an existing file of this name.
+        inputs: files that the command reads. They must not be replaced.
+        others: name of each additional file → function that returns whether petmjx wrote an existing file of this name.
 
     Raises:
         InputError: an existing file of one of these names was not written by petmjx or must not be replaced, or
@@ -90,7 +90,7 @@ def check_tables_free(
 
 def is_documented_table(file: Path) -> bool:
     """Whether :func:`write_documented_tables` may have written a file. A Parquet file is recognised by its metadata. A
-    CSV file must have the same columns as the Parquet file beside it."""
+    CSV file must have the same columns as the Parquet file of the same name in its folder."""
     if file.suffix == ".csv":
         columns = _documented_columns(file.with_suffix(".parquet"))
         return columns is not None and _header(file) == columns
@@ -107,14 +107,14 @@ def has_keys(file: Path, keys: Iterable[str]) -> bool:
 
 
 def _documented_columns(file: Path) -> list[str] | None:
-    """The columns of a Parquet file, if every column has a unit and a description. None for any other file, and for a
-    part of a run."""
+    """The columns of a Parquet file in which every column has a unit and a description. None for any other file, and
+    for a part of a run's table."""
     try:
         with open_for_arrow(file) as stream:
             schema = pq.read_schema(stream)
     except (OSError, ValueError, pa.ArrowException):
         return None
-    if b"schema_version" in (schema.metadata or {}):  # the file is a part of a run
+    if b"schema_version" in (schema.metadata or {}):  # the file is a part of a run's table
         return None
     described = all({b"unit", b"description"} <= (field.metadata or {}).keys() for field in schema)
     return list(schema.names) if described and len(schema) else None

@@ -1,8 +1,8 @@
-"""A lock that lets only one run at a time write into a folder. The lock ends when the process that holds it ends, even
-if the process is killed.
+"""A lock that lets only one run at a time write into a folder. The lock ends with the process that holds it, even if
+the process is killed.
 
-The package ``filelock`` is no alternative. It accepts any file of the lock's name as a lock, does not tell which
-process holds the lock, and, on file systems without locks, leaves its file behind after a kill.
+The package ``filelock`` is no alternative, for three reasons. It accepts any file with the name of the lock as a lock.
+It does not tell which process holds the lock. On file systems without locks, it leaves its file behind after a kill.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 
 LOCK_FILE: Final = ".lock"
-"""Name of the file that locks a run's folder while a run writes into it. If a run is killed, its lock ends, so the next
-run can lock the file."""
+"""Name of the file that locks a run's folder while a run writes into the folder. If a run is killed, its lock ends, so
+the next run can lock the file."""
 
 _OURS: Final = re.compile(rb"\d*\n?")
 
@@ -32,11 +32,11 @@ _NO_LOCKS: Final = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
 
 @contextlib.contextmanager
 def held_folder_lock(folder: Path) -> Iterator[bool]:
-    """Lock a folder for one run. Yields whether its file system supports locks.
+    """Lock a folder for one run. Yields whether the folder's file system supports locks.
 
     Raises:
-        InputError: another run is writing into the folder, or a folder, a link or a foreign file has the name of the
-            lock file.
+        InputError: another run is writing into the folder, or the name of the lock file belongs to a folder, a link, or
+            a file that petmjx did not write.
         OSError: the folder is not writable.
     """
     descriptor = _lock_descriptor(folder)
@@ -70,8 +70,8 @@ def _lock_descriptor(folder: Path) -> int:
 
 
 def _check_ours(descriptor: int, folder: Path) -> None:
-    """Refuse a file that contains anything but a process number, because a lock file is overwritten and later
-    deleted."""
+    """Raise InputError if the file contains anything but a process number. The lock file is overwritten and later
+    deleted, so it must not be a file of the user."""
     if not stat.S_ISREG(os.fstat(descriptor).st_mode) or not _OURS.fullmatch(os.pread(descriptor, 32, 0)):
         raise _not_ours(folder)
 
@@ -84,8 +84,7 @@ def _not_ours(folder: Path) -> InputError:
 
 
 def _take(descriptor: int, folder: Path) -> bool:
-    """Lock the file. Returns whether the locked file is still in the folder, because the process that held the lock
-    before may have deleted it."""
+    """Lock the file. If the process that held the lock before has deleted the file, lock the new file in the folder."""
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,6 +1,7 @@
-"""Converts recorded histories of worlds to rows of the tables ``histories``, ``frames`` and ``contacts``, and back.
+"""Converts recorded histories of worlds (poses and forces over time) to rows of tables, and back.
 
-``Recording`` states which worlds a run records and which histories it keeps.
+The tables are ``histories``, ``frames`` and ``contacts``. ``Recording`` states which worlds a run records and which
+histories it keeps.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ class Recording:
     """Which worlds a run records, and which histories it keeps.
 
     Whether a world fails is known only when it ends. So with ``failed_only``, all worlds are recorded, and the history
-    of a stable world is dropped at its end. No world is simulated twice, and memory holds only the histories of worlds
-    still being simulated.
+    of a stable world is deleted when the world ends. No world is simulated twice, and the histories in memory are only
+    those of worlds that are still being simulated.
 
     Attributes:
-        record: settings of the recording, for the engine; None: no recording.
-        plan_ids: plans whose worlds are recorded; None: all.
-        failed_only: keep only the histories of worlds that are not stable.
+        record: settings of the recording, for the engine. If None, nothing is recorded.
+        plan_ids: ids of the plans whose worlds are recorded. If None, the worlds of all plans are recorded.
+        failed_only: whether to keep only the histories of worlds that are not stable.
     """
 
     record: Record | None = None
@@ -47,7 +48,7 @@ class Recording:
     failed_only: bool = False
 
     def of(self, plan: Plan) -> Record | None:
-        """The settings with which the engine records a plan's worlds. None: the worlds are not recorded."""
+        """The settings with which the engine records the worlds of a plan, or None if these worlds are not recorded."""
         return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
 
     def kept(self, outcome: Outcome) -> Outcome:
@@ -79,7 +80,7 @@ def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Rec
     """Make the ``Recording`` of a run of these plans, from its options.
 
     Args:
-        engine: name of the engine.
+        engine: name of the engine of the run.
 
     Raises:
         InputError: a plan to record is not among ``plans``, or the engine cannot record the requested details.
@@ -107,7 +108,7 @@ def _split(text: str) -> list[str]:
 
 
 _DRIVES: Final = ((FORCE, "drive_force", "_n"), (ACCELERATION, "drive_acc", ""))
-"""Kind of drive → prefix and suffix of its columns in ``frames``."""
+"""Kind of drive (force on the carrier, or its acceleration) → prefix and suffix of the columns in ``frames``."""
 
 _XYZ: Final = "xyz"
 _WXYZ: Final = "wxyz"
@@ -115,7 +116,7 @@ _WXYZ: Final = "wxyz"
 
 @dataclass(frozen=True, eq=False)
 class RecordedWorld:
-    """A recorded world. ``rank`` is the world's position in the order of the run."""
+    """A recorded world with its history. ``rank`` is the position of the world in the order of the run."""
 
     plan_id: str
     variant: int
@@ -124,7 +125,7 @@ class RecordedWorld:
 
     @property
     def size(self) -> int:
-        """Memory of the arrays, bytes."""
+        """Memory that the arrays of the history take, bytes."""
         contacts = vars(self.history.contacts) if self.history.contacts is not None else {}
         arrays = [*vars(self.history).values(), *contacts.values()]
         return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
@@ -134,7 +135,8 @@ Columns = Mapping[str, Any]
 
 
 def history_columns(worlds: Sequence[RecordedWorld]) -> Columns:
-    """Columns of ``histories``: one row per frame and placed box, sorted by frame and then by packing order."""
+    """Columns of the table ``histories``. It has one row per frame and placed box, sorted by frame, then by packing
+    order."""
     parts = []
     for world in worlds:
         history = world.history
@@ -152,7 +154,7 @@ def history_columns(worlds: Sequence[RecordedWorld]) -> Columns:
 
 
 def frame_columns(worlds: Sequence[RecordedWorld]) -> Columns:
-    """Columns of ``frames``."""
+    """Columns of the table ``frames``."""
     parts = []
     for world in worlds:
         history = world.history
@@ -167,7 +169,7 @@ def frame_columns(worlds: Sequence[RecordedWorld]) -> Columns:
 
 
 def contact_columns(worlds: Sequence[RecordedWorld]) -> Columns:
-    """Columns of ``contacts``. Worlds without details have no rows."""
+    """Columns of the table ``contacts``. Worlds that were recorded without details have no rows."""
     parts = []
     detailed = [world for world in worlds if world.history.contacts is not None]
     for world in detailed:
@@ -185,11 +187,11 @@ TABLES: Final[Mapping[str, Callable[[Sequence[RecordedWorld]], Columns]]] = {
     "frames": frame_columns,
     "contacts": contact_columns,
 }
-"""Table → the function that makes its columns."""
+"""Name of a table → the function that makes the columns of this table."""
 
 
 def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> History | None:
-    """Read the history of a world; None if the world was not recorded.
+    """Read the history of a world. None if the world was not recorded.
 
     Args:
         n_boxes: number of boxes of the plan.
@@ -231,17 +233,17 @@ def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> H
 
 
 def _components(name: str, values: FloatArray, parts: str, end: str = "") -> dict[str, FloatArray]:
-    """Split values of shape (rows, components) into one column per component."""
+    """Split an array of shape (rows, components) into one column per component."""
     return {f"{name}_{part}{end}": values[:, i] for i, part in enumerate(parts)}
 
 
 def _vector(columns: Mapping[str, FloatArray], name: str, parts: str, end: str = "") -> FloatArray:
-    """Join columns made by ``_components`` into an array of shape (rows, components)."""
+    """Join the columns of a vector into an array of shape (rows, components). The inverse of ``_components``."""
     return np.stack([columns[f"{name}_{part}{end}"] for part in parts], axis=1)
 
 
 def _or_null(values: FloatArray | None, indices: tuple[NDArray[np.intp], NDArray[np.intp]], width: int) -> FloatArray:
-    """(rows, width) the values, or NaN if they were not recorded."""
+    """(rows, width) the values of the boxes at ``indices``. NaN if the values were not recorded."""
     if values is None:
         return np.full((len(indices[0]), width), np.nan)
     return values[indices].reshape(-1, width)
@@ -252,7 +254,7 @@ def _key(history: History, frame: NDArray[np.integer]) -> dict[str, Any]:
 
 
 def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) -> Columns:
-    """The columns of all worlds, one world after the other, together with the columns that identify the world."""
+    """The columns of all worlds, one world after another, and the columns that identify the world of each row."""
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
     rows = np.repeat(np.arange(len(worlds)), [len(part["frame"]) for part in parts])
     columns["plan_id"] = pa.array([world.plan_id for world in worlds], pa.string()).take(pa.array(rows))
@@ -262,7 +264,7 @@ def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) 
 
 
 def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """The columns of a world's rows, with null as NaN; None if the world has no rows."""
+    """The columns of the rows of one world, with NaN for null. None if the world has no rows."""
     rows = rows_of(run, table, plan_id, variant)
     if rows is None:
         return None
@@ -271,7 +273,7 @@ def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, 
 
 
 def _fits(boxes: Mapping[str, Any], f: int, n_boxes: int) -> bool:
-    """Whether every row belongs to an existing frame and box."""
+    """Whether the frame and the box of every row exist."""
     frame, box = boxes["frame"], boxes["box"]
     return bool(((frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)).all())
 

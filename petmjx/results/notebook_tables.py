@@ -1,4 +1,4 @@
-"""Tables as short HTML for notebooks. The HTML defines no styles, so it follows the notebook's theme."""
+"""Short HTML tables for notebooks. The HTML defines no styles, so it follows the notebook's theme."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MOST_ROWS: Final = 20
-"""Largest number of rows that a table shows."""
+"""Largest number of rows that are shown of a table."""
 
 
 @dataclass(frozen=True)
 class ShownColumn:
-    """A column, as shown in notebooks.
+    """A column of a data frame, and how notebooks show it.
 
     Attributes:
         name: name of the column in the data frame.
-        head: its heading with the unit.
-        decimals: number of decimals for fractional numbers.
+        head: heading of the shown column, with the unit.
+        decimals: number of decimals of fractional numbers.
         factor: factor that converts the values to the unit in the heading.
     """
 
@@ -47,28 +47,28 @@ WORLD_COLUMNS: Final = (
     ShownColumn("max_tilt_deg", "tilt °", 1),
     ShownColumn("rest_top_force_n", "rest force N", 1),
 )
-"""The shown columns of ``worlds``. The variant is left out if only variant 0 exists."""
+"""The columns of ``worlds`` that are shown. The column of the variant is left out if all worlds have variant 0."""
 
 
 def worlds_as_html(title: str, worlds: pd.DataFrame) -> str:
-    """The first rows of the table ``worlds``, below a line of text."""
+    """HTML with the first rows of the table ``worlds``, below a line of text."""
     varied = "variant" in worlds and worlds["variant"].any()
     columns = [column for column in WORLD_COLUMNS if varied or column.name != "variant"]
     return block_as_html([title], [table_as_html(worlds, columns, "worlds")])
 
 
 def block_as_html(lines: Sequence[str], tables: Sequence[str]) -> str:
-    """Lines of text, the first of them set as code, and tables that :func:`table_as_html` made."""
+    """HTML with lines of text, of which the first is set as code, and with tables from :func:`table_as_html`."""
     first, *other_lines = map(html.escape, lines)
     texts = "".join(f"<p>{line}</p>" for line in other_lines)
     return f"<div><p><code>{first}</code></p>{texts}{''.join(tables)}</div>"
 
 
 def table_as_html(frame: pd.DataFrame, columns: Sequence[ShownColumn], attribute: str) -> str:
-    """The first rows of a data frame. Columns that the frame lacks are left out.
+    """HTML with the first rows of a data frame. Columns that the data frame lacks are left out.
 
     Args:
-        attribute: name of the attribute that holds the whole data frame, such as ``.worlds``.
+        attribute: name of the attribute that holds the whole data frame, such as ``worlds``.
     """
     columns = [column for column in columns if column.name in frame]
     heads = "".join(f"<th>{html.escape(column.head)}</th>" for column in columns)

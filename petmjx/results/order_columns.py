@@ -1,4 +1,4 @@
-"""How a run's folder stores the comparison of its plans with their orders: columns of ``plans``, blocks of
+"""How the folder of a run stores the comparison of plans with orders: as columns of ``plans`` and as blocks of
 ``run.json``."""
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from petmjx.results.run_tables import Parts
 
 
 def orders_block(check: OrderCheck) -> dict[str, Any]:
-    """The block ``orders`` of ``run.json``, with the numbers about the orders in ``counts``."""
+    """The block ``orders`` of ``run.json``. The counts of boxes and orders are in ``counts_block``."""
     return {
         "file": check.file,
         "digest": check.digest,
@@ -24,15 +24,15 @@ def orders_block(check: OrderCheck) -> dict[str, Any]:
 
 
 def counts_block(check: OrderCheck) -> dict[str, Any]:
-    """The block ``orders`` of ``counts``."""
+    """The block ``orders`` within the block ``counts`` of ``run.json``."""
     return asdict(check.counts)
 
 
 def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
-    """Read the order check of a run; None if the run was not compared with orders.
+    """Read the comparison of a run's plans with their orders. None if the run was not compared with orders.
 
     Raises:
-        InputError: the run's table ``plans`` is damaged.
+        InputError: the table ``plans`` of the run is damaged.
     """
     block = info.get("orders")
     if block is None:
@@ -61,8 +61,8 @@ def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
 
 
 def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
-    """Combine the order checks of all shards into the order check of the whole run. All shards were compared with the
-    same orders."""
+    """Combine the comparisons of all shards (parts of a run on several machines) into that of the whole run. All shards
+    were compared with the same orders."""
     counts = {
         field.name: _sum([getattr(check.counts, field.name) for check in checks]) for field in fields(OrderCounts)
     }
@@ -77,6 +77,6 @@ def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
 
 
 def _sum(values: Sequence[int | None]) -> Any:
-    """The sum of the values; None if one of them is unknown."""
+    """The sum of the values. None if one of the values is unknown (None)."""
     values_with_number = [value for value in values if value is not None]
     return sum(values_with_number) if len(values_with_number) == len(values) else None

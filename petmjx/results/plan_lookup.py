@@ -1,6 +1,6 @@
-"""Finds the plans of a run again, in its table ``placements`` or in the files that they came from.
+"""Finds the plans of a run again, in the run's table ``placements`` or in the files from which the plans were read.
 
-This is needed because no other table of a run has the sizes of boxes.
+This is needed because only this table of a run has the sizes of boxes.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from petmjx.results.run_reader import RunResults, load_run
 
 @dataclass(frozen=True, eq=False)
 class PlanLookup:
-    """Result of looking for a run's plans: which were found, are missing, or have changed.
+    """The plans of a run that were found again, that are missing, and that have changed since the run.
 
     Attributes:
-        plans: by id, the plans that are equal to the simulated ones.
+        plans: plan id → plan, for plans that are equal to the simulated plans.
         missing: ids of the plans that were not found, sorted.
         changed: ids of the plans that were found but have changed since the run, sorted.
-        gone: files of the run's plans that no longer exist.
+        gone: files from which plans were read and that no longer exist.
     """
 
     plans: Mapping[str, Plan]
@@ -48,16 +48,16 @@ def find_plans(
     wanted: Collection[str],
     given: PlanSource | None = None,
 ) -> PlanLookup:
-    """Find the plans of a run. Only plans that are equal to the simulated ones count as found.
+    """Find the plans of a run. A plan counts as found only if it is equal to the simulated plan.
 
     Args:
-        records: the run's records of its plans, by id. A plan without a record is accepted without a check.
+        records: plan id → the run's record of the plan. A plan without a record is accepted without a check.
         wanted: ids of the plans to find.
-        given: where the plans are now. None: the first of these that exists is used: the plan objects of the run, the
-            plans in its table ``placements``, the files that the table ``plans`` names.
+        given: the present source of the plans. If None, plans are taken from the first of these sources that has them:
+            the plan objects of the run, the run's table ``placements``, the files that the table ``plans`` names.
 
     Raises:
-        InputError: ``given`` is unusable.
+        InputError: the source ``given`` is unusable.
     """
     missing_files: list[str] = []
     found_plans: dict[str, Plan] = {}
@@ -84,11 +84,12 @@ def find_plans(
 
 
 def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
-    """The plans of a source. For folders of runs, these are the plans that the runs simulated.
+    """The plans of a source. If the source is the folder of a run, or several such folders, the plans that were
+    simulated.
 
     Raises:
         InputError: a run cannot be read, or none of its plans can be found in its tables or in a file. With ``strict``,
-            also if any plan is missing.
+            also if any single plan is missing.
     """
     several: Any = [plans] if isinstance(plans, str | PathLike) else plans
     if not isinstance(several, list | tuple) or not several or not all(map(is_run, several)):
@@ -110,11 +111,11 @@ def is_run(source: object) -> bool:
 
 
 def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
-    """The plans that a run simulated. Plans that cannot be found are skipped.
+    """The plans that a run simulated. Plans that cannot be found are listed as skipped.
 
     Raises:
-        InputError: the run lists no plans, or none of them can be found. With ``strict``, also if any plan cannot be
-            found.
+        InputError: the run lists no plans, or none of them can be found. With ``strict``, also if any single plan
+            cannot be found.
     """
     records = Manifest.read(run.parts, run.info).plans
     simulated = set(run.worlds["plan_id"])
@@ -136,7 +137,7 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
 
 
 def how_read(info: Mapping[str, Any]) -> RunOptions:
-    """The options with which a run read its plans: units, anchor, articles …
+    """The options with which a run read its plans, such as units, anchor and articles.
 
     Raises:
         InputError: the options are damaged.
@@ -146,8 +147,8 @@ def how_read(info: Mapping[str, Any]) -> RunOptions:
 
 
 def plan_file(source: str) -> Path | None:
-    """The file that a plan came from; None if it no longer exists. The path of a bundled plan may differ on this
-    machine."""
+    """The file from which a plan was read. None if the file no longer exists. For a bundled plan, the path of the
+    bundled file on this machine."""
     file, bundled = Path(source), bundled_path()
     if file.is_file():
         return file

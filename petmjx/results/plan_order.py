@@ -1,8 +1,8 @@
 """The order of a run's worlds: by plan in the order of the input, then by variant.
 
-Worlds end in any order, and the row of a world is written when the world ends. The column ``rank`` has each world's
-position in the order, and readers sort by it. Runs of petmjx before 0.3 have no ranks; their rows are sorted by the
-order of the table ``plans``.
+Worlds end in any order, and the row of a world is written when the world ends. The column ``rank`` holds the position
+of each world in the order of the run, and readers sort rows by this column. Runs of petmjx before 0.3 have no ranks;
+their rows are sorted by the order of the table ``plans``.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _MOST_VARIANTS: Final = 1 << 32
 
 
 class WorldRanks:
-    """The rank of each world of a run. In a whole run whose plans all have the same variants, ranks are 0, 1, 2, …
-    without gaps. In a search, ranks have gaps.
+    """The rank (position in the order of the run) of each world. If all plans of a whole run have the same variants,
+    ranks are 0, 1, 2, … without gaps. In a search, ranks have gaps.
 
     Args:
-        plan_ids: all plans in the order of the input, including plans of other shards. Plans that are not listed come
-            after them, in the order in which they are first ranked.
-        variants: numbers of each plan's variants; None: unknown, as in a search.
+        plan_ids: ids of all plans in the order of the input, including the plans of other shards. Plans that are not
+            listed come after these plans, in the order in which they first get a rank.
+        variants: numbers of the variants of each plan, or None if they are unknown, as in a search.
     """
 
     def __init__(self, plan_ids: Iterable[str] = (), variants: range | None = None) -> None:
@@ -46,14 +46,14 @@ class WorldRanks:
         return place * len(self._variants) + variant - self._variants.start
 
     def ranks(self, table: pa.Table) -> NDArray[np.int64]:
-        """(n,) for each row, the rank of its world."""
+        """(n,) the rank of the world of each row."""
         plans = table["plan_id"].combine_chunks().dictionary_encode()
         first = np.array([self.rank(plan_id, 0) for plan_id in plans.dictionary.to_pylist()], dtype=np.int64)
         ranks: NDArray[np.int64] = first[np.asarray(plans.indices)] + np.asarray(table["variant"], dtype=np.int64)
         return ranks
 
     def ranked(self, table: pa.Table) -> pa.Table:
-        """The rows with their ranks, sorted by rank. The rows of a world stay in the same order."""
+        """The rows with a column of ranks, sorted by rank. Rows of the same world keep their order."""
         ranks = self.ranks(table)
         place = table.schema.get_field_index(RANK)
         if place >= 0:
@@ -63,18 +63,19 @@ class WorldRanks:
 
 
 def is_ranked(parts: Parts, plan_ids: Sequence[str]) -> bool:
-    """Whether the rows of a run have ranks that match this order of plans. Either all tables of a run have ranks, or
-    none has."""
+    """Whether the rows of a run have ranks that match this order of plans. Either all tables of a run have ranks, or no
+    table has."""
     ranked = all(RANK in parts.columns(file) for file in parts.files("worlds"))
     return ranked and PlanOrder.of(parts).plan_ids == plan_ids
 
 
 def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None) -> pa.Table | None:
-    """The rows of a table of worlds in the order of the run; None if the table has no part. The rows of a world stay in
-    the same order.
+    """The rows of a table in the order of the run. None if the table has no part. Rows of the same world keep their
+    order.
 
     Args:
-        columns: columns to read, including ``plan_id`` and ``variant``; None: all.
+        columns: names of the columns to read, which must include ``plan_id`` and ``variant``. If None, all columns are
+            read.
 
     Raises:
         InputError: a part is damaged or missing.
@@ -98,8 +99,8 @@ class PlanOrder:
     """The plans of a run, in the order of the input.
 
     Attributes:
-        plan_ids: ids of all plans; empty if unknown.
-        numbers: position of each plan in the input, counting skipped plans.
+        plan_ids: ids of all plans. Empty if they are unknown.
+        numbers: position of each plan in the input, where skipped plans also have a position.
     """
 
     plan_ids: Sequence[str]
@@ -129,11 +130,11 @@ class PlanOrder:
         return np.asarray(pc.fill_null(places, len(self.plan_ids)), dtype=np.int64)
 
     def keys(self, table: pa.Table) -> NDArray[np.int64]:
-        """(n,) sort key of each row's world. Different worlds have different keys."""
+        """(n,) a sort key for the world of each row. Different worlds have different keys."""
         return self.places(table["plan_id"]) * _MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64)
 
     def ordered(self, table: pa.Table) -> pa.Table:
-        """The rows in the order of the run. The rows of a world stay in the same order."""
+        """The rows in the order of the run. Rows of the same world keep their order."""
         if not self.plan_ids or not len(table):
             return table
         keys = self.keys(table)

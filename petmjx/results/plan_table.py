@@ -1,8 +1,8 @@
 """The table ``placements`` of a run: all fields of its plans, with one row per box.
 
 With this table, a run can be shown and reported from its folder alone, even if the files of its plans were deleted or
-the folder was moved. Null means that the plan does not have the field. NaN is stored as NaN, because it is a possible
-value of some fields.
+the folder was moved. Null means that the plan does not have the field. NaN is a possible value of some fields, so NaN
+is stored as NaN and not as null.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ PLACEMENTS: Final = "placements"
 
 _TEXTS: Final = {"item_id": "item_ids", "article": "articles", "product_group": "product_groups",
                  "material": "materials", "kind": "kinds"}  # fmt: skip
-"""Column → field of ``Plan``."""
+"""Name of a column → name of the field of ``Plan``."""
 _VECTORS: Final = {"size": "size_mm", "corner": "corner_mm", "mass_center": "mass_center_mm"}
 _NUMBERS: Final = ("mass_kg", "sequence", "orientation", *SPARSE)
 
 
 def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
-    """Make the table; None if a text of the plans cannot be written as UTF-8."""
+    """Make the table ``placements``. None if a text of the plans cannot be written as UTF-8."""
     plans, schema = list(plans), placements_schema()
     counts = [plan.n_boxes for plan in plans]
     columns: dict[str, Sequence[Any]] = {}
@@ -54,7 +54,8 @@ def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
 
 
 def _array(values: Sequence[Any], counts: Sequence[int], kind: pa.DataType) -> pa.Array:
-    """The values of all boxes. A plan without this field has None in ``values``, and its boxes have null."""
+    """One column: the values of a field for all boxes. A plan without the field has None in ``values``, and its boxes
+    get null."""
     if all(of_plan is None for of_plan in values):
         return pa.nulls(sum(counts), kind)
     if kind == pa.string():
@@ -66,11 +67,11 @@ def _array(values: Sequence[Any], counts: Sequence[int], kind: pa.DataType) -> p
 
 
 def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collection[str]) -> dict[str, Plan]:
-    """The plans in a run's table by id, in the order of the table. Plans that differ from the simulated ones are left
-    out.
+    """Plan id → plan, for the plans in the table of a run, in the order of the table. Plans that differ from the
+    simulated plans are left out.
 
     Args:
-        records: the run's records of its plans, by id.
+        records: plan id → the run's record of the plan.
         wanted: ids of the plans to find.
 
     Raises:
@@ -93,7 +94,7 @@ def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collecti
 
 
 def _by_plan(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
-    """Yield (id, rows) of each plan. The rows of a plan are adjacent."""
+    """Yield the id and the rows of each plan. The rows of a plan are adjacent."""
     codes = table["plan_id"].combine_chunks().dictionary_encode() if table.num_rows else None
     if codes is None:
         return
@@ -104,7 +105,7 @@ def _by_plan(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
 
 
 def _plan(plan_id: str, source: str, rows: pa.Table) -> Plan:
-    """A plan from its rows. Raises InputError if the rows do not make a plan."""
+    """A plan made from its rows. Raises InputError if the rows do not form a valid plan."""
     fields: dict[str, Any] = {}
     for name, field in _TEXTS.items():
         fields[field] = () if rows[name].null_count else tuple(rows[name].to_pylist())

@@ -1,4 +1,4 @@
-"""The earlier run in a folder, as a resumed run needs it: its worlds, its ``run.json`` and its files."""
+"""Reads the earlier run in a folder, for a run that resumes it: the completed worlds, ``run.json`` and the files."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _COLUMNS: Final = ("plan_id", "variant", *COUNTED, "culprit", "n_steps")
 
 
 class CompletedWorlds:
-    """The completed worlds of a run, with their rows in the table ``worlds``.
+    """The completed worlds of a run, and their rows in the table ``worlds``.
 
     Args:
-        parts: files of the run; None: no world is completed yet.
-        columns: columns of ``worlds`` to read, in addition to the columns of every run.
+        parts: files of the run. None if no world is completed yet.
+        columns: columns of ``worlds`` to read, in addition to the columns that all runs have.
 
     Raises:
         InputError: a part is damaged or missing, or a world occurs twice.
@@ -49,7 +49,7 @@ class CompletedWorlds:
 
     def _index(self, table: pa.Table, parts: Parts | None) -> None:
         """Sort the rows by plan and variant. The sorted index takes a few bytes per world; a dictionary would take
-        hundreds."""
+        hundreds of bytes per world."""
         plans = table["plan_id"].combine_chunks().dictionary_encode()
         plan = np.asarray(plans.indices, dtype=np.int64)
         variant = np.asarray(table["variant"], dtype=np.int64)
@@ -76,8 +76,8 @@ class CompletedWorlds:
         return end - first
 
     def _rows_of(self, plan_id: str) -> dict[int, int]:
-        """Variant → row, for the worlds of a plan. The result for the latest plan is cached, since runs look up worlds
-        plan by plan."""
+        """Variant → row number, for the worlds of a plan. The result for the last plan is kept, since runs look up
+        worlds plan by plan."""
         if self._last[0] != plan_id:
             span = slice(*self._spans.get(plan_id, (0, 0)))
             rows = dict(zip(self._variants[span].tolist(), self._sorted[span].tolist(), strict=True))
@@ -85,12 +85,12 @@ class CompletedWorlds:
         return self._last[1]
 
     def row(self, plan_id: str, variant: int) -> dict[str, Any] | None:
-        """The row of a world as column → value, with null as None. The result is None if the world is not completed."""
+        """The row of a world as a dict: column → value, with None for null. None if the world is not completed."""
         row = self._rows_of(plan_id).get(variant)
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 
     def counts(self) -> WorldCounts:
-        """Counts of the completed worlds, by verdict and reason."""
+        """The numbers of completed worlds, by verdict and reason."""
         return WorldCounts() if self._table is None else WorldCounts.of(self._table)
 
     def _column(self, name: str) -> list[Any]:
@@ -103,7 +103,7 @@ class CompletedWorlds:
 
 
 def engine_of_run(folder: Path) -> str | None:
-    """The engine of the run in a folder; None if the folder has no readable run of petmjx."""
+    """The name of the engine of the run in a folder. None if the folder has no readable run of petmjx."""
     try:
         engine = read_info(folder).get("identity", {}).get("engine")
     except InputError:  # the function that resumes the run reports the error
@@ -114,14 +114,14 @@ def engine_of_run(folder: Path) -> str | None:
 def resume_state(
     folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
 ) -> tuple[dict[str, Any], Parts, list[str]]:
-    """The ``run.json`` of the earlier run, its files, and its warnings. Further warnings are added if versions differ
-    or data are missing.
+    """The ``run.json`` of the earlier run, its files, and its warnings. Warnings are added if versions of packages
+    differ or if data are missing.
 
     Args:
-        versions: package → version, as in the resumed run.
+        versions: package → version in the run that resumes the earlier run.
 
     Raises:
-        InputError: the folder has another run, or its run is damaged.
+        InputError: the folder has a different run, or its run is damaged.
     """
     info = read_info(folder)
     if manifest is None:

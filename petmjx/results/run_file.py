@@ -23,19 +23,19 @@ Share = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}/[1-9][0-9]{0,8}$")]
 
 
 class _PartialRecord(BaseModel):
-    """Base class for the tables in ``run.json`` of which petmjx reads only some entries."""
+    """Base class for records of ``run.json`` of which petmjx reads only some entries."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
 _NEWER_FIELDS: Final = ("resized", "matched_by_size")
-"""Fields of ``OrderCounts`` that are missing in runs of petmjx 0.2."""
+"""Fields of ``OrderCounts`` that runs of petmjx 0.2 lack."""
 
 _ORDER_FIELDS: Final[dict[str, Any]] = {
     name: (kind, 0 if name in _NEWER_FIELDS else ...) for name, kind in get_type_hints(OrderCounts).items()
 }
 _OrderCounts = create_model("_OrderCounts", __base__=_PartialRecord, **_ORDER_FIELDS)
-"""Checks that an entry has all fields of ``OrderCounts``."""
+"""Checks that an entry of ``run.json`` has all fields of ``OrderCounts``."""
 
 
 class _Counts(_PartialRecord):
@@ -71,7 +71,7 @@ class _Orders(_PartialRecord):
 
 
 class RunFile(_PartialRecord):
-    """The entries that petmjx reads."""
+    """The entries of ``run.json`` that petmjx reads."""
 
     status: str = ""
     started: str = ""
@@ -87,9 +87,9 @@ class RunFile(_PartialRecord):
     skipped: list[_Skipped] = []
     warnings: list[str] = []
     orders: _Orders | None = None
-    """Only runs that were compared with orders have this entry and ``counts.orders``."""
+    """Only runs that were compared with orders have this entry and the entry ``counts.orders``."""
     parts: dict[TableName, dict[PartName, Digest]]
-    """Table → file name → digest, for the files that belong to the run."""
+    """Table → file name → digest, for all files that belong to the run."""
     digest: Digest | None = None
     """Digest of all other entries of ``run.json``."""
 
@@ -98,8 +98,8 @@ _OPTIONAL: Final = ("orders", "digest")
 
 
 def run_digest(info: Mapping[str, Any]) -> str:
-    """Digest of all entries of a ``run.json`` except ``digest``. Neither the order of entries nor white space affects
-    the digest."""
+    """Digest of all entries of a ``run.json`` except the entry ``digest``. The digest does not depend on the order of
+    the entries or on white space."""
     other_entries = {name: value for name, value in info.items() if name != "digest"}
     text = json.dumps(other_entries, sort_keys=True, ensure_ascii=True)
     return hashlib.blake2b(text.encode(), digest_size=DIGEST_BYTES).hexdigest()
@@ -113,7 +113,7 @@ def write_run_file(info: Mapping[str, Any], folder: Path) -> None:
 
 
 def check_run_file(info: Mapping[str, Any], file: Path) -> None:
-    """Check each entry that is present.
+    """Check all entries that are present.
 
     Raises:
         InputError: an entry is wrong, as in "DIR/run.json: counts.worlds must be a whole number, got None".

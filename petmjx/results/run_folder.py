@@ -12,10 +12,10 @@
     DIR/placements/part-*.parquet   one row per box of its plans, with all fields
     DIR/.lock                       exists while a run writes
 
-A file never appears half-written. A part belongs to the run once ``run.json`` lists it with its digest
-(petmjx.results.run_tables). Parts that are not listed were left by a killed run. Parts of ``worlds``, ``boxes`` and
-``attempts`` with the same number hold the same worlds, and so do parts of ``histories``, ``frames`` and ``contacts``
-with the same number.
+A file never appears half-written. Tables are written as several files, called parts. A part belongs to the run only if
+``run.json`` lists it with its digest (petmjx.results.run_tables). Parts that are not listed were left by a killed run.
+Parts of ``worlds``, ``boxes`` and ``attempts`` with the same number hold the same worlds. The same is true for parts of
+``histories``, ``frames`` and ``contacts``.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
 TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")
 
 ROWS_PER_GROUP: Final = 131_072
-"""Rows in a row group of Parquet. A group of ``boxes`` has a few megabytes, so that readers can process one group at a
-time. A part of ``worlds`` is a single group."""
+"""Number of rows in a row group of a Parquet file. A group of ``boxes`` has a few megabytes, so that readers can
+process one group at a time. A part of ``worlds`` is a single group."""
 
 DIGEST_BYTES: Final = 16
 _BLOCK: Final = 1 << 20
@@ -57,11 +57,12 @@ _BLOCK: Final = 1 << 20
 _PART: Final = re.compile(r"part-\d{5,}\.parquet")
 _HIDDEN: Final = re.compile(r"\.(part-\d{5,}\.parquet|run\.json)\.[0-9a-f]{32}\.tmp")
 MOST_RUN_FILE_BYTES: Final = 1 << 30
-"""Largest accepted ``run.json``. A million lines about skipped plans take 200 MB."""
+"""Largest accepted size of ``run.json``, bytes. A million lines about skipped plans take 200 MB."""
 
 
 def part_name(number: int) -> str:
-    """File name of a part. Parts of different tables that hold the same worlds have the same number."""
+    """File name of the part with this number. Parts of different tables that hold the same worlds have the same
+    number."""
     return f"part-{number:05d}.parquet"
 
 
@@ -76,12 +77,12 @@ def part_files(folder: Path, table: str) -> list[Path]:
 
 
 Write = Callable[[BinaryIO], object]
-"""A function that writes the content of a file into a stream."""
+"""A function that writes the content of a file into a binary stream."""
 
 
 def parquet(table: pa.Table) -> Write:
-    """A writer of a table as Parquet. Measured values hardly repeat, so they are stored without a dictionary. A
-    dictionary would double the time and take more space."""
+    """A function that writes a table as Parquet. Measured values hardly repeat, so they are stored without a
+    dictionary. A dictionary would double the time and take more space."""
     repeats = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
     return lambda file: pq.write_table(
         table, file, compression="zstd", compression_level=1, row_group_size=ROWS_PER_GROUP, use_dictionary=repeats
@@ -89,13 +90,13 @@ def parquet(table: pa.Table) -> Write:
 
 
 def csv(table: pa.Table) -> Write:
-    """A writer of a table as CSV."""
+    """A function that writes a table as CSV."""
     return lambda file: pa_csv.write_csv(table, file)
 
 
 def text(content: str) -> Write:
-    """A writer of a text as UTF-8. Characters that UTF-8 cannot encode, as in some file names, are escaped as in
-    JSON."""
+    """A function that writes a text as UTF-8. Characters that UTF-8 cannot encode, as in some file names, are escaped
+    as in JSON."""
     return lambda file: file.write(content.encode(errors="backslashreplace"))
 
 
@@ -118,8 +119,7 @@ def write_together(files: Mapping[Path, Write]) -> None:
 
 
 def appear(hidden: Mapping[Path, Path]) -> None:
-    """Rename finished hidden files to their final paths. ``hidden`` maps each final path to the path of the hidden
-    file."""
+    """Rename finished hidden files to their final paths. ``hidden``: final path → path of the hidden file."""
     for path, temporary in hidden.items():
         os.replace(temporary, path)
     for folder in {path.parent for path in hidden}:
@@ -131,26 +131,26 @@ def appear(hidden: Mapping[Path, Path]) -> None:
 
 
 def write_table(table: pa.Table, path: Path) -> str:
-    """Write one Parquet file, which never appears half-written; returns its digest. If the run's folder was deleted, it
-    is not created again."""
+    """Write one Parquet file and return its digest. The file never appears half-written. If the run's folder was
+    deleted, it is not created again."""
     path.parent.mkdir(exist_ok=True)
     return _write_whole(path, parquet(table))
 
 
 def write_text(content: str, path: Path) -> None:
-    """Write one text file, encoded as by :func:`text`. It never appears half-written."""
+    """Write one text file in the encoding of :func:`text`. The file never appears half-written."""
     _write_whole(path, text(content))
 
 
 def copy_file(source: Path, path: Path) -> str:
-    """Copy one file; the copy never appears half-written. Returns its digest."""
+    """Copy one file and return its digest. The copy never appears half-written."""
     path.parent.mkdir(exist_ok=True)
     with source.open("rb") as original:
         return _write_whole(path, lambda file: shutil.copyfileobj(original, file))
 
 
 def digest_of(stream: BinaryIO) -> str:
-    """Hexadecimal digest (BLAKE2b) of a file from its current position to its end, computed at a gigabyte per
+    """Hexadecimal digest (BLAKE2b) of a file, from its current position to its end. The speed is a gigabyte per
     second."""
     digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
     while block := stream.read(_BLOCK):
@@ -159,22 +159,22 @@ def digest_of(stream: BinaryIO) -> str:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder has a run, or parts of one. Tables of plans alone do not count as parts, since they are written
-    before ``run.json``."""
+    """Whether a folder has a run or parts of a run. The tables ``plans`` and ``placements`` alone are not parts of a
+    run in this sense, since they are written before ``run.json``."""
     tables = (table for table in TABLES if table not in ("plans", "placements"))
     return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in tables)
 
 
 def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False) -> None:
-    """Check that a run may write into a folder. Nothing is changed.
+    """Check that a run may write into a folder. The folder is not changed.
 
     Args:
         overwrite: whether an existing run may be replaced.
         resume: whether an existing run may be resumed.
 
     Raises:
-        InputError: the folder has a run, and neither option is set; or a file, folder or link that petmjx did not write
-            has the name of a run's file.
+        InputError: the folder has a run, and neither option is set; or the name of one of a run's files belongs to a
+            file, folder or link that petmjx did not write.
     """
     parts = {file: table for table in TABLES for file in part_files(folder, table)}
     hidden = [file for place in (folder, *(folder / table for table in TABLES)) for file in _own_files(place, _HIDDEN)]
@@ -188,7 +188,7 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
     def check(*files: Path) -> None:
         check_outputs(files, overwrite=True, folder=folder, is_ours=is_ours)
 
-    # ``check`` descends each path from the top, so it also covers folders that do not exist yet
+    # ``check`` tests each path from the top down, so it also works for folders that do not exist yet
     check(folder / RUN_FILE, *(folder / table / "x" for table in TABLES))
     listed = _listed_parts(folder / RUN_FILE) or ()
     check(*parts, *hidden)
@@ -201,7 +201,7 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
 
 def _listed_parts(run_file: Path) -> frozenset[Path] | None:
-    """The files that a ``run.json`` lists; None: the file does not exist, or petmjx did not write it."""
+    """The files that a ``run.json`` lists. None if the file does not exist or petmjx did not write it."""
     try:
         tables = json.loads(read_regular(run_file, MOST_RUN_FILE_BYTES))["parts"]
         return frozenset(run_file.parent / table / name for table, names in tables.items() for name in names)
@@ -210,7 +210,7 @@ def _listed_parts(run_file: Path) -> frozenset[Path] | None:
 
 
 def _is_part_of(table: str, file: Path) -> bool:
-    """Whether the file's metadata state that the file is a part of this table, no matter of which run."""
+    """Whether the metadata of a file state that it is a part of this table. The part may belong to any run."""
     try:
         with open_for_arrow(file) as stream:
             metadata = pq.read_schema(stream).metadata or {}
@@ -220,9 +220,9 @@ def _is_part_of(table: str, file: Path) -> bool:
 
 
 def make_room(folder: Path) -> None:
-    """Delete the files of the run in a folder, and no others. Call :func:`check_run_folder` first.
+    """Delete the files of the run in a folder, and no other files. Call :func:`check_run_folder` first.
 
-    ``run.json`` is deleted first. After a crash, the folder then has no run, rather than a run with parts missing.
+    ``run.json`` is deleted first. So a crash leaves a folder without a run, and not a run with missing parts.
 
     Raises:
         OSError: the folder is not writable.
@@ -241,10 +241,10 @@ def tidy(folder: Path) -> None:
 
 
 def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
-    """Delete parts that a killed run has left.
+    """Delete the parts that a killed run has left.
 
     Args:
-        kept: maps a table to the files that are not deleted.
+        kept: function that takes the name of a table and returns the files of this table that are not deleted.
     """
     for table in TABLES:
         files = kept(table)
@@ -254,7 +254,7 @@ def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
 
 
 def _own_files(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
-    """The files of a folder whose names match a pattern of petmjx; none if the path is not a folder."""
+    """The files of a folder whose names match this pattern. Empty if the path is not a folder."""
     return [file for file in folder.iterdir() if pattern.fullmatch(file.name)] if folder.is_dir() else []
 
 
@@ -264,8 +264,9 @@ def _hidden_path(path: Path) -> Path:
 
 
 def _write(path: Path, write: Write) -> str:
-    """Write a new file and flush it to disk; returns its digest."""
-    # Nobody can put a file or a link at this path before: its name is random, and existing files are never opened.
+    """Write a new file and flush it to disk. Returns the digest of the file."""
+    # No other program can have put a file or a link at this path: its name is random, and existing files are not
+    # opened.
     open_flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     with open(os.open(path, open_flags, 0o666), "w+b") as file:
         write(file)

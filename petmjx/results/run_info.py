@@ -16,18 +16,18 @@ from petmjx.results.schema import SCHEMA_VERSION, Param
 from petmjx.results.world_counts import WorldCounts
 
 RUNNING: Final = "running"
-"""The status of a run that has not ended yet, or that was killed."""
+"""The status of a run that has not ended, or that was killed."""
 
 
 class RunInfo:
-    """Collects the entries of ``run.json``, except the list of files.
+    """Collects the entries of ``run.json``, except for the list of files.
 
     Attributes:
-        skipped: plans and files that are not simulated, with the reason of each.
+        skipped: plans and files that are not simulated, each with the reason.
         warnings: warnings about the whole run, without repetitions.
-        odd_plans: a line for each plan with overlapping, floating or outside boxes.
-        timings: seconds by name.
-        earlier_s: timings of the earlier run that this one resumes. ``run.json`` gets the sums of ``timings`` and
+        odd_plans: one line for each plan with boxes that overlap, float, or stand outside the carrier.
+        timings: name → seconds that were spent.
+        earlier_s: timings of the earlier run that this run resumes. ``run.json`` gets the sums of ``timings`` and
             ``earlier_s``.
         head: entries whose values are known when the run begins.
     """
@@ -74,7 +74,7 @@ class RunInfo:
         """The entries at this moment.
 
         Args:
-            counts: counts of the written worlds.
+            counts: the numbers of worlds that have been written.
         """
         seconds = Counter(self.earlier_s)
         seconds.update({**self.timings, "wall_s": round(time.monotonic() - self._started, 3)})

@@ -24,11 +24,11 @@ from petmjx.results.run_tables import Parts
 from petmjx.results.schema import plans_schema
 
 DIGEST_BYTES: Final = 8
-"""Length of a plan's digest. A digest has 2^64 possible values. In a run of a million plans, the chance that two
-different plans have the same digest is one in 30 million."""
+"""Length of the digest of a plan, bytes. A digest has 2^64 possible values. In a run of a million plans, the
+probability that two different plans have the same digest is one in 30 million."""
 
 MOST_NAMED: Final = 4
-"""Largest number of differences that a message names. Further differences are only counted."""
+"""Largest number of differences that a message names. Of further differences, only the number is given."""
 
 
 def plan_digest(plan: Plan) -> str:
@@ -54,11 +54,11 @@ class PlanRecord(NamedTuple):
 
     Attributes:
         digest: digest of everything in the plan that affects the results.
-        source: the file that the plan came from.
-        volume_m3: total volume of its boxes.
-        extent_x_m, extent_y_m: extents of its bounding box.
-        height_m: height of its highest box above the carrier.
-        number: its position in the input, counting skipped plans; None: unknown.
+        source: file from which the plan was read.
+        volume_m3: total volume of the plan's boxes, m³.
+        extent_x_m, extent_y_m: extents of the bounding box of all boxes, m.
+        height_m: height of the top of the highest box above the carrier, m.
+        number: position of the plan in the input, where skipped plans also have a position. None if it is unknown.
     """
 
     digest: str
@@ -71,10 +71,10 @@ class PlanRecord(NamedTuple):
 
 
 def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) -> dict[str, PlanRecord]:
-    """The records of plans by id, in the order of the input.
+    """Plan id → record of the plan, in the order of the input.
 
     Args:
-        numbers: plan id → its position in the input; None: no plan was skipped.
+        numbers: plan id → position of the plan in the input. None if no plan was skipped.
     """
     if not plans:
         return {}
@@ -90,7 +90,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
         plan.plan_id: PlanRecord(
             plan_digest(plan),
             plan.source,
-            # a sum per plan, because ``reduceat`` would add in another order
+            # added plan by plan, because ``reduceat`` would add in another order
             float(volume_of_box[begin:end].sum()),
             extent_x,
             extent_y,
@@ -104,8 +104,8 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
 
 
 def _arrow_column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """The same as ``pyarrow.array`` of texts or numbers. ``pyarrow.array`` would first load pandas, which would delay a
-    run's first world."""
+    """The same array as ``pyarrow.array`` makes of texts or numbers. ``pyarrow.array`` would first load pandas, which
+    would delay the first world of a run."""
     if None in values:
         return pa.array(values, kind)
     if kind != pa.string():
@@ -122,9 +122,9 @@ class Manifest:
     """The identity of a run. Two runs with the same identity have the same results.
 
     Attributes:
-        settings: JSON-like values: command, simulation, sweep, engine, shard.
-        plans: all plans by id, including plans of other shards, in the order of the input.
-        placements: function that makes the table ``placements`` of the run's plans; None: no such table.
+        settings: command, simulation, sweep, engine and shard, as values that JSON can hold.
+        plans: plan id → record, for all plans in the order of the input, including the plans of other shards.
+        placements: function that makes the table ``placements`` of the run's plans. If None, the run has no such table.
     """
 
     settings: Mapping[str, Any]
@@ -133,7 +133,7 @@ class Manifest:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The identity as written to ``run.json``. The digest does not depend on the order of plans."""
+        """The identity as it is written into ``run.json``. Its digest does not depend on the order of the plans."""
         lines = "\n".join(f"{record.digest} {plan_id!r}" for plan_id, record in sorted(self.plans.items()))
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
@@ -142,7 +142,8 @@ class Manifest:
         """Make the table ``plans``.
 
         Args:
-            ordered: plan id → counts of its comparison with its order; None: no columns about orders.
+            ordered: plan id → counts from the comparison of the plan with its order. If None, there are no columns
+                about orders.
         """
         columns: dict[str, Sequence[Any]] = {
             "plan_id": list(self.plans),
@@ -174,10 +175,10 @@ class Manifest:
         return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
 
     def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
-        """The differences from an earlier manifest, in one line; empty if there are none.
+        """The differences from an earlier manifest, in one line. Empty if there are none.
 
         Args:
-            without: settings that are not compared.
+            without: names of the settings that are not compared.
         """
         settings = {name: value for name, value in _settings_of_command(self.settings).items() if name not in without}
         differences = [
@@ -204,9 +205,9 @@ _NOTHING: Final = object()
 
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Rename settings to the names that the command uses. For a score, the entry ``sweep`` is replaced by two entries:
-    ``confidence``, the number of worlds, and ``errors``. If an entry is written only when its option is on, a missing
-    entry counts as false."""
+    """Rename settings to the names that the command uses. For a score, the entry ``sweep`` becomes two entries:
+    ``confidence`` (the number of worlds) and ``errors``. Some entries are written only if their option is on; if such
+    an entry is missing, its value is False."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
         settings["simulation"] = _with_later_fields(simulation)
@@ -219,8 +220,8 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of a simulation, completed with the fields that earlier versions did not write. Each such field gets the
-    value that has no effect."""
+    """The options of a simulation, with the fields added that earlier versions of petmjx did not write. Each added
+    field has the value with which it has no effect."""
     walls = Walls().model_dump(mode="json")
     later = {"walls": walls, **simulation}
     if isinstance(carrier := later.get("carrier"), Mapping):
@@ -238,11 +239,12 @@ def _setting_differences(was: Any, now: Any) -> Iterator[str]:
 
 
 def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield every setting that differs: its name, such as "simulation.schedule", and its values; None: missing."""
+    """Yield the name of every setting that differs, such as "simulation.schedule", and its two values. A value is None
+    if the setting is missing."""
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):
-                continue  # only one of the two runs has confidence; another entry reports this difference
+                continue  # only one of the two runs has confidence, which another entry reports
             inner = f"{path}.{name}" if path else str(name)
             yield from differing_settings(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif _are_tables(was) and _are_tables(now) and len(was) == len(now):
@@ -253,7 +255,7 @@ def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str
 
 
 def _are_tables(value: Any) -> bool:
-    """Whether a value is a list of tables, such as the boards of a carrier."""
+    """Whether a value is a list of tables (mappings), such as the boards of a carrier."""
     return isinstance(value, list) and all(isinstance(entry, Mapping) for entry in value)
 
 

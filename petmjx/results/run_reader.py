@@ -1,4 +1,4 @@
-"""Reads the folder of a run into pandas data frames. Can also read single worlds without reading the rest.
+"""Reads the folder of a run into pandas data frames. Single worlds can be read without reading the other worlds.
 
 petmjx.results.run_folder describes the layout of the folder.
 """
@@ -45,19 +45,19 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""Table → another table that names the worlds. To find out which worlds a part of the first table holds, the part of
-the other table with the same number is read. For a table without an entry, the other table is ``worlds``."""
+"""Table → the table that tells which worlds a part of the first table holds: the part with the same number in the
+second table lists these worlds. For a table without an entry, the second table is ``worlds``."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """A world's row of ``worlds`` as column → value, with null as None. The result is None if the world is not in the
-    run."""
+    """The row of a world in the table ``worlds``, as a dict: column → value, with None for null. None if the run does
+    not have this world."""
     rows = rows_of(run, "worlds", plan_id, variant)
     return None if rows is None else dict(rows.to_pylist()[0])
 
 
 def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
-    """Rebuild a world's outcome from the tables; None if the world is not in the run.
+    """Make the outcome of a world again from the tables. None if the run does not have this world.
 
     Values of boxes that were never placed are NaN. Measured values have the precision of the table ``boxes``.
     """
@@ -89,7 +89,7 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
 
 
 def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table | None:
-    """The rows of one world in a table of a run; None if there are none.
+    """The rows of one world in a table of a run. None if there are none.
 
     Raises:
         InputError: a part is damaged or missing.
@@ -97,18 +97,18 @@ def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table
     of_table = {file.name: file for file in run.parts.files(table)}
     for file in run.parts.files(_NAMES_WORLDS.get(table, "worlds")):
         if len(_rows_of_one_world(run.parts.read(file, ("plan_id", "variant")), plan_id, variant)):
-            table_file = of_table.get(file.name)  # parts with the same number belong together
+            table_file = of_table.get(file.name)  # parts with the same number hold the same worlds
             rows = None if table_file is None else _rows_of_one_world(run.parts.read(table_file), plan_id, variant)
             return rows if rows is not None and len(rows) else None
     return None
 
 
 def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    """The rows of some worlds in a table of a run. Only one part is in memory at a time.
+    """The rows of some worlds in a table of a run. Only one part of the table is in memory at a time.
 
     Args:
-        worlds: ``plan_id`` and ``variant`` of each world.
-        columns: columns of the table to read.
+        worlds: data frame with the columns ``plan_id`` and ``variant``, one row per world.
+        columns: names of the columns to read from the table.
 
     Raises:
         InputError: a part is damaged or missing.
@@ -131,12 +131,12 @@ def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: S
 
 
 def _rows_of_one_world(part: pa.Table, plan_id: str, variant: int) -> pa.Table:
-    """The rows of one world in a part."""
+    """The rows of one world in a part of a table."""
     return part.filter(pc.and_(pc.equal(part["plan_id"], plan_id), pc.equal(part["variant"], variant)))
 
 
 FINISHED: Final = "finished"
-"""The status of a run that came to its normal end."""
+"""The status of a run that ended normally."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ class RunResults:
     Attributes:
         parts: the files of the tables, for callers that read single columns.
         info: the entries of ``run.json``.
-        held: plans by id, for plans that exist only as objects in memory.
+        held: plan id → plan, for plans that exist only as objects in memory.
     """
 
     parts: Parts
@@ -166,7 +166,7 @@ class RunResults:
 
     @property
     def where(self) -> str:
-        """The path of the run's folder as text; a description if the run has no folder."""
+        """The path of the run's folder as text. If the run has no folder, the words "in memory"."""
         return "in memory" if isinstance(self.parts, MemoryParts) else str(self.path)
 
     @property
@@ -178,7 +178,7 @@ class RunResults:
 
     @property
     def carrier(self) -> Carrier | OwnCarrier:
-        """The carrier under the boxes; ``footprint`` if the run does not name a known carrier."""
+        """The carrier under the boxes. ``footprint`` if the run does not name a known carrier."""
         return self._carrying.carrier
 
     @property
@@ -188,7 +188,7 @@ class RunResults:
 
     @property
     def _carrying(self) -> Simulation:
-        """The carrier and walls in the run's options. All other options have their defaults."""
+        """The simulation options of the run, with its carrier and walls. All other options have their defaults."""
         settings = self.info.get("config", {}).get("simulation", {})
         try:
             return Simulation.read({"carrier": settings["carrier"], "walls": settings.get("walls", {})})
@@ -196,13 +196,14 @@ class RunResults:
             return Simulation()
 
     def doubts(self, name: str) -> list[str]:
-        """A list with one line if the run, called ``name``, is not finished; else an empty list."""
+        """A list with one line if the run is not finished, otherwise an empty list. ``name``: name of the run in the
+        line."""
         return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
 
     @cached_property
     def path(self) -> Path:
-        """The run's folder. Results in memory are first written to a temporary folder, which is deleted together with
-        this object.
+        """The run's folder. If the results are in memory, they are first written to a temporary folder, which is
+        deleted together with this object.
 
         Raises:
             PetmjxError: the temporary folder cannot be written.
@@ -227,8 +228,9 @@ class RunResults:
         """One row per world, in the order of the input. ``culprit`` is a nullable integer. In all other columns,
         missing numbers are NaN.
 
-        In a score without ``confidence``, the index is the plan's number: ``worlds.verdict[k]`` is the verdict of plan
-        k. A KeyError means that plan k has no row: it was skipped, belongs to another shard, or was not reached.
+        In a score without ``confidence``, the index of the data frame is the number of the plan: ``worlds.verdict[k]``
+        is the verdict of plan k. A KeyError means that plan k has no row: it was skipped, belongs to another shard, or
+        was not simulated.
         """
         frame = self._read("worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
@@ -238,8 +240,8 @@ class RunResults:
 
     @cached_property
     def skipped(self) -> pd.DataFrame:
-        """Plans and files that were not simulated, and why. The columns are ``number`` (the plan's number, as in
-        ``plans``; null for other entries, such as a damaged file), ``plan_id``, ``source`` and ``error``."""
+        """Plans and files that were not simulated, and the reasons. The columns are ``number`` (the number of the plan
+        as in ``plans``; null for other entries, such as a damaged file), ``plan_id``, ``source`` and ``error``."""
         columns = ["number", "plan_id", "source", "error"]
         import pandas as pd  # imported here because a run does not need pandas before it has ended
 
@@ -259,7 +261,7 @@ class RunResults:
 
     @property
     def boxes_if_kept(self) -> pd.DataFrame:
-        """The table ``boxes``, or a table without rows if the run did not keep it."""
+        """The table ``boxes``. If the run did not keep this table, a table without rows."""
         return self.boxes if self.keeps_boxes else self._read("boxes")
 
     @property
@@ -269,17 +271,18 @@ class RunResults:
 
     @cached_property
     def attempts(self) -> pd.DataFrame:
-        """One row per attempt, for worlds that needed more than one attempt; often empty."""
+        """One row per attempt (simulation of a world), for worlds that needed more than one attempt. Often empty."""
         return self._read("attempts")
 
     @cached_property
     def histories(self) -> pd.DataFrame:
-        """One row per frame and placed box of each recorded world; often empty."""
+        """One row per frame and placed box of each recorded world. Often empty."""
         return self._read("histories")
 
     @cached_property
     def frames(self) -> pd.DataFrame:
-        """One row per frame of each recorded world: the state of the carrier and its drive."""
+        """One row per frame of each recorded world: the state of the carrier and of its drive (the prescribed
+        motion)."""
         return self._read("frames")
 
     @cached_property
@@ -297,20 +300,20 @@ class RunResults:
     @cached_property
     def placements(self) -> pd.DataFrame:
         """One row per box of the simulated plans, with all fields of the plan. A run in memory has no rows here, since
-        its plans are objects in memory or are in their files."""
+        its plans are objects in memory or in their files."""
         parts = self.parts.table(PLACEMENTS)
         frame: pd.DataFrame = pa.concat_tables(parts or [placements_schema().empty_table()]).to_pandas()
         return frame
 
     @cached_property
     def summary(self) -> pd.DataFrame | None:
-        """The answers of a sweep, or of a score with confidence; None if the run has no such table."""
+        """The answers of a sweep, or of a score with confidence. None if the run has no such table."""
         parts = self.parts.table("summary")
         return pa.concat_tables(parts).to_pandas() if parts else None
 
     def units(self, table: str) -> dict[str, str]:
-        """The units of a table's columns, as column → unit: ``""`` for text, ``"1"`` for counts. Empty if the table is
-        missing."""
+        """The units of a table: column → unit. The unit is ``""`` for text and ``"1"`` for counts. Empty if the table
+        is missing."""
         files = self.parts.files(table)
         schema = self.parts.read(files[0]).schema if files else pa.schema([])
         return {
@@ -332,11 +335,11 @@ def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunRes
     """Open the folder of a run.
 
     Args:
-        held: plans of the run by id, for plans that are in no file.
+        held: plan id → plan, for plans of the run that are in no file.
 
     Raises:
-        InputError: the folder has no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. Reading a
-            table later raises the same error if one of its parts is damaged or missing.
+        InputError: the folder has no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. If a part
+            of a table is damaged or missing, the same error is raised later, when the table is read.
     """
     folder = path_of(path, "path")
     info = read_info(folder)
@@ -368,8 +371,8 @@ def read_info(folder: Path) -> dict[str, Any]:
 
 
 def split_warnings(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Split the warnings of a ``run.json`` into two lists: warnings about the whole run, and one line per plan with
-    oddly placed boxes. In the file, the lines about plans come last."""
+    """Split the warnings of a ``run.json`` into two lists: warnings about the whole run, and one line for each plan
+    with oddly placed boxes. In the file, the lines about plans come last."""
     warnings = list(info.get("warnings", []))
     first_odd = len(warnings) - info.get("counts", {}).get("odd_plans", len(warnings))
     return warnings[:first_odd], warnings[first_odd:]

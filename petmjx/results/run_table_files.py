@@ -1,6 +1,6 @@
-"""Writes and deletes the table files of a run in progress, and keeps the list of the files that belong to it.
+"""Writes and deletes the table files of a run in progress, and keeps the list of the files that belong to the run.
 
-The tables of a run without a folder stay in memory while they fit into one part.
+If a run has no folder, its tables stay in memory while they fit into one part.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from petmjx.results.run_tables import Parts, with_columns
 
 
 class Tables:
-    """A run's tables on disk. All methods raise ``OSError`` if a file cannot be written.
+    """The tables of a run on disk. All methods raise ``OSError`` if a file cannot be written.
 
-    New files get new numbers, so old and new files exist side by side until ``run.json`` lists the new files. So if the
-    run is killed, its folder is in either the old or the new state.
+    New files get new numbers, so old and new files exist side by side until ``run.json`` lists the new files. If the
+    run is killed, its folder therefore has either the old or the new state.
 
     Attributes:
         parts: the files that belong to the run.
@@ -32,29 +32,29 @@ class Tables:
         self.parts = parts or Parts(folder, {})
 
     def write(self, table: str, number: int, content: pa.Table) -> dict[Path, str]:
-        """Write a part of a table, and return the digest of its file. The file does not belong to the run yet."""
+        """Write a part of a table. Returns the digest of the part's file. The file does not belong to the run yet."""
         path = self._folder / table / part_name(number)
         return {path: write_table(content, path)}
 
     def add(self, digests: Mapping[Path, str]) -> None:
-        """Add files to the run, given their digests."""
+        """Add files to the run. ``digests``: file → digest."""
         self.parts = self.parts.plus(digests)
 
     def replace_worlds(self, digests: Mapping[Path, str]) -> None:
-        """Replace the run's present tables of worlds by these files."""
+        """Replace all tables of worlds of the run by these files."""
         self.parts = self.parts.without(*OF_WORLDS).plus(digests)
 
     def write_only(self, table: str, content: pa.Table) -> None:
-        """Write a table that has a single part. The earlier file of this table no longer belongs to the run."""
+        """Write a table that has a single part. The earlier file of this table then no longer belongs to the run."""
         digests = self.write(table, self.parts.next_number(table), content)
         self.parts = self.parts.without(table).plus(digests)
 
     def copies(self, others: Parts, ranks: WorldRanks | None) -> Iterator[tuple[Path, str]]:
-        """Copy the tables of worlds of this or another run, file by file, under unused numbers. Yields each copy with
-        its digest. The copies do not belong to the run yet.
+        """Copy the tables of worlds of this run or of another run, file by file, under unused numbers. Yields each copy
+        with its digest. The copies do not belong to the run yet.
 
         Args:
-            ranks: new ranks for the rows; None: rows keep their ranks, and files are copied byte by byte.
+            ranks: new ranks for the rows. If None, the rows keep their ranks, and the files are copied byte by byte.
 
         Raises:
             InputError: a file of the other run is damaged or missing.
@@ -80,39 +80,39 @@ class Tables:
 
 @dataclass(frozen=True, eq=False)
 class MemoryParts(Parts):
-    """Tables in memory, by the names that their files would have in the run's folder."""
+    """Tables in memory. Each part is stored under the name that its file would have in the run's folder."""
 
     tables: dict[Path, pa.Table] = field(default_factory=dict)
 
     def files(self, table: str) -> list[Path]:
-        """The names of a table's parts, in order."""
+        """The names of the parts of a table, in order."""
         return [file for file in self.tables if file.parent.name == table]
 
     def columns(self, file: Path) -> list[str]:
-        """The names of a part's columns."""
+        """The names of the columns of a part."""
         names: list[str] = self.tables[file].column_names
         return names
 
     def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
-        """One part, or some of its columns."""
+        """One part of a table, or some of its columns."""
         return with_columns(self.tables[file], file, columns)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """The same tables. There is nothing to add: in memory, a table belongs to the run as soon as it is written, and
+        """The same tables. Nothing is added, since a table in memory belongs to the run as soon as it is written, and
         has no digest."""
         return self
 
     def without(self, *tables: str) -> Parts:
-        """The same tables. There is nothing to remove: in memory, no table replaces an earlier one."""
+        """The same tables. Nothing is removed, since no table in memory replaces an earlier table."""
         return self
 
     def write(self, folder: Path) -> dict[Path, str]:
-        """Write the tables as files, and return the digest of each. Raises OSError."""
+        """Write the tables as files. Returns the digest of each file. Raises OSError."""
         return {folder / file: write_table(table, folder / file) for file, table in self.tables.items()}
 
 
 class MemoryTables(Tables):
-    """The same interface as ``Tables`` for a new run, but tables stay in memory."""
+    """The same methods as ``Tables``, for a new run whose tables stay in memory."""
 
     parts: MemoryParts
 
@@ -120,6 +120,6 @@ class MemoryTables(Tables):
         super().__init__(Path(), MemoryParts(Path(), {}))
 
     def write(self, table: str, number: int, content: pa.Table) -> dict[Path, str]:
-        """Keep a part of a table."""
+        """Keep a part of a table in memory."""
         self.parts.tables[Path(table) / part_name(number)] = content
         return {}

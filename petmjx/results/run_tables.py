@@ -20,20 +20,20 @@ from petmjx.results.run_folder import OF_WORLDS, digest_of, part_name, part_numb
 from petmjx.results.schema import check_version, schema_version_of
 
 MOST_AT_ONCE: Final = 8
-"""Number of parts that are read at the same time."""
+"""Number of parts of a table that are read at the same time."""
 
 LISTED: Final = "parts"
-"""Entry of ``run.json``: table → file name → digest. Files that the entry does not list were left by a killed run, and
-are not read."""
+"""The entry of ``run.json`` that lists the run's files: table → file name → digest. Other files were left by a killed
+run and are not read."""
 
 
 FREE_BYTES: Final = 256 << 20
-"""Memory in bytes that the tables of a run may always take. Larger tables are limited relative to their size on disk.
+"""Memory that the tables of a run may always take, bytes. For larger tables, the limit depends on their size on disk.
 Boxes at rest and columns without values are compressed to a hundredth, so small files may unpack to large tables."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
-"""Upper limit for the memory of a table, bytes. This limit is high, because the real limit of large runs is the
-machine's memory."""
+"""Upper limit for the memory of a table, bytes. The limit is high, because the real limit of large runs is the memory
+of the machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Parts:
 
     Attributes:
         folder: the run's folder.
-        digests: table → file name → digest.
+        digests: table → file name → digest of the file.
     """
 
     folder: Path
@@ -76,7 +76,7 @@ class Parts:
         return names
 
     def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
-        """Read all parts of a table in parallel, each as by :meth:`read`."""
+        """Read all parts of a table in parallel. Each part is read as by :meth:`read`."""
         files = self.files(table)
         if len(files) < 2:
             return [self.read(file, columns) for file in files]
@@ -85,7 +85,7 @@ class Parts:
             return list(pool.map(lambda file: self.read(file, columns), files))
 
     def _check_size(self, files: Sequence[Path], columns: Sequence[str] | None) -> None:
-        """Check that the files together do not take too much memory. Raises InputError."""
+        """Check that the tables in these files together do not take too much memory. Raises InputError."""
         needed = file_bytes = 0
         for file in files:
             self.check(file)
@@ -96,12 +96,12 @@ class Parts:
             raise InputError(f"{files[0].parent}: its rows would take {size(needed)}, too much for files of their size")
 
     def check_tables(self, tables: Iterable[str]) -> None:
-        """Check all files of some tables with :meth:`check`."""
+        """Check all files of these tables, as by :meth:`check`."""
         for file in (file for table in tables for file in self.files(table)):
             self.check(file)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """The files of this object and some new files, which are given with their digests."""
+        """The files of this object and some new files. ``digests``: new file → digest."""
         listed = {table: dict(files) for table, files in self.digests.items()}
         for file, digest in digests.items():
             listed.setdefault(file.parent.name, {})[file.name] = digest
@@ -124,8 +124,8 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def with_worlds(self) -> Parts:
-        """The files of this object, except those whose part of ``worlds`` was deleted. A user deletes such a part in
-        order to simulate its worlds again.
+        """The files of this object, except for those parts of which the part of ``worlds`` was deleted. A user deletes
+        such a part to have its worlds simulated again.
         """
         missing_names = {file.name for file in self.files("worlds") if not file.exists()}
         if not missing_names or self.files("frames"):  # it is unknown which histories belong to the deleted worlds
@@ -144,7 +144,7 @@ class Parts:
         return [number for number in map(part_number, self.files("worlds")) if number not in have]
 
     def next_number(self, *tables: str) -> int:
-        """A number for the next part that no file of these tables has."""
+        """A number for the next part: a number that no file of these tables has."""
         return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)
 
     def check(self, file: Path) -> None:
@@ -170,7 +170,7 @@ class Parts:
         self._checked.add(file)
 
     def _cure(self, file: Path) -> str:
-        """Advice on how to repair a run that lacks a file."""
+        """Advice on how to repair a run if this file is missing or damaged."""
         if file.parent.name == "summary":
             return f"use {option('--resume', 'True')} to make it again"
         if file.parent.name not in OF_WORLDS or self.files("frames"):
@@ -202,7 +202,7 @@ def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
 
 
 def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> pa.Table:
-    """Some columns of a part; all columns if ``columns`` is None.
+    """Some columns of a part. All columns if ``columns`` is None.
 
     Raises:
         InputError: the part lacks a column.
@@ -215,7 +215,7 @@ def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> 
 
 @contextlib.contextmanager
 def open_part(file: Path) -> Iterator[pq.ParquetFile]:
-    """Open a part in any folder.
+    """Open a part of a table in any folder.
 
     Raises:
         InputError: the file is missing, or is not a whole Parquet file.

@@ -1,9 +1,8 @@
 """Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes its layout.
 
 One thread owns the folder. Other threads put finished worlds and requests into a queue, and the owning thread processes
-them in order. The thread collects worlds into parts, and writes each part once: when the part is full, when a world has
-waited for a minute, on request, and at the end. Signals interrupt only the main thread, so they never interrupt a
-write.
+the queue in order. It collects worlds into parts, and writes each part once: when the part is full, when a world has
+waited for a minute, on request, or at the end. Signals interrupt only the main thread, so they never interrupt a write.
 """
 
 from __future__ import annotations
@@ -46,32 +45,32 @@ from petmjx.results.world_counts import COUNTED, WorldCounts
 from petmjx.results.world_rows import Part, Row
 
 WORLDS_PER_PART: Final = 5_000
-"""Largest number of worlds in a part. With 43 boxes per world, ``boxes`` then has 15 MB. A million worlds make 200
-parts."""
+"""Largest number of worlds in a part. If worlds have 43 boxes, a part of ``boxes`` then has 15 MB. A million worlds
+make 200 parts."""
 
 BYTES_PER_PART: Final = 64 << 20
-"""Memory at which a part is full: room for 4,000 worlds of 43 boxes, for 60 worlds with histories, or for 20 worlds
-with detailed histories."""
+"""Memory at which a part is full, bytes. It has room for 4,000 worlds of 43 boxes, for 60 worlds with histories, or for
+20 worlds with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
-"""Longest time that a finished world waits until its part is written, even if no other world finishes."""
+"""Longest time for which a finished world waits until its part is written, s, even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory that worlds waiting to be written may take. If waiting worlds take more, ``add`` blocks."""
+"""Memory that waiting worlds may take, bytes. If they take more, ``add`` waits."""
 
 RETRY_S: Final = 10.0
-"""Time between a write error and the next attempt, s. On a full disk, at most one part is packed in this time."""
+"""Time between a write error and the next try, s. On a full disk, at most one part is packed in this time."""
 
 PLACEMENTS_S: Final = 2.0
-"""Delay before a run writes its table ``placements``, s, unless worlds are written earlier. The table takes 0.3 s for
-10,003 plans; written earlier, it would delay the first worlds."""
+"""Delay before a run writes its table ``placements``, s, unless worlds are written earlier. Writing takes 0.3 s for
+10,003 plans. Without the delay, it would delay the first worlds."""
 
 LOOK_S: Final = 1.0
-"""While another thread waits for an answer, time between two checks whether the writer's thread still runs, s."""
+"""Time between two checks whether the writer's thread is still running, s, while another thread waits for an answer."""
 
 
 class _Request(NamedTuple):
-    """A function for the writer's thread to call, and the queue for its result or its error."""
+    """A function that the writer's thread is to call, and the queue for its result or its error."""
 
     call: Callable[[], Any]
     reply: SimpleQueue[tuple[Any, BaseException | None]]
@@ -85,36 +84,39 @@ class RunWriter(RunInfo):
     """Writes the results of one run while its worlds finish. A context manager.
 
     At the end, even after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` states how the run
-    ended: ``finished``, ``interrupted`` or ``failed``. At most ``MOST_WAITING_BYTES`` of worlds wait in memory. After a
-    disk error, the thread tries again every ``RETRY_S``; ``add`` raises the error once ``MOST_WAITING_BYTES`` are
-    waiting.
+    ended: ``finished``, ``interrupted`` or ``failed``. Waiting worlds take at most ``MOST_WAITING_BYTES`` of memory.
+    After a disk error, the thread tries again every ``RETRY_S``. When ``MOST_WAITING_BYTES`` are waiting, ``add``
+    raises the error.
 
     Rows are written in the order in which worlds finish. Within a part, rows are sorted by rank
     (petmjx.results.plan_order).
 
     Args:
-        out_dir: the run's folder, which is made if missing. None: a run that fits into one part stays in memory; a
-            larger run is written to a temporary folder, which is deleted together with the results.
+        out_dir: folder of the run, which is created if it does not exist. If None, a run that fits into one part stays
+            in memory; a larger run is written to a temporary folder, which is deleted together with the results.
         config: the values of all options as plain JSON values (from ``Simulation.model_dump(mode="json")`` and others).
-        params: parameters of a sweep's variants. Each becomes a column of ``worlds``.
-        variants: numbers of each plan's variants, if they are the same for all plans. Ranks then have no gaps.
-        dynamic, force_intervals, legs: as in ``petmjx.results.schema.schemas``.
+        params: parameters of the variants of a sweep. Each parameter becomes a column of ``worlds``.
+        variants: numbers of the variants of each plan, if they are the same for all plans. Ranks (positions in the
+            order of the run) then have no gaps.
+        dynamic, force_intervals, legs: see ``petmjx.results.schema.schemas``.
         boxes: whether the run has the table ``boxes``.
         versions: package → version. The version of Python is added.
-        device: name of the device on which the worlds ran.
+        device: name of the device on which the worlds were simulated.
         expected_worlds: number of worlds of the run, if known.
-        manifest: settings and plans of the run. Without a manifest, the run cannot be resumed.
-        orders: result of comparing the plans with their orders. In a resumed run, it replaces the stored result.
-        overwrite: whether a run in the folder is replaced.
+        manifest: settings and plans of the run. A run without a manifest cannot be resumed.
+        orders: comparison of the plans with their orders. In a resumed run, it replaces the stored comparison.
+        overwrite: whether a run that is in the folder is replaced.
         resume: whether to continue the run in the folder, which must have the same manifest.
-        worlds_per_part, seconds_per_part: limits of a part, which is written when either limit is reached.
+        worlds_per_part, seconds_per_part: a part is written when it has this number of worlds, or when a world has
+            waited for this time, s.
 
     Attributes:
-        recorded: the completed worlds of a resumed run.
-        counts: counts of the written worlds.
-        out_dir: the run's folder.
+        recorded: completed worlds of the run that is resumed.
+        counts: numbers of the written worlds.
+        out_dir: folder of the run.
 
-    Raises InputError if the folder is not writable or already has a run (with ``resume``: another run).
+    Raises InputError if the folder is not writable or already has a run. With ``resume``, it is raised if the folder
+    has a different run.
     """
 
     def __init__(
@@ -151,22 +153,23 @@ class RunWriter(RunInfo):
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._ranks = WorldRanks(manifest.plans if manifest else (), variants)
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
-        # the queues are implemented in C: interrupting the main thread leaves none of them locked or half changed
+        # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
+        # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # receives an entry after each attempt at writing
+        self._room: SimpleQueue[None] = SimpleQueue()  # receives an entry after each try to write
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # changed only by the thread that adds worlds
         self._cut_short = False  # set only by the main thread
-        # once the writer's thread has started, only that thread uses the attributes below
+        # Once the writer's thread has started, only this thread uses the attributes below.
         self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._rows: list[Row] = []
         self._row_bytes = self._written_bytes = 0
-        self._lacks_placements = False  # whether the table ``placements`` is still to be written
-        self._opened_s = 0.0  # when the table ``plans`` was written (monotonic clock)
-        self._is_behind = False  # whether run.json is still to be written
-        self._trouble: Exception | None = None  # the error of the last attempt at writing, if it failed
-        self._retry_s = 0.0  # no attempt at writing is made before this time (monotonic clock)
+        self._lacks_placements = False  # whether the table ``placements`` must still be written
+        self._opened_s = 0.0  # time at which the table ``plans`` was written (monotonic clock)
+        self._is_behind = False  # whether run.json must still be written
+        self._trouble: Exception | None = None  # the error of the last try to write; None if it succeeded
+        self._retry_s = 0.0  # time before which nothing is written again (monotonic clock)
         self._until_end = contextlib.ExitStack()
         self._ended = False
 
@@ -195,19 +198,20 @@ class RunWriter(RunInfo):
         params: Mapping[str, Any] | None = None,
         interval_n: FloatArray | None = None,
     ) -> None:
-        """Add one finished world. The call blocks while too many worlds are waiting to be written.
+        """Add one finished world. Waits while too many worlds are waiting to be written.
 
         Args:
-            plan: plan of the world. ``outcome`` has its boxes in the same order.
-            variant: number of the variant; 0 is the nominal one.
-            schedule: name of the schedule, as in the results.
-            outcome: the outcome, which is copied, so its arrays may be reused. Its ``state`` is dropped.
-            attempts: all attempts in order, if the world needed more than one.
-            params: parameter → value. Missing values become null.
-            interval_n: (boxes, 2) smallest and largest force on the top of each box at rest, N; None: unknown.
+            plan: the plan of the world. The boxes in ``outcome`` have the same order.
+            variant: number of the variant. 0 is the unchanged plan.
+            schedule: name of the schedule in the results.
+            outcome: the outcome. It is copied, so its arrays may be reused. Its ``state`` is not kept.
+            attempts: all attempts (simulations) in order, if the world needed more than one.
+            params: name of a parameter → value. Missing values become null.
+            interval_n: (boxes, 2) smallest and largest possible force on the top of each box at rest, N. None if they
+                are unknown.
 
         Raises:
-            ValueError: the outcome belongs to another plan, or the run does not have one of the parameters.
+            ValueError: the outcome belongs to another plan, or a name is not a parameter of the run.
             PetmjxError: too many worlds are waiting and cannot be written, for example because the disk is full.
         """
         values = {param.name: None for param in self.params} | dict(params or {})
@@ -234,7 +238,7 @@ class RunWriter(RunInfo):
         """Copy the worlds of another run that has the same columns.
 
         Args:
-            ranked: whether the rows already have the ranks that they have in this run.
+            ranked: whether the rows already have the ranks (positions in the order) that they have in this run.
 
         Raises:
             InputError: a part is damaged.
@@ -243,7 +247,7 @@ class RunWriter(RunInfo):
         self._ask(lambda: self._adopt(parts, ranked))
 
     def write_summary(self, answers: pa.Table) -> None:
-        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An earlier table is replaced.
+        """Write the table ``summary`` of a sweep (petmjx.results.schema.summary_table). It replaces an earlier table.
 
         Raises:
             PetmjxError: the file cannot be written.
@@ -253,10 +257,10 @@ class RunWriter(RunInfo):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self.status != RUNNING:  # the run has ended, so another run may own the folder by now
+        if self.status != RUNNING:  # the run has ended, so another run may already use the folder
             return
         self._cut_short = error is not None
-        # the first Ctrl-C ends the run; a second one must not end the process before all worlds are written
+        # The first Ctrl-C ends the run. A second Ctrl-C must not end the process before all worlds are written.
         with defer_signals(afterwards=error is None):
             trouble = self._ask(lambda: self._end(error))
             self._joined()
@@ -264,10 +268,10 @@ class RunWriter(RunInfo):
             raise trouble
 
     def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
-        """The results of the run, once it has ended.
+        """The results of the run. Call this when the run has ended.
 
         Args:
-            held: the run's plans by id, for plans that are in no file.
+            held: plan id → plan, for plans of the run that are in no file.
         """
         if self._in_memory:
             return RunResults(self.parts, to_json(self.info), held or {})
@@ -283,12 +287,13 @@ class RunWriter(RunInfo):
 
     @property
     def info(self) -> dict[str, Any]:
-        """The entries of ``run.json`` at this moment, without the digest. Counts cover the written worlds."""
+        """The entries of ``run.json`` at this moment, without the digest. The counts are those of the written
+        worlds."""
         return {**self.entries(self.counts), LISTED: self.parts.digests}
 
     def _ask(self, call: Callable[[], Any]) -> Any:
-        """Let the writer's thread call a function after everything that is already in the queue. Returns the result of
-        the function, or raises its error. The function is called even if the thread that waits for its result is
+        """Let the writer's thread call a function after it has processed everything in the queue. Returns the result of
+        the function, or raises its error. The function is called even if the thread that waits for the result is
         interrupted."""
         request = _Request(call, SimpleQueue())
         self._queue.put(request)
@@ -297,7 +302,7 @@ class RunWriter(RunInfo):
                 result, error = request.reply.get(timeout=LOOK_S)
                 break
             if not self._thread.is_alive() and request.reply.empty():
-                raise _CutShortError  # the thread ended before it reached this request
+                raise _CutShortError  # the thread ended before it came to this request
         if error is not None:
             raise error
         return result
@@ -308,8 +313,8 @@ class RunWriter(RunInfo):
         atexit.unregister(self._end_at_exit)
 
     def _end_at_exit(self) -> None:
-        """End the run when the process exits. This function is needed only if a second Ctrl-C came before ``__exit__``
-        deferred signals."""
+        """End the run when the process exits. This is needed only if a second Ctrl-C came before ``__exit__`` could
+        defer signals."""
         with contextlib.suppress(_CutShortError):
             self.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
 
@@ -334,7 +339,8 @@ class RunWriter(RunInfo):
             request.reply.put((None, error))
 
     def _due_s(self) -> float | None:
-        """Time after which something must be written even if nothing more is added, s; None: nothing is waiting."""
+        """Time after which something must be written even if nothing is added, s. None if nothing waits to be
+        written."""
         due_s = []
         if self._is_full or self._is_behind:
             due_s.append(0.0)
@@ -349,7 +355,7 @@ class RunWriter(RunInfo):
         return len(self._rows) >= self._worlds_per_part or self._row_bytes >= BYTES_PER_PART
 
     def _try_to_write(self) -> None:
-        """Write everything that waits. An error is stored, and the thread tries again after a while."""
+        """Write everything that waits. If this fails, the error is stored, and the thread tries again after a while."""
         try:
             self._write_waiting()
         except Exception as error:
@@ -361,8 +367,8 @@ class RunWriter(RunInfo):
         self._room.put(None)
 
     def _write_waiting(self, last: bool = False) -> None:
-        """Write everything that waits. If this is the ``last`` write, a run in memory stays in memory, and a run
-        without worlds gets an empty part, so that readers find the names of the columns.
+        """Write everything that waits. With ``last``, a run in memory stays in memory, and a run without worlds gets an
+        empty part, so that readers find the names of the columns.
 
         Raises:
             PetmjxError: something cannot be written.
@@ -377,7 +383,7 @@ class RunWriter(RunInfo):
         while begin < len(self._rows):
             try:
                 self._write_part(begin)
-            except PetmjxError:  # the disk fails, so other parts would fail as well
+            except PetmjxError:  # the disk fails, so writing other parts would fail, too
                 raise
             except Exception as error:  # rows that cannot be packed must not keep other rows from being written
                 begin, failure = begin + self._worlds_per_part, failure or error
@@ -387,7 +393,7 @@ class RunWriter(RunInfo):
             raise failure
 
     def _write_part(self, begin: int) -> None:
-        """Write waiting rows, from row ``begin`` on, as a part. If the write fails, the worlds keep waiting."""
+        """Write the waiting rows from row ``begin`` on as a part. If writing fails, the worlds keep waiting."""
         rows = self._rows[begin : begin + self._worlds_per_part]
         number = self.parts.next_number(*OF_WORLDS)
         digests: dict[Path, str] = {}
@@ -395,7 +401,7 @@ class RunWriter(RunInfo):
             for name, table in Part(sorted(rows, key=lambda row: row.rank)).tables(self.schemas):
                 digests |= self._tables.write(name, number, table)
         self._tables.add(digests)
-        self.counts += WorldCounts.of(table)  # ``worlds`` is written last
+        self.counts += WorldCounts.of(table)  # ``worlds`` is the last table in the loop
         del self._rows[begin : begin + len(rows)]
         n_bytes = sum(row.nbytes for row in rows)
         self._row_bytes -= n_bytes
@@ -419,7 +425,7 @@ class RunWriter(RunInfo):
         self._lacks_placements = False
 
     def _write_plans(self) -> None:
-        """Write the table ``plans``, unless it exists."""
+        """Write the table ``plans``, unless it exists already."""
         if self._manifest is None:
             return
         plans = self._manifest.table(self.orders.of_plan if self.orders else None)
@@ -454,10 +460,10 @@ class RunWriter(RunInfo):
             raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
 
     def _go_on(self) -> None:
-        """Resume the run in the folder.
+        """Resume the run that is in the folder.
 
         Raises:
-            InputError: the folder has another run, or its run is damaged.
+            InputError: the folder has a different run, or its run is damaged.
         """
         info, parts, warnings = resume_state(self.out_dir, self._manifest, self.head["versions"])
         self.warnings |= dict.fromkeys(warnings)
@@ -467,12 +473,12 @@ class RunWriter(RunInfo):
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._tables = Tables(self.out_dir, parts.without("summary"))
-        # run.json is written before listed files are deleted, so that a killed run does not look finished.
+        # run.json is written before listed files are deleted. Otherwise, a killed run might look finished.
         self._write_info()
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()
-        if not ranked:  # rows are rewritten only if the run is old (petmjx < 0.3), or the order of plans has changed
+        if not ranked:  # rows are rewritten only for old runs (petmjx < 0.3), and if the order of plans has changed
             self._tables.replace_worlds(self._copies(self.parts, self._ranks))
         self._write_info()
         self._tables.drop_others()
@@ -488,7 +494,7 @@ class RunWriter(RunInfo):
         self._in_memory, self._lacks_placements, self._is_behind = False, self._manifest is not None, True
 
     def _adopt(self, parts: Parts, ranked: bool) -> None:
-        """Copy the worlds of another run. The files belong to this run only once all of them exist."""
+        """Copy the worlds of another run. The files belong to this run only when all of them exist."""
         counts = [WorldCounts.of(worlds) for worlds in parts.table("worlds", COUNTED)]
         with self._writing():
             digests = self._copies(parts, None if ranked else self._ranks)
@@ -497,7 +503,7 @@ class RunWriter(RunInfo):
         self._write_info()
 
     def _copies(self, parts: Parts, ranks: WorldRanks | None) -> dict[Path, str]:
-        """Copy tables of worlds; returns the digest of each file. The files do not belong to the run yet."""
+        """Copy tables of worlds. Returns the digest of each file. The files do not belong to the run yet."""
         digests: dict[Path, str] = {}
         for path, digest in self._tables.copies(parts, ranks):
             digests[path] = digest
@@ -516,10 +522,10 @@ class RunWriter(RunInfo):
         """Write the remaining worlds, state in ``run.json`` how the run ended, and leave the folder.
 
         Args:
-            error: the error that ended the run; None: the run is complete.
+            error: error that ended the run. None if the run is complete.
 
         Returns:
-            The error while writing the remaining worlds, if any.
+            The error that occurred while the remaining worlds were written, if any.
         """
         trouble: Exception | None = None
         try:
@@ -534,7 +540,8 @@ class RunWriter(RunInfo):
         else:
             self.status, self.error = "failed", one_line(cause)
         if error is not None and trouble is not None:
-            # The error of the run itself is raised. This error is only noted in run.json, until the run is resumed.
+            # The error of the run itself is raised. This second error is only noted in run.json, until the run is
+            # resumed.
             also = f"the last part could not be written: {one_line(trouble)}"
             self.error = f"{self.error}; {also}" if self.error else also
         try:
@@ -548,7 +555,7 @@ class RunWriter(RunInfo):
         return trouble
 
     def _leave(self) -> None:
-        """Release the folder, and end the thread. A temporary folder of a run that did not finish is deleted."""
+        """Release the folder, and end the thread. If the run did not finish, its temporary folder is deleted."""
         self._ended = True
         with self._until_end:
             if self._temporary is not None and self.status != FINISHED:

@@ -2,12 +2,12 @@
 
 The types, with reasons:
 
-- Texts are plain strings. On disk, Parquet encodes them with a dictionary anyway. In memory they have the same type for
-  all readers, whereas two pandas categoricals with different categories could not even be compared.
-- ``worlds`` is float64, because times are float64 sums of the timestep and are compared exactly. ``boxes`` is forty
-  times as long, so its measured values are float32 and only its times are float64.
-- A value that does not exist is null. Examples: there is no culprit, a box was never placed, or a world never came to
-  rest. However, the ``reason`` of a stable world is the empty string, since pandas drops null keys when grouping.
+- Texts are plain strings. On disk, Parquet encodes them with a dictionary. In memory, they have the same type for all
+  readers, whereas two pandas categoricals with different categories cannot even be compared.
+- Numbers of ``worlds`` are float64, because times are float64 sums of the timestep and are compared exactly. ``boxes``
+  has about forty times as many rows, so its measured values are float32 and only its times are float64.
+- A value that does not exist is null. For example, there is no culprit, a box was never placed, or a world never came
+  to rest. However, the ``reason`` of a stable world is the empty string, since pandas drops null keys when grouping.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA_VERSION: Final = 2
-"""Version of the columns. The version is increased when a column is renamed, removed or redefined, but not for new
-columns."""
+"""Version of the columns. It is increased when a column is renamed, removed or redefined, but not for new columns."""
 
 _FLAG_BITS = ", ".join(
     f"{flag.value} {(flag.name or '').lower().replace('_', '-')}"
@@ -46,7 +45,8 @@ def _column(name: str, kind: pa.DataType, unit: str, text: str) -> pa.Field:
 
 @dataclass(frozen=True)
 class Param:
-    """A parameter of a sweep's variants, which becomes a column of ``worlds``. ``type`` is float, int, bool or str."""
+    """A parameter of the variants of a sweep. It becomes a column of ``worlds``. ``type`` is float, int, bool or
+    str."""
 
     name: str
     unit: str = DIMENSIONLESS
@@ -77,7 +77,7 @@ def _metrics(columns: Iterable[metrics.Column]) -> list[pa.Field]:
 
 
 RANK: Final = "rank"
-"""Column of all tables of worlds: the world's position in the order of the run (petmjx.results.plan_order)."""
+"""A column of all tables of worlds: the position of the world in the order of the run (petmjx.results.plan_order)."""
 
 RANK_COLUMN: Final = _column(
     RANK, pa.int64(), DIMENSIONLESS, "the world's place in the order of the run: plan by plan as given, then by variant"
@@ -99,7 +99,7 @@ _WORLD_COLUMNS = (
     *_texts(verdict=_one_of(Verdict), reason="why it is not stable; empty where it is"),
     *_counts(culprit="box that first crossed a threshold (packing order from 0); null where none did"),
 )
-"""Columns of ``worlds`` before the metrics. The flags follow the metrics."""
+"""Columns of ``worlds`` before the metrics. The column ``flags`` follows the metrics."""
 
 _BOX_COLUMNS = (
     *_KEY,
@@ -129,7 +129,7 @@ _FRAME_KEY = (
 
 
 def _vector(name: str, unit: str, text: str, parts: str = "xyz", end: str = "") -> list[pa.Field]:
-    """A column for each component of a vector. Its name consists of ``name``, the component and the suffix ``end``, as
+    """A column for each component of a vector. The name of a column consists of ``name``, the component and ``end``, as
     in ``pos_x_m``."""
     return [_column(f"{name}_{part}{end}", pa.float64(), unit, f"{text}, {part}") for part in parts]
 
@@ -173,7 +173,7 @@ _EXTENT_COLUMNS = (
     _column("extent_y_m", pa.float64(), "m", "extent of its bounding box along y"),
     _column("height_m", pa.float64(), "m", "height of its highest box above the carrier"),
 )
-"""Columns of ``plans``."""
+"""Columns of ``plans`` about the extents of a plan."""
 
 _PLACEMENT_COLUMNS = (
     *_texts(plan_id="id of the packing plan", item_id="id of the item", article="article of the item"),
@@ -191,7 +191,7 @@ _PLACEMENT_COLUMNS = (
         for name, field in SPARSE.items()
     ),
 )
-"""Columns of ``placements``: the fields of ``Plan``, in packing order."""
+"""Columns of ``placements``: the fields of ``Plan``, one row per box in packing order."""
 
 _ORDER_COLUMNS = _counts(
     ordered_boxes="boxes of the plan's order; null where it has none",
@@ -199,7 +199,7 @@ _ORDER_COLUMNS = _counts(
     not_ordered="boxes in the plan that were not ordered",
     resized="boxes of the plan that were ordered with another size, mass, centre of mass, stiffness or kind",
 )
-"""Columns of ``plans``."""
+"""Columns of ``plans`` about the comparison with orders."""
 
 
 def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
@@ -209,14 +209,15 @@ def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
 def schemas(
     params: Iterable[Param] = (), dynamic: bool = False, force_intervals: bool = False, legs: bool = False
 ) -> dict[str, pa.Schema]:
-    """Table → schema. The tables are ``worlds``, ``boxes`` and ``attempts`` (one row per attempt, for worlds that
-    needed more than one), and the tables of recorded worlds: ``histories``, ``frames``, ``contacts``.
+    """Name of a table → schema. The tables are ``worlds``, ``boxes``, ``attempts`` (one row per attempt, for worlds
+    that needed more than one), and the tables of recorded worlds: ``histories``, ``frames``, ``contacts``.
 
     Args:
-        params: parameters of a sweep's variants, which become the last columns of ``worlds``.
-        dynamic: whether the run has profiles; ``boxes`` then has additional metrics.
-        force_intervals: whether ``boxes`` has intervals of the forces at rest.
-        legs: whether the run is a chain of several legs; ``boxes`` then has the largest force at rest after any leg.
+        params: parameters of the variants of a sweep, which become the last columns of ``worlds``.
+        dynamic: whether the run has profiles (motions of the carrier). ``boxes`` then has additional metrics.
+        force_intervals: whether ``boxes`` has the smallest and largest possible forces at rest.
+        legs: whether the run is a chain of several legs (parts of a journey). ``boxes`` then has the largest force at
+            rest after any leg.
 
     Raises:
         ValueError: two columns have the same name.
@@ -234,10 +235,10 @@ def schemas(
 
 
 def plans_schema(ordered: bool = False) -> pa.Schema:
-    """Schema of ``plans``, the table that shows whether two runs have the same plans.
+    """Schema of the table ``plans``, which shows whether two runs have the same plans.
 
     Args:
-        ordered: whether the run was compared with orders; the table then has the columns of
+        ordered: whether the run was compared with orders. The table then has the columns of
             ``petmjx.plans.order_matching.PlanOrderCounts``.
     """
     texts = _texts(
@@ -252,7 +253,7 @@ def placements_schema() -> pa.Schema:
 
 
 def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: Mapping[str, str]) -> pa.Schema:
-    """Schema of ``summary``, derived from the columns of a data frame, with a unit for every number.
+    """Schema of ``summary``, derived from the columns of a data frame, with a unit for every numeric column.
 
     Raises:
         ValueError: a numeric column has no unit.
@@ -268,7 +269,7 @@ def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: 
 def summary_table(
     frame: pd.DataFrame, units: Mapping[str, str], descriptions: Mapping[str, str] | None = None
 ) -> pa.Table:
-    """Make the table ``summary``. The frame's index is left out.
+    """Make the table ``summary`` from a data frame. The index of the data frame is left out.
 
     Args:
         units: column → unit, for every numeric column (``"1"`` for counts and shares).
@@ -286,14 +287,15 @@ _NUMBERS: Final = tuple(metric.name for metric in metrics.world_metrics() if met
 
 
 def data_frame(table: pa.Table) -> pd.DataFrame:
-    """A table as a data frame without ranks, since its rows are already in order. The columns ``_NUMBERS`` are always
-    float64, the type that pandas uses when values are missing, so the type does not depend on the worlds."""
+    """A table as a data frame, without the column of ranks, since the rows are already in order. The columns
+    ``_NUMBERS`` are always float64, the type that pandas uses if values are missing. So the type does not depend on the
+    worlds."""
     frame: pd.DataFrame = table.select([name for name in table.column_names if name != RANK]).to_pandas()
     return frame.astype({name: "float64" for name in _NUMBERS if name in frame})
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
-    """The schema version in a file's metadata; 0 if the metadata has no version."""
+    """The schema version in the metadata of a file. 0 if the metadata have no version."""
     text: Any = (metadata or {}).get(b"schema_version", b"0")
     try:
         return int(text)
@@ -302,7 +304,7 @@ def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
 
 
 def check_version(file: Path, version: int) -> None:
-    """Check that the results can be read. Raises InputError if a newer petmjx wrote them."""
+    """Check that this petmjx can read the results. Raises InputError if a newer petmjx wrote them."""
     if version > SCHEMA_VERSION:
         raise InputError(
             f"{file}: written by a newer petmjx (schema {version}; this one reads up to {SCHEMA_VERSION}): update it"

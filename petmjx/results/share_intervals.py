@@ -1,6 +1,6 @@
 """Shares of worlds that stand, with confidence intervals.
 
-For two shares from the same trials, this module computes the interval of their difference, an exact test, and a
+For two shares from the same trials, this module also computes the interval of their difference, an exact test, and a
 correction for many tests.
 """
 
@@ -23,20 +23,20 @@ DEFAULT_CONFIDENCE = 0.95
 
 ALL_PLANS = "all"
 ONE_PLAN = "plan"
-"""Values of the column ``scope`` in summary rows: rows about all plans together, whose ``plan_id`` is null, and rows
-about one plan."""
+"""Values of the column ``scope`` in rows of the summary. The first is for rows about all plans together, whose
+``plan_id`` is null; the second is for rows about one plan."""
 
 KEYS = ("scope", "plan_id", "axis", "value")
-"""Columns that state the subject of a summary row."""
+"""Columns that say which worlds a row of the summary is about."""
 
 
 def wilson_interval(
     successes: ArrayLike, n: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
 ) -> tuple[FloatArray, FloatArray]:
-    """Wilson's score interval of a share, element by element; (0, 1) if n is 0.
+    """Wilson's score interval of the share successes / n, element by element. (0, 1) if n is 0.
 
-    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval always lies inside [0, 1]. At shares of 0 and 1
-    its width is above 0, whereas the usual ± interval has a width of 0.
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval always lies inside [0, 1]. For shares of 0 and
+    1, its width is above 0, whereas the usual ± interval has the width 0.
 
     Raises:
         ValueError: successes are not in 0 … n, or the confidence is not in (0, 1).
@@ -51,22 +51,22 @@ def wilson_interval(
     share = k / n_or_one
     centre = (share + z * z / (2 * n_or_one)) / (1 + z * z / n_or_one)
     half = z / (1 + z * z / n_or_one) * np.sqrt(share * (1 - share) / n_or_one + z * z / (4 * n_or_one * n_or_one))
-    # for a share of 0 or 1, one bound is exactly the share, and rounding must not change this bound
+    # for a share of 0 or 1, one bound is exactly the share, which rounding must not change
     low = np.where((total == 0) | (k == 0), 0.0, centre - half)
     high = np.where((total == 0) | (k == total), 1.0, centre + half)
     return low, high
 
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
-    """Aggregate worlds in groups. There are groups over all plans, and groups for each plan. Within each of these,
-    there is one group of all worlds (axis ""), and one for each value of each axis.
+    """Aggregate worlds in groups. There are groups of worlds of all plans, and groups of worlds of each plan. Of each
+    kind, there is one group of all worlds (axis ""), and one group for each value of each axis.
 
     Args:
-        columns: aggregates of each group, in the form that pandas' ``agg`` accepts: name=(column, function).
+        columns: aggregates of each group, as keyword arguments of pandas' ``agg``: name=(column, function).
 
     Returns:
-        The columns ``KEYS`` and the aggregates. Rows about all plans come first; the column ``scope`` distinguishes
-        them from rows about one plan.
+        Data frame with the columns ``KEYS`` and the aggregates. Rows about all plans come first. The column ``scope``
+        distinguishes them from rows about one plan.
     """
     parts = []
     for scope, rows in ((ALL_PLANS, worlds.assign(plan_id="")), (ONE_PLAN, worlds)):
@@ -82,26 +82,27 @@ def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple
 
 
 def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
-    """The share of worlds that stand, for every value of every axis. Shares with random draws have a Wilson 95 %
-    interval.
+    """The share of worlds that stand, for every value of every axis. If the worlds have random draws, the share has a
+    Wilson 95 % interval.
 
-    Invalid worlds are no evidence about the pallet: they are counted separately and do not enter the share. A world
-    without a value on an axis (the nominal world) does not enter the rows of that axis.
+    Invalid worlds say nothing about the pallet: they are counted separately and are not part of the share. A world
+    without a value on an axis (the world without changes) is not part of the rows of this axis.
 
     A world without random values always has the same outcome, so a row with such a world has no interval. Worlds of the
-    same draw are not independent of each other. So the number of trials is the number of draws, not the number of
-    worlds. The interval is then wide enough, because the mean over the worlds of a draw varies at most as much as one
-    world.
+    same draw are not independent of each other. So the number of trials is the number of draws, and not the number of
+    worlds. The interval is then wide enough, because the mean over the worlds of a draw varies at most as much as a
+    single world.
 
     Args:
-        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis. The column ``draw`` may be missing.
-            ``draw`` has the same value for worlds that share their random numbers, and null for worlds without random
-            numbers.
-        axes: parameter columns. A row of the summary is about one value of one axis, over all values of the other axes.
+        worlds: data frame with the columns ``plan_id`` and ``verdict``, and a column for each axis. It may have the
+            column ``draw``, which has the same value for all worlds with the same random numbers, and null for worlds
+            without random numbers.
+        axes: names of the parameter columns. A row of the summary is about one value of one axis, over all values of
+            the other axes.
 
     Returns:
-        Columns ``KEYS``, n_worlds, n_standing, n_invalid, share, n_draws (0 if the row has no interval), low, high. A
-        row with axis "" covers all worlds.
+        Data frame with the columns ``KEYS``, n_worlds, n_standing, n_invalid, share, n_draws (0 if the row has no
+        interval), low, high. A row with axis "" is about all worlds.
     """
     verdict = worlds["verdict"].astype(str)
     invalid = verdict == str(Verdict.INVALID)
@@ -129,10 +130,11 @@ def _text(value: object) -> str:
 
 @dataclass(frozen=True)
 class PairedCounts:
-    """Counts of trials by their outcomes in a and in b.
+    """Numbers of trials, by their outcomes with the two alternatives a and b.
 
     Attributes:
-        both, only_a, only_b, neither: number of trials that succeeded in both, only in a, only in b, or in neither.
+        both, only_a, only_b, neither: number of trials that succeeded with both, only with a, only with b, or with
+            neither.
     """
 
     both: int
@@ -147,16 +149,16 @@ class PairedCounts:
 
     @property
     def difference(self) -> float:
-        """Share of successes in b minus share in a; NaN without trials."""
+        """Share of successes with b minus share of successes with a. NaN without trials."""
         return (self.only_b - self.only_a) / self.n if self.n else float("nan")
 
 
 def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDENCE) -> tuple[float, float]:
-    """Confidence interval of (share of b − share of a): Newcombe's square-and-add interval; (−1, 1) without trials.
+    """Confidence interval of (share of b − share of a): Newcombe's square-and-add interval. (−1, 1) without trials.
 
     Source: Newcombe (1998), "Improved confidence intervals for the difference between binomial proportions based on
-    paired data", Statistics in Medicine 17, 2635–2650, method 10: it combines the Wilson intervals of both shares with
-    their correlation. A positive correlation is reduced by a continuity correction.
+    paired data", Statistics in Medicine 17, 2635–2650, method 10. The method combines the Wilson intervals of both
+    shares with their correlation. A positive correlation is reduced by a continuity correction.
     """
     n = counts.n
     if n == 0:
@@ -173,7 +175,7 @@ def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDEN
 
 
 def _correlation(counts: PairedCounts) -> float:
-    """Newcombe's corrected φ of the four counts; 0 if one of the two shares is 0 or 1."""
+    """Newcombe's corrected correlation φ of the four counts. 0 if one of the two shares is 0 or 1."""
     hits_a, hits_b = counts.both + counts.only_a, counts.both + counts.only_b
     product = hits_a * (counts.n - hits_a) * hits_b * (counts.n - hits_b)
     if product == 0:
@@ -184,8 +186,8 @@ def _correlation(counts: PairedCounts) -> float:
 
 
 def mcnemar_p(counts: PairedCounts) -> float:
-    """Two-sided p-value of McNemar's exact test: whether a and b succeed equally often in the trials in which they
-    differ. 1 if they differ in no trial.
+    """Two-sided p-value of McNemar's exact test. The null hypothesis is that a and b succeed equally often in the
+    trials in which they differ. 1 if they differ in no trial.
 
     Raises:
         InputError: SciPy is not installed.
@@ -204,8 +206,8 @@ def holm(p_values: Sequence[float]) -> FloatArray:
     """P-values corrected for the number of tests, so that the probability of any false alarm stays below the level.
 
     Source: Holm (1979), "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics
-    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on; a value must not become
-    smaller than its predecessor.
+    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on. If a result is smaller
+    than the result before it, it is raised to the latter.
     """
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p, kind="stable")

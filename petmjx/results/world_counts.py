@@ -17,11 +17,11 @@ COUNTED: Final = ("verdict", "reason", "attempt", "flags")
 
 @dataclass(frozen=True)
 class WorldCounts:
-    """Counts of worlds by verdict and reason, and of worlds that needed more than one attempt.
+    """Numbers of worlds by verdict and reason, and of worlds that needed more than one attempt (simulation).
 
-    The verdict of a world that is still moving at its end might change with more time. Of the worlds that were still
-    moving at their end, ``moving`` counts the stable worlds, and ``moving_by_shift`` the worlds that are unstable by
-    shift. ``leans`` counts stable worlds that lean or lie lower than planned.
+    If boxes still move at the end of a world, the verdict might change with more time. Of such worlds, ``moving`` is
+    the number of stable worlds, and ``moving_by_shift`` is the number of worlds that are unstable by shift. ``leans``
+    is the number of stable worlds in which a box leans or lies lower than planned.
     """
 
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
@@ -32,7 +32,7 @@ class WorldCounts:
 
     @classmethod
     def of(cls, worlds: pa.Table) -> WorldCounts:
-        """Count the rows of a table ``worlds`` by the values of its columns ``COUNTED``. A million rows take a tenth of
+        """Count the rows of a table ``worlds`` by the values of the columns ``COUNTED``. A million rows take a tenth of
         a second."""
         groups = worlds.group_by(["verdict", "reason"]).aggregate([([], "count_all")]).to_pylist()
 
@@ -52,7 +52,7 @@ class WorldCounts:
         return WorldCounts(*(getattr(self, entry.name) + getattr(other, entry.name) for entry in fields(self)))
 
     def as_json(self) -> dict[str, Any]:
-        """The counts as plain JSON values: all worlds by verdict, and worlds that are not stable also by reason."""
+        """The numbers as plain JSON values: all worlds by verdict, and worlds that are not stable also by reason."""
         by_reason: dict[str, dict[str, int]] = {Verdict.UNSTABLE.value: {}, Verdict.INVALID.value: {}}
         by_verdict = {verdict.value: 0 for verdict in Verdict}
         for (verdict, reason), count in sorted(self.verdicts.items()):

@@ -1,4 +1,4 @@
-"""Finished worlds as rows, and the tables of a part made from these rows."""
+"""Finished worlds as rows, and the tables of one part (file) that are made from these rows."""
 
 from __future__ import annotations
 
@@ -22,29 +22,30 @@ from petmjx.results import history_tables
 from petmjx.results.schema import RANK
 
 ROW_BYTES: Final = 2_000
-"""Memory of a row without its boxes and its history, bytes: 1,200 by tracemalloc, plus the numbers and texts of the
-world itself."""
+"""Memory of a row without its boxes and its history, bytes: 1,200 as measured by tracemalloc, plus the numbers and
+texts of the world itself."""
 
 _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")
-"""Columns of ``worlds``, besides the metrics, that are fields of an outcome."""
+"""Columns of ``worlds``, besides the metrics, that are fields of ``Outcome``."""
 
 
 def _block_columns() -> list[Column]:
-    """Metrics that have a value for each box. The schema of ``boxes`` determines which of these metrics are written."""
+    """The metrics that have a value for each box. The schema of ``boxes`` determines which of them are written."""
     return [*box_columns(), *FORCE_INTERVAL]
 
 
 class _Layout:
-    """Which values of an outcome go into a row. The layout is prepared once, since looping over the metrics for every
-    world takes longer than getting their values.
+    """Which values of an outcome are copied into a row. The layout is prepared once, since looping over the metrics for
+    every world takes longer than copying their values.
 
     Attributes:
         of_boxes: the metrics of boxes.
-        cells: columns of ``worlds`` that are fields of an outcome.
-        cells_of: function that gets the values of ``cells`` from an outcome.
-        numbers: the columns among ``cells`` that are numbers of boxes or steps.
-        block_of: function that gets the values of ``of_boxes`` from an outcome.
-        block_rows: the row of a block for each metric in ``of_boxes``, or the rows of the metric's components.
+        cells: names of the columns of ``worlds`` that are fields of an outcome.
+        cells_of: function that takes an outcome and returns the values of ``cells``.
+        numbers: names of the columns among ``cells`` that hold the number of a box or of a step.
+        block_of: function that takes the metrics of an outcome's boxes and returns the arrays of ``of_boxes``.
+        block_rows: for each metric in ``of_boxes``, its row in a block (a metric may have several rows: one per
+            component).
         n_rows: number of rows of a block.
     """
 
@@ -63,7 +64,7 @@ _layouts: Final[list[_Layout]] = []
 
 
 def _layout() -> _Layout:
-    """The layout of the metrics as they are now."""
+    """The layout for the metrics as they are now."""
     if not _layouts or _layouts[0].of_boxes is not box_metrics():
         _layouts[:] = [_Layout()]
     return _layouts[0]
@@ -74,11 +75,11 @@ class Row:
     """One finished world that waits to be written. The row holds copies, so the engine may reuse its arrays.
 
     Attributes:
-        cells: values for the columns of ``worlds`` that are not computed from all boxes.
+        cells: column → value, for the columns of ``worlds`` that are not computed from all boxes.
         block: (columns, boxes) metrics of the boxes, in the order of ``_block_columns``.
-        attempts: all attempts; empty if the world needed only one.
-        recorded: the world with its history; None if it was not recorded.
-        ended_s: when the world ended (monotonic clock).
+        attempts: records of all attempts (simulations). Empty if the world needed only one.
+        recorded: the world with its history. None if the world was not recorded.
+        ended_s: time at which the world ended, s (monotonic clock).
     """
 
     plan: Plan
@@ -90,7 +91,7 @@ class Row:
 
     @property
     def rank(self) -> int:
-        """The world's position in the order of the run."""
+        """The position of the world in the order of the run."""
         rank: int = self.cells[RANK]
         return rank
 
@@ -111,10 +112,10 @@ class Row:
         params: Mapping[str, Any],
         interval_n: FloatArray | None = None,
     ) -> Row:
-        """Make a row from an outcome by copying the values that are written. The outcome's ``state`` is dropped.
+        """Make a row by copying the values of an outcome that are written. The ``state`` of the outcome is not kept.
 
         Raises:
-            ValueError: the outcome does not belong to the plan: the numbers of boxes differ.
+            ValueError: the outcome does not belong to the plan, since the numbers of boxes differ.
         """
         n = outcome.n_boxes
         if not n == plan.n_boxes == len(outcome.boxes.max_tilt_deg) or n == 0:
@@ -127,7 +128,7 @@ class Row:
                 cells[name] = None
         cells |= params
         block = np.full((layout.n_rows, n), np.nan)
-        placed = slice(outcome.n_placed)  # in boolean columns, NaN counts as "no"
+        placed = slice(outcome.n_placed)  # in boolean columns, NaN means "no"
         for rows, values in zip(layout.block_rows, layout.block_of(outcome.boxes), strict=True):
             block[rows, placed] = np.asarray(values)[placed].T
         if interval_n is not None:
@@ -144,8 +145,8 @@ class Part:
     rows: Sequence[Row]
 
     def tables(self, schemas: Mapping[str, pa.Schema]) -> Iterator[tuple[str, pa.Table]]:
-        """Yield (name, table) for every table of the part, ``worlds`` last. ``boxes`` is left out if it has no
-        schema."""
+        """Yield the name and the content of every table of the part, ``worlds`` last. ``boxes`` is left out if it has
+        no schema."""
         recorded = [row.recorded for row in self.rows if row.recorded is not None]
         for name, columns_of in history_tables.TABLES.items() if recorded else ():
             columns = columns_of(recorded)
@@ -173,7 +174,7 @@ class Part:
         return _typed_table(columns | {name: [row.cells[name] for row in self.rows] for name in other_names}, schema)
 
     def boxes(self, schema: pa.Schema) -> pa.Table:
-        """Make the table ``boxes``: world after world, and boxes in packing order."""
+        """Make the table ``boxes``: world after world, with the boxes of each world in packing order."""
         blocks, counts = self._blocks
         world = np.repeat(np.arange(len(self.rows)), counts)
         columns: dict[str, Any] = {
@@ -190,20 +191,20 @@ class Part:
         return _typed_table(columns, schema)
 
     def attempts(self, schema: pa.Schema) -> pa.Table:
-        """Make the table ``attempts``. The table has no rows if every world needed only one attempt."""
+        """Make the table ``attempts``. It has no rows if every world needed only one attempt."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
         cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
         return _typed_table({name: [cell[name] for cell in cells] for name in schema.names}, schema)
 
     @cached_property
     def _blocks(self) -> tuple[FloatArray, NDArray[np.int64]]:
-        """(columns, boxes) all box metrics of the part, and the number of boxes of each world."""
+        """(columns, boxes) the metrics of all boxes of the part, and (worlds,) the number of boxes of each world."""
         blocks = np.concatenate([np.empty((len(_block_columns()), 0)), *(row.block for row in self.rows)], axis=1)
         return blocks, np.array([row.block.shape[1] for row in self.rows], dtype=np.int64)
 
 
 def _typed_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
-    """The columns in the schema's order and types; NaN becomes null."""
+    """A table with the columns in the order and the types of the schema. NaN becomes null."""
     arrays = []
     for column in schema:
         values = columns[column.name]

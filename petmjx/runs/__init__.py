@@ -1,1 +1,1 @@
-"""Runs: scores, sweeps and searches. Makes worlds of plans, simulates them, and summarises the results."""
+"""Runs: scores, sweeps and searches. Makes simulated worlds of plans, simulates them, and summarises the results."""

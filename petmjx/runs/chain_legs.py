@@ -1,8 +1,7 @@
-"""The legs of a chain: the tables ``[[legs]]`` and ``[[remedies]]`` of sweep files, and the outcome of a world after a
-leg.
+"""The legs of a chain: their tables in sweep files, and the outcome of a world after a leg.
 
-A chain is the journey of a pallet: its boxes are placed, and it is then shaken leg by leg. docs/chains.md explains
-chains to users.
+A chain is the journey of a pallet: its boxes are placed, and it is then shaken in several parts, called legs. The
+tables are ``[[legs]]`` and ``[[remedies]]``. docs/chains.md explains chains to users.
 """
 
 from __future__ import annotations
@@ -32,19 +31,19 @@ PLACING: Final = "placing"
 """Name of the part of a chain before its first leg, in which boxes are placed and come to rest."""
 
 AS_IS: Final = ""
-"""The name used instead of a remedy for the unchanged chain."""
+"""The name that stands for the unchanged chain where other worlds have the name of a remedy."""
 
 MOST_LEGS: Final = 100
 
 _EDGES: Final = ("plan_edge_m", "plan_edge_box", "build_edge_m", "build_edge_box", "build_edge_step")
-"""Fields of an outcome about loads near edges in the plan. No leg changes them."""
+"""Fields of an outcome about loads near edges in the plan. A leg does not change them."""
 
 Name = Annotated[str, Field(max_length=100)]
 Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]
 
 
 class Event(CheckedRecord):
-    """One profile of a leg."""
+    """One profile (motion of the carrier) of a leg."""
 
     profile: Name = Field(description="name of a profile of accelerations, or of a family of them")
     direction: Direction = Field(0.0, description="turn of the profile from +x to +y")
@@ -68,7 +67,8 @@ class Event(CheckedRecord):
 
 
 class Leg(CheckedRecord):
-    """One table ``[[legs]]``. A leg without events only changes the film around the pallet, or opens doors."""
+    """One table ``[[legs]]``. A leg without events only changes the film around the pallet or opens doors of the
+    carrier."""
 
     name: Name = Field(description="name of the leg in the results")
     events: tuple[Event, ...] = Field((), max_length=MOST_LEGS, description="profiles, one after the other")
@@ -82,7 +82,7 @@ class Leg(CheckedRecord):
 
 
 class Remedy(CheckedRecord):
-    """One table ``[[remedies]]``: a change of one leg, which is tried in the same worlds."""
+    """One table ``[[remedies]]``: a change of one leg, which is tried in the same worlds as the unchanged chain."""
 
     name: Name = Field(description="what is done, in the results")
     leg: Name = Field(description="name of the leg that is changed")
@@ -97,7 +97,7 @@ class Remedy(CheckedRecord):
 
 
 def _ends(strength: float | Range[Any]) -> tuple[float, float | None]:
-    """The values ``scale`` and ``scale_to`` of a drive."""
+    """The values of the fields ``scale`` and ``scale_to`` of a drive."""
     return (strength.low, strength.high) if isinstance(strength, Range) else (strength, None)
 
 
@@ -108,13 +108,13 @@ def check_name(name: str, *path: str | int) -> None:
 
 
 def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mapping[str, Profile]) -> None:
-    """Check the tables of a chain against each other. Called by a validator.
+    """Check the tables of a chain against one another. Called by a validator.
 
     Args:
-        defined: profiles that the file defines.
+        defined: name → profile, for the profiles that the file defines.
 
     Raises:
-        ValidationError: names the table and the field.
+        ValidationError: a table is wrong. The message names the table and the field.
     """
     names = [leg.name for leg in legs]
     for number, name in enumerate(names):
@@ -166,14 +166,14 @@ def _check_event(event: Event, defined: Mapping[str, Profile], path: tuple[str |
 
 
 def profiles_of_legs(legs: Sequence[Leg], defined: Mapping[str, Profile]) -> dict[str, Profile]:
-    """The profiles of all legs, by name."""
+    """Name → profile, for the profiles of all legs."""
     events = (event for leg in legs for event in leg.events)
     return {profile.name: profile for event in events for profile in resolve(event.profile, defined)}
 
 
 def legs_with(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Profile]) -> tuple[LegSpec, ...]:
-    """The legs that shake the pallet, each with the film that is then around the pallet, after a remedy has been
-    applied."""
+    """The legs that shake the pallet or open walls, with the changes of a remedy. Each leg has the turns of film that
+    are around the pallet during this leg."""
     return tuple(_specs(legs, remedy, defined))
 
 
@@ -198,8 +198,8 @@ def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Pro
 
 
 def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: float) -> Excitation:
-    """Joins drives of accelerations, with pauses between the drives, into one excitation. Without drives, the
-    excitation is one pause."""
+    """Join drives of accelerations into one excitation (an array of samples), with pauses between the drives. Without
+    drives, the excitation is one pause."""
     pause = np.zeros((seconds_to_steps(pause_s, timestep_s), 3))
     if not drives:
         return Excitation(name, ACCELERATION, pause if len(pause) else np.zeros((1, 3)))
@@ -209,24 +209,24 @@ def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: flo
 
 
 def with_sustained_force(leg: Outcome, before: BoxMetrics) -> Outcome:
-    """The outcome of a leg, to which the largest force at rest on each box so far is added.
+    """The outcome of a leg, with the largest force at rest on each box so far (``sustained_top_force_n``).
 
     Args:
-        before: metrics after the earlier legs, or after the placement.
+        before: metrics after the previous leg, or after the placement if this is the first leg.
     """
     forces_n = before.sustained_top_force_n, before.rest_top_force_n, leg.boxes.rest_top_force_n
     return replace(leg, boxes=replace(leg.boxes, sustained_top_force_n=np.fmax.reduce(forces_n)))
 
 
 def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
-    """The outcome of a world after one more leg, with metrics and times that are measured from the first placement on.
+    """The outcome of a world after one more leg. Its metrics and times are measured from the first placement on.
 
-    Largest values cover the whole journey, including the largest force at rest (``sustained_top_force_n``). The poses
-    of the boxes and ``rest_top_force_n`` are taken at the end of the leg.
+    Largest values are those of the whole journey, also the largest force at rest (``sustained_top_force_n``). The poses
+    of the boxes and ``rest_top_force_n`` are those at the end of the leg.
 
     Args:
-        before: the outcome after the earlier legs, which the world survived.
-        leg: the outcome of the leg alone, whose clock begins at the end of the placement.
+        before: the outcome after the previous leg, in which the pallet still stood.
+        leg: the outcome of this leg alone, in which time begins at the end of the placement.
     """
     since_s = before.n_steps * timestep_s
     leg = with_sustained_force(leg, before.boxes)
@@ -239,7 +239,7 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     if history is not None and before.history is not None:
         history = before.history.then(_later(history, since_s))
     edges: dict[str, Any] = {}
-    if leg.verdict is Verdict.STABLE:  # a leg does not change edge distances in the plan
+    if leg.verdict is Verdict.STABLE:  # a leg does not change distances of loads from edges in the plan
         largest["plan_edge_m"] = old.plan_edge_m
         edges = {name: getattr(before, name) for name in _EDGES}
     return replace(

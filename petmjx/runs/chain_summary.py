@@ -1,4 +1,6 @@
-"""The summary of a chain: how likely a pallet is to arrive, the weakest leg, and the gain from each remedy.
+"""The summary of a chain: how likely a pallet is to arrive, the weakest leg, and what each remedy gains.
+
+A chain is the journey of a pallet in parts, called legs.
 
 docs/chains.md explains the columns to users.
 """
@@ -22,7 +24,7 @@ from petmjx.runs.chain_legs import AS_IS, PLACING
 from petmjx.runs.sweep_worlds import SweepPlan
 
 WHOLE_WAY: Final = ""
-"""``leg`` of the rows that cover the whole journey, from placing to the last leg."""
+"""Value of the column ``leg`` in rows about the whole journey, from the placing to the end of the last leg."""
 
 OF_WORLDS: Final = ("plan_id", "variant", "verdict", "culprit", "leg", "remedy")
 """Columns of ``worlds`` that the summary needs."""
@@ -55,12 +57,13 @@ _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})
 
 @dataclass(frozen=True)
 class ChainColumns:
-    """Facts about a chain that its summary needs. These facts are stored in ``run.json``, so that shards can be merged.
+    """Facts about a chain that its summary needs. They are stored in ``run.json``, so that shards of a run can be
+    merged.
 
     Attributes:
-        legs: names of the legs that shake the pallet, in order.
-        remedies: names of the remedies, in order.
-        random: whether worlds are random draws.
+        legs: names of the legs that shake the pallet or open walls, in order.
+        remedies: names of the remedies (changes of a leg that are tried), in order.
+        random: whether the worlds of a plan are random draws.
     """
 
     legs: Sequence[str]
@@ -69,20 +72,20 @@ class ChainColumns:
 
     @classmethod
     def of(cls, plan: SweepPlan) -> ChainColumns:
-        """The facts about a sweep with legs."""
+        """The facts about the chain of a sweep."""
         first, *remedies = plan.ways
         return cls([leg.name for leg in plan.ways[first]], remedies, bool(plan.draws()))
 
 
 def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
-    """The summary of a chain. There are rows about all plans together, and rows about each plan. For each remedy, there
-    is one row for the whole journey and one row for each leg.
+    """The summary of a chain. There are rows about all plans together, and rows about each plan. In both, there is one
+    row for the whole journey and one row for each leg, without remedies and with each remedy.
 
-    The worlds of a plan are independent draws, so each share gets a Wilson interval. A world without remedies and the
+    The worlds of a plan are independent draws, so each share has a Wilson interval. A world without remedies and the
     same world with a remedy form a pair.
 
     Args:
-        worlds: the columns ``OF_WORLDS`` of all worlds of the run, in its order.
+        worlds: the columns ``OF_WORLDS`` of all worlds of the run, in the order of the run.
     """
     ways, legs = [AS_IS, *chain.remedies], [WHOLE_WAY, PLACING, *chain.legs]
     worlds = worlds[worlds["variant"] > 0]
@@ -113,7 +116,7 @@ def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
 
 
 def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
-    """The columns ``_KEYS`` and ``_COUNTS``, in order."""
+    """The columns ``_KEYS`` and ``_COUNTS`` of the summary, in order."""
     invalid = worlds["verdict"] == Verdict.INVALID.value
     arrives = worlds["leg"] == WHOLE_WAY
     end = worlds["leg"].cat.codes.where(~arrives, len(legs))
@@ -132,8 +135,8 @@ def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
 
 
 def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """The weakest leg for each row about the whole journey: the leg in which most worlds failed, and the box that
-    failed most often in that leg. In a tie, the first one is taken."""
+    """For each row about the whole journey, the leg in which most worlds failed, and the box that failed most often in
+    this leg. In a tie, the first leg or box is taken."""
     way = _KEYS[:3]
     failed = summary.assign(n=summary["n_worlds"] - summary["n_standing"] - summary["n_invalid"])
     failed = failed[(failed["leg"] != WHOLE_WAY) & (failed["n"] > 0)]
@@ -167,7 +170,8 @@ def _gains(worlds: pd.DataFrame, *, random: bool) -> pd.DataFrame:
 
 
 def _gain(counts: PairedCounts, random: bool) -> tuple[float, float, float]:
-    """The gain from a remedy, and its interval. The first world of each pair is the one without the remedy."""
+    """The gain from a remedy, and the two ends of its interval. In ``counts``, a means without the remedy, b with
+    it."""
     low, high = newcombe_interval(counts) if random and counts.n else (np.nan, np.nan)
     return counts.difference, low, high
 
@@ -186,14 +190,14 @@ def write_chain(writer: RunWriter, chain: ChainColumns) -> None:
 
 
 def arrivals(summary: pd.DataFrame, remedy: str = AS_IS) -> pd.DataFrame:
-    """The summary's rows for the whole journey of each plan, in the order of the run."""
+    """The rows of the summary about the whole journey of each plan, in the order of the run."""
     chosen = (summary["scope"] == ONE_PLAN) & (summary["leg"] == WHOLE_WAY) & (summary["remedy"] == remedy)
     return summary[chosen].reset_index(drop=True)
 
 
 def shares_by_leg(summary: pd.DataFrame) -> pd.DataFrame:
-    """P(the pallet stands after a leg, given that it reached the leg), for the chain without remedies. One row per
-    plan, one column per leg, legs in order."""
+    """Probability that the pallet stands after a leg, given that it reached the leg, for the chain without remedies.
+    One row per plan, and one column per leg in the order of the legs."""
     chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS) & (summary["leg"] != WHOLE_WAY)]
     return chosen.pivot(index="plan_id", columns="leg", values="share")[chosen["leg"].unique().tolist()]
 

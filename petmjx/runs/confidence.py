@@ -1,7 +1,8 @@
-"""Scores with confidence: the share of worlds that stand, given the errors of a stated robot and its cartons.
+"""Scores with confidence: the share of worlds in which a pallet stands, given the errors of a robot and of its cartons.
 
-A score with confidence is a sweep with single errors, replicates and the nominal world. Unlike a sweep, it has its own
-form of summary. docs/confidence.md explains such scores to users.
+A score with confidence is a sweep in which each axis has one error. Each plan is simulated once without errors (the
+nominal world) and many times with random errors (the replicates). The summary has other columns than that of a sweep.
+docs/confidence.md explains such scores to users.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ from petmjx.runs.sweep_file import Sweep, find_sweep, load_sweep
 from petmjx.world.variants import Distribution
 
 READY_MADE: Final = "confidence"
-"""The sweep file with the errors of a common robot and of corrugated cartons."""
+"""Name of the sweep file with the errors of a common robot and of corrugated cartons."""
 
 EVEN: Final = 0.5
 
 SIGNIFICANCE: Final = 0.05
-"""Accepted chance of at least one false alarm about placing: a run reports that a plan's share depends on how boxes are
-placed, although no plan's share does."""
+"""Accepted probability of at least one false alarm about the manner of placing. A false alarm is a plan that the run
+reports as dependent on how its boxes are placed, although it is not."""
 
 PLACING: Final = "placing"
 """Name of the axis, and of the column of ``worlds``, that states how boxes with errors were placed."""
@@ -66,11 +67,11 @@ _OF_BOTH: Final = {
     "number of plans by Holm's method",
     "placing_matters": f"whether that is below {SIGNIFICANCE:g}: the two shares differ beyond chance",
 }
-"""Further columns of a run in which each world with errors was simulated twice: once with boxes that are carried to
-their places, and once with boxes that appear there."""
+"""Additional columns of a run in which each world with errors was simulated twice: once with boxes that are carried to
+their places, and once with boxes that appear at their places."""
 
 _TEXTS: Final = frozenset({"plan_id", "verdict", "reason", "coin_toss", "placing_matters"})
-"""Columns that are not numbers."""
+"""Columns whose values are texts, not numbers."""
 
 
 def confidence_sweep(
@@ -79,13 +80,13 @@ def confidence_sweep(
     """The sweep of a score with confidence.
 
     Args:
-        n_worlds: worlds with errors for each plan, in addition to the nominal world.
-        errors: a sweep file of errors, or the name of a ready-made one; None: ``READY_MADE``.
-        simulation: fields of ``Simulation`` that override those of the file.
-        exact_too: as in ``petmjx.options.run_options.Confidence``: simulate each world with errors twice.
+        n_worlds: number of worlds with errors for each plan, in addition to the nominal world (without errors).
+        errors: a sweep file of errors, or the name of a ready-made one. If None, it is ``READY_MADE``.
+        simulation: fields of ``Simulation`` that replace those of the file.
+        exact_too: whether to simulate each world with errors twice (``petmjx.options.run_options.Confidence``).
 
     Raises:
-        InputError: the file is unusable or has more than single errors, or ``exact_too`` is set although boxes are not
+        InputError: the file is unusable, an axis is not a single error, or ``exact_too`` is set although boxes are not
             carried.
     """
     error_sweep = load_sweep(find_sweep(errors or READY_MADE), plans_given=True, simulation=simulation)
@@ -104,7 +105,7 @@ def confidence_sweep(
 
 
 def _error_sweep_fault(sweep: Sweep) -> str:
-    """One line about the first entry that a file of errors must not have; empty if there is none."""
+    """One line about the first entry that a file of errors must not have. Empty if there is none."""
     if sweep.search is not None:
         return "[search] contradicts confidence, which asks for a share: use petmjx sweep"
     if sweep.legs:
@@ -124,12 +125,13 @@ def _error_sweep_fault(sweep: Sweep) -> str:
 
 
 def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
-    """One row per plan, in the order of the input: the nominal verdict, and the share of worlds with errors that stand.
+    """One row per plan, in the order of the input: the verdict without errors, and the share of worlds with errors in
+    which the pallet stands.
 
-    Columns: docs/confidence.md.
+    docs/confidence.md explains the columns.
 
     Args:
-        parts: files of the run, all complete.
+        parts: files of the run's tables, all complete.
         both: whether each world with errors was simulated twice (``exact_too``).
     """
     columns = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
@@ -159,8 +161,8 @@ def _shares(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
-    """Two counts of unstable worlds for each plan: worlds in which a box could not be placed, and all others, in which
-    boxes fell."""
+    """For each plan, the number of unstable worlds in which a box could not be placed, and the number of the other
+    unstable worlds, in which boxes fell."""
     fails = drawn["verdict"].astype(str) == Verdict.UNSTABLE.value
     missed = (drawn["flags"].to_numpy(np.int64) & int(Flag.NOT_PLACED)) != 0
     counted = pd.DataFrame({"plan_id": drawn["plan_id"], "n_not_placed": fails & missed, "n_fell": fails & ~missed})
@@ -168,8 +170,8 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
-    """Compares the two placings (carried, and appearing) for each plan: the numbers of draws that stand with only one
-    of them, and a test of these numbers. Draws without a verdict for both placings do not count."""
+    """Compare the two manners of placing (carried, and appearing) for each plan: the numbers of draws that stand with
+    only one of them, and a test of these numbers. A draw with an invalid world is left out."""
     pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
     one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
@@ -203,8 +205,8 @@ def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
 
 
 def contradiction_mask(summary: pd.DataFrame) -> pd.Series[bool]:
-    """Whether each plan's nominal verdict is contradicted, beyond chance, by more than half of its worlds with
-    errors."""
+    """For each plan, whether more than half of its worlds with errors contradict the verdict without errors, beyond
+    chance."""
     stands = summary["verdict"] == Verdict.STABLE.value
     falls = summary["verdict"] == Verdict.UNSTABLE.value
     return (stands & (summary["high"] < EVEN)) | (falls & (summary["low"] > EVEN))

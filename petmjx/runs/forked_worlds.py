@@ -1,4 +1,4 @@
-"""Settled placements, and the worlds that start from them: drives, and the legs of a chain."""
+"""Settled placements, and the worlds that start from them: drives (motions of the carrier), and the legs of a chain."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from petmjx.world.variants import LegSpec, Variant
 
 @dataclass(frozen=True, eq=False)
 class PlacementWorld(World):
-    """A placement as a world that the engine simulates."""
+    """The placement of a plan's boxes, as a world that the engine simulates."""
 
     group: PlacementGroup
 
@@ -37,12 +37,12 @@ class SettledPlacement:
 
     @cached_property
     def load_height_m(self) -> float:
-        """Height of the load at rest, m. The settled state is the same for all drives of the placement."""
+        """Height of the load at rest, m. It is the same for all drives of the placement."""
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
-        """The outcome of a drive or leg, judged together with the outcome of its placement. The history of this outcome
-        begins with the history of the placement."""
+        """The outcome of a drive or leg, judged together with the outcome of its placement. Its history begins with the
+        history of the placement."""
         placed = self.outcome
         if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
             judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
@@ -60,13 +60,14 @@ class SettledPlacement:
         return replace(outcome, history=placed.history.then(outcome.history))
 
     def undriven(self, variant: Variant) -> FinishedWorld:
-        """A world that is not shaken: it adopts the outcome of the placement, and no further steps are simulated."""
+        """A world that is not shaken. It has the outcome of the placement, and nothing more is simulated."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
         end = LegEnd(PLACING, 0.0) if variant.legs else None
         return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
 
     def scene_of(self, leg: LegSpec) -> Scene:
-        """The scene during a leg: with the leg's film around the pallet, and with the leg's open walls removed."""
+        """The scene during a leg: with the film of the leg around the pallet, and without the walls that the leg
+        opens."""
         key = leg.wrap_turns, leg.open_walls
         if key == (None, ()):
             return self.scene
@@ -81,13 +82,13 @@ class SettledPlacement:
 
 
 Test = tuple[int, int]
-"""(item of a search, index of the tested level), as in `Bisection`."""
+"""(number of an item of a search, index of the tested level), as in `Bisection`."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveWorld(World):
     """A drive from a settled placement, as a world that the engine simulates. ``test``: the test of a search for which
-    this drive is simulated; None: no search."""
+    the drive is simulated. (-1, -1): no search."""
 
     settled: SettledPlacement
     change: Variant
@@ -99,9 +100,9 @@ class LegStart:
     """The state from which a leg of a chain begins.
 
     Attributes:
-        changes: the worlds that begin here; their chains are equal up to this leg.
+        changes: variants of the worlds that begin this leg together. Their chains are equal up to this leg.
         number: index of the leg in these chains.
-        before: the outcome of the previous leg; None: this is the first leg.
+        before: the outcome of the previous leg. None in the first leg.
     """
 
     settled: SettledPlacement
@@ -112,7 +113,7 @@ class LegStart:
 
 @dataclass(frozen=True, eq=False)
 class LegWorld(World):
-    """A leg of a chain as a world that the engine simulates."""
+    """A leg of a chain, as a world that the engine simulates."""
 
     begin: LegStart
 

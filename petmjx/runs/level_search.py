@@ -1,4 +1,4 @@
-"""The search for the largest level survived, and the mode of failure above it."""
+"""Searches the largest level of a profile (motion of the carrier) that a pallet survives, and how it fails above it."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reaso
 def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
     """How the first box failed: "slide", "tilt" or "drop".
 
-    "drop" if the box dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search takes the mode
-    at the lowest level that fails. Just above the survived level, the mode usually shows how the failure began; far
-    above it, a box that slides also falls. For an invalid world, the mode is the reason; for a stable world, it is "".
+    The mode is "drop" if the box dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search
+    reports the mode at the lowest level that fails. Just above the survived level, the mode usually shows how the
+    failure began; far above it, a box that slides also falls. For an invalid world, the mode is the reason. For a
+    stable world, the mode is "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
@@ -36,14 +37,14 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 
 @dataclass(frozen=True)
 class Probe:
-    """The result of one test of a search. The test's row in ``worlds`` stores the same values, so that a search can be
-    resumed.
+    """The result of one test of a search. The row of the test in ``worlds`` has the same values, so that a search can
+    be resumed.
 
     Attributes:
-        culprit: the box that failed first; −1: none.
+        culprit: number of the box that failed first, or −1 if no box failed.
         mode: the mode of failure (`failure_mode`).
-        moving: whether boxes were still moving when the world ended, so that a longer wait may change the verdict.
-        values: the world's values in the columns that the sweep adds to ``worlds``.
+        moving: whether boxes were still moving when the world ended. A longer wait may then change the verdict.
+        values: column → value, for the columns that the sweep adds to ``worlds``.
     """
 
     verdict: Verdict
@@ -54,30 +55,29 @@ class Probe:
 
     @classmethod
     def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
-        """The probe of a simulated world. If the first box to fail tilted by more than ``tilt_deg``, the mode is
-        "tilt"."""
+        """The probe of a simulated world. ``tilt_deg``: angle above which a tilted box has the mode "tilt"."""
         moving = Flag.MOVING in outcome.flags
         return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), moving, values or {})
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> Probe:
-        """The probe from a world's row: column → value, with null as None."""
+        """The probe of a world from its row: column → value, with None for null."""
         culprit = -1 if row["culprit"] is None else int(row["culprit"])
         return cls(Verdict(row["verdict"]), culprit, row["mode"], bool(row["flags"] & Flag.MOVING), row)
 
 
 @dataclass
 class SearchBracket:
-    """What a search has found so far about one item. An item is a placement, a profile and a direction.
+    """What a search has found so far about one item: a placement, a profile and a direction.
 
     Attributes:
-        stands_at_rest: whether the placement stood before any profile; if not, no level is tested.
-        survived: index of the largest survived level that is below all failed levels; −1: there is none.
+        stands_at_rest: whether the pallet stood before any profile. If not, no level is tested.
+        survived: index of the largest survived level that is below all failed levels, or −1 if there is none.
         failed: index of the smallest level that failed; the number of levels if none failed; 0 if the pallet falls at
             rest.
-        highest: index of the largest survived level, including levels above a failed one.
-        box, mode: the box that failed first at level ``failed``, or at rest, and its mode of failure; −1: no box
-            failed.
+        highest: index of the largest survived level, even if a smaller level failed.
+        box, mode: number of the box that failed first at level ``failed`` or at rest, and its mode of failure. The
+            number is −1 if no box failed.
     """
 
     stands_at_rest: bool
@@ -92,30 +92,31 @@ class SearchBracket:
 
     @property
     def monotone(self) -> bool:
-        """Whether every tested level above the smallest failed one also failed."""
+        """Whether every tested level above the smallest failed level failed as well."""
         return self.highest <= self.failed
 
 
 class Bisection:
-    """Search for the largest level survived, for many items (placement × profile × direction) together.
+    """Searches the largest level survived for many items (placement × profile × direction) together.
 
     All items share one grid of levels. So an answer is exact to within one step of the grid, and the tested levels do
-    not depend on the order in which worlds end. In each round, up to ``sections`` levels of an item are tested side by
-    side, evenly spread between the largest survived and the smallest failed level. Items do not wait for one another.
+    not depend on the order in which worlds end. In each round, up to ``sections`` levels of an item are tested at the
+    same time, evenly spread between the largest survived and the smallest failed level. Items do not wait for one
+    another.
 
-    The search assumes that a pallet that survives a level also survives all lower levels. The assumption can be wrong:
-    a stronger push may press a box against its neighbour, so that the box jams. If a level above a failed level was
-    survived, the answer is the largest level below all failed ones, and ``monotone`` is False for that item.
+    The search assumes that a pallet that survives a level also survives all lower levels. This can be wrong: a stronger
+    push may press a box against its neighbour, so that the box jams. If a level above a failed level was survived, the
+    answer is still the largest level below all failed levels, and ``monotone`` is False for the item.
 
     Args:
         levels: (n_levels,) levels in ascending order, in g or as a scale.
-        at_rest: for each item, the probe of its world before any profile. If an item's world does not stand at rest,
-            the search for the item ends at once, with no level survived. If ``levels[0]`` is 0, an item that stands at
+        at_rest: for each item, the probe of its world before any profile. If the world does not stand at rest, the
+            search for the item ends at once, and no level is survived. If ``levels[0]`` is 0, an item that stands at
             rest has survived level 0.
-        sections: number of levels of an item that are tested at the same time, ≥ 1; 1 is plain bisection.
+        sections: number of levels of an item that are tested at the same time, ≥ 1. 1 is plain bisection.
 
     Attributes:
-        items: the bracket of each item.
+        items: what has been found about each item.
     """
 
     def __init__(
@@ -144,19 +145,19 @@ class Bisection:
         return (item, bracket.survived), (item, bracket.failed)
 
     def largest_survived(self, item: int) -> float | None:
-        """Largest survived level below all failed levels, in g, or as a scale; None: none."""
+        """Largest survived level that is below all failed levels, in g or as a scale. None if there is none."""
         survived = self.items[item].survived
         return float(self.levels[survived]) if survived >= 0 else None
 
     def first_failed(self, item: int) -> float | None:
-        """Smallest level that failed, in g, or as a scale; None: no level failed, or nothing was tested."""
+        """Smallest level that failed, in g or as a scale. None if no level failed, or if nothing was tested."""
         bracket = self.items[item]
         return (
             float(self.levels[bracket.failed]) if bracket.stands_at_rest and bracket.failed < len(self.levels) else None
         )
 
     def next_tests(self, item: int) -> list[tuple[int, int]]:
-        """The next tests of an item, as (item, level index). Empty when the item's answer is exact."""
+        """The next tests of an item, as pairs (item, level index). Empty if the answer for the item is found."""
         bracket = self.items[item]
         untested = bracket.failed - bracket.survived - 1
         count = min(self.sections, untested)
@@ -164,10 +165,10 @@ class Bisection:
         return [(item, bracket.survived + step) for step in steps.tolist()]
 
     def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
-        """Record the results of tests. For each item, all requested levels must be recorded together; any number of
-        items is allowed.
+        """Record the results of tests. All levels that ``next_tests`` returned for an item must be recorded together;
+        any number of items is allowed.
 
-        The level of an invalid world counts as not survived; its mode is the reason why the world is invalid.
+        The level of an invalid world counts as failed. Its mode is the reason why the world is invalid.
         """
         if len(tests) != len(worlds):
             raise ValueError("record needs one answer for each test")
@@ -182,7 +183,7 @@ class Bisection:
             elif level < bracket.failed:
                 bracket.failed = level
                 bracket.box, bracket.mode = world.culprit, world.mode
-        # Failures are recorded before survivals: a level survived above a failed one must not raise the answer.
+        # Failures are recorded first, since a level survived above a failed level must not raise the answer.
         for bracket, level in survivors:
             bracket.highest = max(bracket.highest, level)
             if level < bracket.failed:

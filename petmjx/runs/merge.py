@@ -1,4 +1,4 @@
-"""Joins the shards of a run into one run."""
+"""Joins the shards (parts that were simulated separately) of a run into one run."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
 
 _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
-"""Columns that identify a row of a search's summary. The same columns define the order of the rows."""
+"""Columns that identify a row in the summary of a search. Rows are sorted by these columns."""
 
 
 def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:
-    """Join all shards of a run. The result has the same tables as the run without shards.
+    """Join all shards of a run. The result has the same tables as the run would have without shards.
 
     Args:
         shards: folders of the N finished runs with ``shard`` 1/N to N/N, in any order.
         out: folder for the whole run.
-        overwrite: replace the results that ``out`` holds.
+        overwrite: whether to replace the results that ``out`` holds.
 
     Raises:
-        InputError: a shard is missing or not finished, belongs to another run, or was checked against other orders; or
+        InputError: a shard is missing or not finished, belongs to another run, or was compared with other orders; or
             two shards have the same world.
     """
     folders = [path_of(shard, "shards") for shard in list_of(shards, "shards", object, "folders")]
@@ -123,8 +123,8 @@ def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
 
 
 def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
-    """Raise InputError if two shards have the same world, if a plan has no world in any shard, or if boxes are
-    missing."""
+    """Raise InputError if two shards have the same world, if a plan has no world in any shard, or if tables of boxes
+    are missing."""
     home: dict[tuple[str, int], Path] = {}
     for run in runs:
         for boxes in run.parts.files("boxes"):
@@ -141,29 +141,29 @@ def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
 
 
 def _is_search(info: Mapping[str, Any]) -> bool:
-    """Whether a run is a search: its plans have different numbers of worlds, and its summary has no shares."""
+    """Whether a run is a search. In a search, plans have different numbers of worlds, and the summary has no shares."""
     shares = info["config"].get("shares") is not None or is_chain(info)
     return info["identity"]["command"] == "sweep" and not shares
 
 
 def _variants(runs: Sequence[RunResults]) -> range:
-    """All numbers from the smallest to the largest variant that any plan has."""
+    """All numbers from the smallest to the largest variant that occurs in the runs."""
     parts = [part for run in runs for part in run.parts.table("worlds", ("variant",)) if len(part)]
     least, most = pc.min_max(pa.concat_tables(parts)["variant"]).values()
     return range(least.as_py(), most.as_py() + 1)
 
 
 def _placements(runs: Sequence[RunResults]) -> pa.Table | None:
-    """The table ``placements`` of all plans; None if any shard lacks it."""
+    """The table ``placements`` of all plans. None if a shard lacks the table."""
     tables = [run.parts.table(PLACEMENTS) for run in runs]
     return pa.concat_tables(itertools.chain.from_iterable(tables)) if all(tables) else None
 
 
 def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
-    """The order check of all plans; None: no shard was checked against orders.
+    """The comparison of all plans with their orders. None if no shard was compared with orders.
 
     Raises:
-        InputError: not all shards were checked against the same orders.
+        InputError: not all shards were compared with the same orders.
     """
     checks = [read_check(run.path, run.info) for run in runs]
     for run, check in zip(runs, checks, strict=True):
@@ -190,7 +190,7 @@ def _of_shard(run: RunResults) -> dict[str, Any]:
 
 
 def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
-    """Copy skipped plans and warnings from the shards, each line once, in order of first appearance."""
+    """Copy skipped plans and warnings from the shards. Each line is copied once, in the order of first appearance."""
     entries = itertools.chain.from_iterable(info["skipped"] for info in infos)
     skipped = (
         Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", ""), entry.get("number"))
@@ -205,7 +205,7 @@ def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
-    """One line for each package whose version differs from the first shard's, since results may depend on it."""
+    """One line for each package whose version differs from that in the first shard, since results may depend on it."""
     first = runs[0].info["versions"]
     for run in runs[1:]:
         versions = run.info["versions"]
@@ -220,7 +220,7 @@ def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
 
 def _write_summary(writer: RunWriter, runs: Sequence[RunResults]) -> None:
     """Write the table ``summary``. Shares are computed again from all worlds. For a search, the rows of all shards are
-    concatenated, since each row belongs to one plan."""
+    put together, since each row is about one plan."""
     tables = [table for run in runs for table in run.parts.table("summary")]
     shares = runs[0].info["config"].get("shares")
     if shares is None:

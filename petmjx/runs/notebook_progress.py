@@ -1,4 +1,4 @@
-"""Progress of a run started from Python: a bar below the cell in a notebook, else lines on standard error."""
+"""Shows the progress of a run started from Python: a bar below the cell in a notebook, else lines on standard error."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ REFRESH_S: Final = 0.25
 
 
 class NotebookBar:
-    """Shows the progress of a run in a notebook.
+    """Shows the progress of a run as a bar in a notebook.
 
     Args:
-        display: shows HTML; returns a function ``update(html)`` that replaces it.
+        display: function that shows HTML, and returns a function ``update(html)`` that replaces this HTML.
     """
 
     def __init__(self, display: Callable[[str], Callable[[str], None]], clock: Callable[[], float] = time.monotonic):
@@ -51,7 +51,7 @@ class NotebookBar:
 
     @property
     def _left(self) -> int | None:
-        """Number of worlds that this run still has to simulate; None if unknown."""
+        """Number of worlds that this run simulates. None if it is unknown."""
         start = self._start
         return None if start is None or start.total is None else start.total - start.recorded
 
@@ -72,10 +72,10 @@ class NotebookBar:
 
 class ScriptLines:
     """Shows the progress of a run in a script: one line at the start, one every ``LINE_S`` seconds, and one at the end.
-    A thread writes the lines, so lines appear even if no world ends for a while.
+    A thread writes the lines, so that lines appear even if no world ends for a while.
 
     Args:
-        write: receives each line; by default, lines go to standard error.
+        write: function that receives each line. By default, lines go to standard error.
     """
 
     def __init__(self, write: Callable[[str], object] | None = None, line_s: float = LINE_S) -> None:
@@ -96,7 +96,7 @@ class ScriptLines:
             self.end()
 
     def end(self) -> None:
-        """Write the last line, once."""
+        """Write the last line, unless it has been written."""
         if not self._ended.is_set():
             self._ended.set()
             self._say_pace()
@@ -119,7 +119,8 @@ class ScriptLines:
 
 
 def notebook_bar() -> NotebookBar | None:
-    """A bar if this process is the kernel of a notebook, else None. This function never imports IPython by itself."""
+    """A bar if this process is the kernel of a notebook, otherwise None. This function never imports IPython for
+    this."""
     ipython: Any = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):  # IPython in a terminal has no kernel

@@ -29,10 +29,11 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     """A plan, exactly as the run simulated it.
 
     Args:
-        plans: source of the plan; None: the plan object that the run holds, its table of plans, or its input file.
+        plans: source of the plan. If None, it is the plan object that the run holds, the run's table of plans, or the
+            input file.
 
     Raises:
-        InputError: the run has no such plan, or the plan's file is gone or has changed.
+        InputError: the run has no such plan, or the plan's file no longer exists or has changed.
     """
     manifest = Manifest.read(run.parts, run.info)
     if plan_id not in manifest.plans:
@@ -62,10 +63,11 @@ def _file(run: RunResults, plan_id: str, source: str) -> Path:
 def worlds_of_run(
     run: RunResults, plan_id: str, plans: PlanSource | None = None, variant: int | None = None
 ) -> tuple[SweepPlan, int]:
-    """The sweep over one plan of a run, and the number of the requested variant (default: the nominal world, 0).
+    """The sweep over one plan of a run, and the number of the requested variant. Without ``variant``, the number is 0
+    (the nominal world, which is the unchanged plan).
 
     Raises:
-        InputError: see :func:`plan_of_run` and :func:`sweep_of_run`; or the variant does not exist.
+        InputError: the variant does not exist, or one of the reasons of :func:`plan_of_run` and :func:`sweep_of_run`.
     """
     sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
     if variant is None and not sweep.nominal:
@@ -76,16 +78,16 @@ def worlds_of_run(
     if variant is not None:
         try:
             worlds.find(plan_id, variant)
-        except InputError as error:  # the error names a sweep's file, which a score does not have; name the run instead
+        except InputError as error:  # the error names a sweep file, which a score does not have; name the run
             raise InputError(f"{run.path}: plan {printable_name(plan_id)} has no variant {variant}") from error
     return worlds, variant or 0
 
 
 def sweep_of_run(run: RunResults) -> Sweep:
-    """The sweep of a run. A score has the nominal sweep.
+    """The sweep of a run. The sweep of a plain score has only the unchanged plan.
 
     Raises:
-        InputError: the sweep's file is gone or has changed, or ``run.json`` is damaged.
+        InputError: the file of the sweep no longer exists or has changed, or ``run.json`` is damaged.
     """
     config, file = run.info["config"], run.path / RUN_FILE
     if not isinstance(config.get("simulation"), Mapping):
@@ -102,7 +104,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
     except (TypeError, KeyError, AttributeError):
         raise InputError(f"{file}: damaged: config.sweep.file is missing") from None
     if isinstance(tables, dict):
-        with suppress(InputError):  # if the file of a profile is gone, the sweep's own file may still exist
+        with suppress(InputError):  # if the file of a profile is gone, the file of the sweep may still exist
             stored_sweep = sweep_of_tables(tables, sweep_path, True, changes)
             stored_sweep = (
                 stored_sweep.model_copy(update={"nominal": True, "replicates": worlds}) if worlds else stored_sweep
@@ -113,7 +115,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
         sweep_file = sweep_path if sweep_path.is_file() else find_sweep(sweep_path.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file from which the run was made no longer exists") from None
-    has_both_ways = PLACING in config["sweep"].get("axes", {})  # exact_too adds this axis to the file's axes
+    has_both_ways = PLACING in config["sweep"].get("axes", {})  # exact_too adds this axis to the axes of the file
     sweep = (
         chain_sweep(sweep_file, worlds, changes)
         if is_chain(run.info) and worlds

@@ -1,6 +1,6 @@
 """Runs one score or sweep from start to end: plans → worlds → engine → results.
 
-The run's study turns plans into worlds (petmjx.runs.study).
+A *study* makes the worlds from the plans, and the summary from the results (petmjx.runs.study).
 """
 
 from __future__ import annotations
@@ -44,21 +44,21 @@ if TYPE_CHECKING:
     from petmjx.plans.articles import Articles
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
-"""Function that computes (n, 2) smallest and largest force on the top of each box at rest, N. The function returns None
-for a world without intervals."""
+"""Function that computes (n, 2) the smallest and the largest possible force on the top of each box at rest, N. It
+returns None for a world without such intervals."""
 
 
 @dataclass(frozen=True)
 class RunStart:
-    """Facts known at the start of a run.
+    """Facts that are known at the start of a run.
 
     Attributes:
         what: the noun for a world in messages: "plan", or "world" if plans have several worlds.
-        total: number of worlds; None if unknown (searches).
+        total: number of worlds. None if it is unknown, as in searches.
         size: one line with the number of worlds and steps, and the estimated time.
-        choice: the engine, and the reason for choosing it.
-        progress: kept up to date by the engine.
-        recorded: number of worlds that a resumed run already has; they are included in the total.
+        choice: the engine, and the reason for its choice.
+        progress: the progress of the run, which the engine updates.
+        recorded: number of worlds that a resumed run already has. They are included in ``total``.
     """
 
     what: str
@@ -70,13 +70,13 @@ class RunStart:
 
 
 class Watcher(Protocol):
-    """Follows a run. The progress bar of the command line is such a watcher."""
+    """Follows a run, such as the progress bar of the command line."""
 
     def begin(self, start: RunStart) -> None:
-        """The run starts."""
+        """Called when the run starts."""
 
     def world_done(self, world: FinishedWorld) -> None:
-        """One more world has its final outcome."""
+        """Called when one more world has its final outcome."""
 
 
 def simulate(
@@ -93,10 +93,10 @@ def simulate(
         ask: function that makes the study from the loaded plans.
         sim: options of the simulation.
         plans: as for ``petmjx.score``.
-        intervals: function that computes the intervals of forces, used if ``options.force_intervals`` is set.
+        intervals: function that computes intervals of forces. It is used if ``options.force_intervals`` is set.
 
     Raises:
-        InputError: unusable plans or options.
+        InputError: plans or options are unusable.
         EngineUnavailable: the requested engine cannot run here.
     """
     plans = plans_in_place(plans, options.strict)
@@ -123,7 +123,7 @@ def simulate(
         plan_set = replace(plan_set, skipped=[*plan_set.skipped, *later_inputs], notes=notes)
         records = records_of(study.everything, plan_set.numbers)
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
-    hands_over = not options.record_details  # no other engine may take over worlds: only C MuJoCo records these details
+    hands_over = not options.record_details  # C MuJoCo alone records details, so it must keep all worlds
     with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
@@ -131,8 +131,8 @@ def simulate(
 
 
 def _last_permille_s(ends_s: Sequence[float]) -> float:
-    """How long the run waited for its last worlds: time from the end of the first 99.9 % of the worlds to the end of
-    the last world, s. With fewer than 1,000 worlds, only the last world counts."""
+    """How long the run waited for its last worlds: the time from the end of the first 99.9 % of the worlds to the end
+    of the last world, s. With fewer than 1,000 worlds, the time between the ends of the last two worlds."""
     last = -(-len(ends_s) // 1000)
     return round(ends_s[-1] - ends_s[-1 - last], 3) if len(ends_s) > last else 0.0
 
@@ -141,18 +141,18 @@ def _articles(options: RunOptions) -> Articles | None:
     """The table of articles that the options name."""
     if options.articles is None:
         return None
-    from petmjx.plans.articles import read_articles  # imported here, because it loads Arrow
+    from petmjx.plans.articles import read_articles  # imported here, since it loads Arrow
 
     return read_articles(options.articles)
 
 
 @dataclass(eq=False)
 class _Run:
-    """A run whose input is valid and whose engine is available.
+    """A run with valid input and an available engine.
 
     Attributes:
         found: the loaded plans, with skipped entries and warnings.
-        records: the records of the run's plans, by id.
+        records: plan id → record of the plan.
         intervals_s: time spent on computing intervals of forces, s.
     """
 
@@ -196,7 +196,7 @@ class _Run:
         """Simulate the missing worlds, and write everything to the output folder.
 
         Args:
-            held: plans that are not stored in a file, by id.
+            held: plan id → plan, for plans that are in no file.
         """
         study, options = self.study, self.options
         with RunWriter(
@@ -222,13 +222,13 @@ class _Run:
                 watcher.begin(self._start(len(writer.recorded)))
             ends_s = array("d")
             for world in study.worlds(self.engine, writer.recorded, self.recording, self.progress):
-                if not ends_s:  # load pandas now, while the engine works: results need it when the run ends
+                if not ends_s:  # load pandas while the engine works, since results need pandas when the run ends
                     threading.Thread(target=import_module, args=("pandas",), name="petmjx-tables").start()
                 self._write(writer, world)
                 ends_s.append(time.monotonic())
                 if watcher is not None:
                     watcher.world_done(world)
-            # The engine begins to end before the last rows are written, because its workers take a second or two to
+            # The engine starts to end before the last rows are written, because its workers take one or two seconds to
             # end.
             self.engine.retire()
             writer.timings.update(
@@ -271,8 +271,9 @@ class _Run:
             writer.warn(f"plan {printable_name(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
-        """(n, 2) smallest and largest force on the top of each box, N. None if intervals are not requested. Also None
-        after a drive, since the position of the carrier is then unknown."""
+        """(n, 2) the smallest and the largest possible force on the top of each box, N. None if intervals are not
+        requested. Also None after a drive (motion of the carrier), since the position of the carrier is then
+        unknown."""
         if self.intervals is None or world.driven:
             return None
         start = time.perf_counter()

@@ -1,6 +1,6 @@
 """``Study``: the worlds that a run makes from its plans, and their summary.
 
-This module has the study that ``score`` uses: one unchanged world per plan. Studies with variants are in
+This module also has the study of a plain score: one unchanged world per plan. Studies with variants are in
 petmjx.runs.sweep_study.
 """
 
@@ -42,10 +42,10 @@ NOMINAL: Final = Variant(0, UNCHANGED)
 
 @dataclass(frozen=True)
 class LegEnd:
-    """The leg of a chain in which a world ended.
+    """The leg (part of the journey) in which a world of a chain ended.
 
     Attributes:
-        began_s: time in the world at which the leg began, s; 0 for the placing.
+        began_s: time in the world at which the leg began, s. 0 for the placing.
     """
 
     leg: str
@@ -57,12 +57,12 @@ class FinishedWorld:
     """One world with its final outcome.
 
     Attributes:
-        placement: the outcome of the placement from which the world started; None: placement and world were simulated
-            in one piece.
-        driven: whether the drive was simulated. If the placement does not stand and early stop is on, the drive is
-            skipped, and the world gets the outcome of the placement. Without early stop, the drive is simulated, but
-            the world cannot be stable.
-        ended_in: the leg in which a world of a chain ended. None: the pallet arrived, or the world has no chain.
+        placement: outcome of the placement from which the world started. None if placement and world were simulated in
+            one piece.
+        driven: whether the drive (motion of the carrier) was simulated. If the placement does not stand and early stop
+            is on, the drive is skipped, and the world gets the outcome of the placement. Without early stop, the drive
+            is simulated, but the world cannot be stable.
+        ended_in: the leg in which a world of a chain ended. None if the pallet arrived, or if the world has no chain.
     """
 
     plan: Plan
@@ -80,24 +80,25 @@ class Study(ABC):
     """The worlds that a run makes from its plans, and their summary.
 
     Attributes:
-        sim: the options of every world, before attempts change them.
+        sim: options of every world, before further attempts change them.
         everything: all plans that can be simulated, including the plans of other shards.
         plans: the plans of this run.
-        work: the amount of work of all worlds, for estimates of time.
+        work: amount of work of all worlds, for estimates of time.
         n_worlds: largest possible number of worlds.
-        known: whether ``n_worlds`` is exact. The number is exact except in searches, in which the outcomes decide it.
-        first_variant: variant of each plan's first world. If ``known``, further variants follow without a gap.
+        known: whether ``n_worlds`` is exact. In searches it is not, since the outcomes determine the number.
+        first_variant: number of the variant of each plan's first world. If ``known``, further variants follow without a
+            gap.
         amount: the amount of simulation, in words.
-        command: "score" or "sweep", as the results name it.
+        command: "score" or "sweep", as in the results.
         what: the noun for a world in messages.
         skipped: plans that this study cannot simulate.
         notes: warnings about the whole run.
         params: columns of ``worlds`` that distinguish the worlds of a plan.
-        dynamic: whether worlds have drives.
+        dynamic: whether worlds have drives (motions of the carrier).
         legs: whether worlds pass through several legs of a chain.
         axes: names of the axes of a sweep.
         has_errors: whether positions or sizes have errors in some worlds.
-        identity: the settings that worlds depend on, in addition to plans and ``sim``.
+        identity: settings on which worlds depend, in addition to plans and ``sim``.
         config: entries of ``run.json`` about the study, in addition to the options.
     """
 
@@ -123,12 +124,12 @@ class Study(ABC):
 
     @property
     def total(self) -> int | None:
-        """Number of worlds; None if unknown."""
+        """Number of worlds. None if it is unknown."""
         return self.n_worlds if self.known else None
 
     @property
     def variants(self) -> range | None:
-        """Numbers of each plan's variants; None if they differ between plans, as in a search."""
+        """Numbers of the variants of each plan. None if they differ between plans, as in a search."""
         if not self.known:
             return None
         return range(self.first_variant, self.first_variant + self.n_worlds // max(len(self.plans), 1))
@@ -137,8 +138,8 @@ class Study(ABC):
         """One line with the number of worlds, the expected number of steps, and the expected time.
 
         Args:
-            seconds: expected time of all worlds, s; None: unknown.
-            recorded: number of completed worlds. Steps and time exclude completed worlds.
+            seconds: expected time of all worlds, s. None if it is unknown.
+            recorded: number of completed worlds. The numbers of steps and the time in the line exclude them.
         """
         share = 1 - recorded / max(self.n_worlds, 1)
         left = " left" if recorded else ""
@@ -149,12 +150,12 @@ class Study(ABC):
     def worlds(
         self, engine: Engine, recorded: CompletedWorlds, recording: Recording, progress: Progress
     ) -> Iterator[FinishedWorld]:
-        """Simulate the missing worlds. Yields each world once its outcome is final, in any order.
+        """Simulate the missing worlds. Yields each world when its outcome is final, in any order.
 
         Args:
             recorded: the completed worlds of the run.
-            recording: decides for which worlds histories are recorded.
-            progress: kept up to date during the simulation.
+            recording: determines for which worlds histories are recorded.
+            progress: progress of the run, which is updated during the simulation.
         """
 
     def values(self, world: FinishedWorld) -> Mapping[str, Any]:
@@ -162,16 +163,16 @@ class Study(ABC):
         return {}
 
     def timings(self) -> Mapping[str, float]:
-        """Timings; valid once all worlds are done."""
+        """Name → seconds or number, about the simulation of all worlds. Complete when all worlds are done."""
         return {}
 
     def summarise(self, writer: RunWriter) -> None:
-        """Write the table ``summary``. All worlds of the run are already written."""
+        """Write the table ``summary``. All worlds of the run have already been written."""
         return None
 
 
 class Nominal(Study):
-    """The study of a score: one unchanged world per plan.
+    """The study of a plain score: one unchanged world per plan.
 
     Raises:
         InputError: there are more than a million plans, and ``allow_large`` is not set.
@@ -211,7 +212,7 @@ class Nominal(Study):
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)
 
     def _longest_first(self) -> Iterator[Plan]:
-        """The plans, sorted by the number of boxes that are expected to be placed, largest first. Long worlds then
-        begin early, so the run need not wait for one of them at its end."""
+        """The plans, sorted by the number of boxes that are expected to be placed, the largest number first. Long
+        worlds then begin early, so that the run need not wait for one of them at its end."""
         placed = np.asarray(self.work.boxes) * self.work.share
         return (self.plans[number] for number in np.argsort(-placed, kind="stable").tolist())

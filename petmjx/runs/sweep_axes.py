@@ -1,4 +1,5 @@
-"""The axes of a sweep: their names, units and allowed values. docs/sweeps.md explains them to users."""
+"""The axes (varied quantities) of a sweep: their names, units and allowed values. docs/sweeps.md explains them to
+users."""
 
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ MAX_AXIS_VALUES: Final = 100_000
 """Largest number of values of one axis. With this limit, a typing error in a step cannot fill the memory."""
 
 MAX_STRENGTH: Final = 1000.0
-"""Largest level (g), scale or factor. A larger value must be a typing error, because shocks of packed goods are below
-100 g."""
+"""Largest level (g), scale or factor. A larger value must be a typing error, since shocks of packed goods are below 100
+g."""
 MAX_FRICTION_FACTOR: Final = 100.0
 MIN_MASS_FACTOR: Final = 0.001
 """Smallest factor on masses, since MuJoCo refuses bodies without mass."""
@@ -77,7 +78,7 @@ def _axis_text(value: object) -> str:
 
 
 def _value_or(tag: str) -> Discriminator:
-    """Discriminator of a union. The shape of the value decides the branch: a table (or a list), or a single value."""
+    """Discriminator of a union of types: tells whether a value is a table (or a list), or a single value."""
     return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
@@ -85,13 +86,13 @@ OneOrMore = Annotated[
     Annotated[tuple[T, ...], AfterValidator(_distinct_values), Tag(LIST)] | Annotated[T, Tag(VALUE)],
     _value_or(LIST),
 ]
-"""One value, or a list of values."""
+"""The type of one value, or of a list of values."""
 Names = OneOrMore[Annotated[str, Field(max_length=100)]]
 Ways = OneOrMore[Literal["exact", "drop", "hand", "tines"]]
 
 
 def degrees(value: object) -> object:
-    """The angle of a direction such as "+x", in degrees; other values are returned unchanged."""
+    """The angle of a direction such as "+x", in degrees. Other values are returned unchanged."""
     if isinstance(value, str):
         if value not in DIRECTIONS_DEG:
             raise ValueError(f"must be degrees or one of {', '.join(DIRECTIONS_DEG)}, {shown_value(value)}")
@@ -108,8 +109,8 @@ Number = TypeVar("Number", bound=float)
 
 
 class Range(CheckedRecord, Generic[Number]):
-    """A range of numbers. A range has a step or a count of values; or, in mode ``sample``, it is continuous between its
-    ends."""
+    """A range of numbers. It has a step or a number of values. In mode ``sample``, it may also be continuous between
+    its ends."""
 
     low: Number = Field(alias="from", description="the first value")
     high: Number = Field(alias="to", description="the last value, if the steps reach it")
@@ -131,7 +132,7 @@ class Range(CheckedRecord, Generic[Number]):
         return self.step is None and self.count is None
 
     def values(self) -> tuple[float, ...]:
-        """The values, rounded so that 0.1 + 2 × 0.1 is 0.3."""
+        """The values of the range. They are rounded, so that 0.1 + 2 × 0.1 is 0.3."""
         if self.step is not None:
             # 1e-9 offsets rounding errors, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
             step, count = self.step, math.floor((self.high - self.low) / self.step + 1e-9) + 1
@@ -149,7 +150,7 @@ class DrawnRange(Range[Positive]):
 
 
 class DirectionRange(Range[Direction]):
-    """A range of directions."""
+    """A range of directions, in degrees or as names such as "+x"."""
 
     low: Direction = Field(alias="from", description="the first direction")
     high: Direction = Field(alias="to", description="the last direction, if the steps reach it")
@@ -165,7 +166,7 @@ Directions = Annotated[
 
 
 Strengths = Annotated[Annotated[DrawnRange, Tag(TABLE)] | Annotated[Positive, Tag(VALUE)], _value_or(TABLE)]
-"""A level or a scale, or a range for random draws."""
+"""The type of a level or a scale, or of a range from which it is drawn at random."""
 
 
 def _value_list(setting: Any) -> tuple[Any, ...]:
@@ -256,7 +257,7 @@ Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 
 
 def _up_to(largest: float) -> AfterValidator:
-    """A validator: errors must lie within ±``largest``. The allowed range is narrower than the range for errors of
+    """A validator that requires errors to lie within ±``largest``. This range is narrower than the one for errors of
     positions."""
 
     def check(setting: Any) -> Any:
@@ -278,11 +279,12 @@ class AxisKind:
     """One kind of axis: its allowed values, the fields that they change, and its column in the results.
 
     Attributes:
-        unit: unit of the column; "1" for factors, "" for names.
+        unit: unit of the column. "1" for factors, "" for names.
         values: the type that checks the values.
         meaning: what the axis changes, in one line.
-        changes: fields of `PlacementChange` that get the value of the axis; empty: the axis changes the drive.
-        suffix: end of the column's name, after the name of the axis.
+        changes: names of the fields of `PlacementChange` that get the value of the axis. Empty if the axis changes the
+            drive (motion of the carrier).
+        suffix: end of the column's name, which follows the name of the axis.
         plain: for axes of errors, the distribution that a plain number stands for. With a normal distribution, the
             number is the standard deviation, and the mean is 0. With a fixed distribution, the number is the value
             itself.
@@ -302,7 +304,7 @@ class AxisKind:
 
     @property
     def placement(self) -> bool:
-        """Whether a change of the value requires a new placement."""
+        """Whether each value of the axis needs a placement of its own."""
         return bool(self.changes)
 
 
@@ -350,8 +352,8 @@ AXIS_KINDS: Final = {
         AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )
 }
-"""All axes of sweep files, in the order of nesting. Among the axes of placements, the last one varies fastest. Among
-the axes of drives, too, the last one varies fastest."""
+"""All axes of sweep files, in the order of nesting. Among the axes of placements, the last one varies fastest. The same
+is true among the axes of drives."""
 
 _FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
 _Axes = create_model("_Axes", __base__=CheckedRecord, **_FIELDS)
@@ -359,7 +361,7 @@ _Axes = create_model("_Axes", __base__=CheckedRecord, **_FIELDS)
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a sweep: its values, or (mode ``sample``) a continuous range."""
+    """One axis of a sweep: its values, or (in mode ``sample``) a continuous range."""
 
     name: str
     values: tuple[Value, ...] = ()
@@ -376,19 +378,19 @@ class Axis:
 
     @property
     def random(self) -> bool:
-        """Whether replicates get different values on this axis."""
+        """Whether replicates (repetitions with other random numbers) get different values on this axis."""
         return any(isinstance(value, Distribution) and value.random for value in self.values)
 
     def pick(self, key: WorldKey) -> Value:
-        """A random value of the axis. The random stream depends only on the key and the axis."""
+        """A random value of the axis. It depends only on the key and the axis."""
         rng = key.rng(f"design:{self.name}")
         if self.continuous:
             return float(rng.uniform(self.low, self.high))
         return self.values[int(rng.integers(len(self.values)))]
 
     def cell(self, value: Value) -> float | str:
-        """A value as written to the results. Distributions are written as plain numbers if this is possible for every
-        value of the axis, else as text."""
+        """A value as it is written to the results. If all values of the axis can be written as plain numbers,
+        distributions are written as plain numbers, otherwise as text."""
         if not isinstance(value, Distribution):
             return value
         number = self._plain_number(value)
@@ -396,7 +398,7 @@ class Axis:
         return number if one_shape and number is not None else value.label()
 
     def _plain_number(self, value: Value) -> float | None:
-        """The plain number that stands for a value in sweep files; None if the value needs a table."""
+        """The plain number that stands for a value in sweep files. None if the value needs a table."""
         if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
             return None
         if value.shape is DistributionShape.FIXED:
@@ -404,20 +406,20 @@ class Axis:
         return value.spread if value.centre == 0 else None
 
     def described(self) -> object:
-        """The axis as plain JSON values."""
+        """The values of the axis as plain JSON values."""
         if self.continuous:
             return {"from": self.low, "to": self.high}
         return [value.label() if isinstance(value, Distribution) else value for value in self.values]
 
 
 def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
-    """The axes in the table ``[axes]``, by name, in the order of the file. Called by a validator.
+    """Name → axis, for the table ``[axes]`` of a file, in the order of the file. Called by a validator.
 
     Args:
-        sampled: whether {from, to} without step or count is allowed (mode ``sample``).
+        sampled: whether a range {from, to} without step or count is allowed (mode ``sample``).
 
     Raises:
-        ValidationError: the text names the axis and the allowed values.
+        ValidationError: an axis is wrong. The message names the axis and the allowed values.
     """
     checked = _Axes.model_validate(tables)
     settings = {name: getattr(checked, name) for name in tables}

@@ -1,4 +1,4 @@
-"""The variants of a sweep, and the identity of a sweep. All plans have the same variants.
+"""The variants of a sweep (sets of changes to a plan), and the identity of a sweep. All plans have the same variants.
 
 Two sweeps with the same identity make the same worlds.
 """
@@ -21,19 +21,19 @@ from petmjx.world.random_streams import WorldKey
 from petmjx.world.variants import Distribution, DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
 
 MOST_KEPT: Final = 100_000
-"""Up to this number of variants, they are made once and kept for all plans; a variant takes 1 kB. A larger number of
-variants is made again for each plan."""
+"""If a sweep has at most this number of variants, they are made once and kept for all plans. A variant takes 1 kB. If
+there are more, the variants are made again for each plan."""
 
 REMEDY: Final = "remedy"
-"""Column of ``worlds`` with the name of the remedy, in a chain."""
+"""Name of the column of ``worlds`` with the name of the remedy (a change that is tried), in a chain."""
 
 Point = Mapping[str, Value]
-"""A value for each axis, by the axis's name."""
+"""Name of an axis → a value of this axis, for all axes."""
 
 
 @dataclass(frozen=True)
 class SearchItem:
-    """One question of a search: which is the largest level of this profile, in this direction, that a placement
+    """One question of a search: which is the largest level of this profile, in this direction, that a pallet
     survives?"""
 
     profile: str
@@ -44,15 +44,16 @@ class SearchItem:
 class Design:
     """The variants of a sweep.
 
-    Variants are numbered from 1, in the order of the axes. Number 0 is the nominal world, which is simulated only on
-    request. The size of a grid is computed without enumerating it, so that a grid that is too large is refused at once.
+    Variants are numbered from 1, in the order of the axes. Number 0 is the nominal world (the unchanged plan), which is
+    simulated only on request. The size of a grid is computed without making its variants, so that a grid that is too
+    large is refused at once.
     """
 
     sweep: Sweep
 
     @property
     def parameter_columns(self) -> dict[str, str]:
-        """Result column → unit ("1" for factors, "" for names)."""
+        """Column of the results → unit ("1" for factors, "" for names)."""
         columns = {axis.kind.column: axis.kind.unit for axis in self.sweep.axes.values()}
         if self.sweep.search is not None:
             strength = AXIS_KINDS[self.sweep.strength]
@@ -71,8 +72,8 @@ class Design:
 
     @property
     def n_variants(self) -> int:
-        """Number of variants per plan, including the nominal one. For a search this is an upper bound: it assumes that
-        every item needs all its rounds."""
+        """Number of variants per plan, including the nominal one. For a search, an upper bound, which assumes that
+        every item needs all rounds of the search."""
         sweep = self.sweep
         nominal = int(sweep.nominal)
         if sweep.sample is not None:
@@ -105,7 +106,8 @@ class Design:
         return sum(points * repeats for points, repeats in self._placement_counts()[1:])
 
     def _placement_counts(self) -> tuple[tuple[int, int], ...]:
-        """(number of points, replicates of each): points with a random error are repeated, all others occur once."""
+        """Pairs (number of points, replicates of each). Points with a random error are repeated, all others occur
+        once."""
         if not self.sweep.axes and not self.sweep.legs:
             return ()
         axes = self._axes(placement=True)
@@ -129,7 +131,8 @@ class Design:
 
     @property
     def _chain_replicates(self) -> int:
-        """Replicates of a chain; 1 if nothing in the chain is random."""
+        """Number of replicates (repetitions with other random numbers) of a chain. 1 if nothing in the chain is
+        random."""
         random = [axis.random for axis in self.sweep.axes.values()]
         random += [self._is_drawn(drive) for legs in self.ways.values() for leg in legs for drive in leg.drives]
         return self.sweep.replicates if any(random) else 1
@@ -150,15 +153,15 @@ class Design:
                 yield replace(placement, index=index, replicate=replicate, parameters=parameters, legs=legs)
 
     def _axes(self, placement: bool) -> list[Axis]:
-        """The axes of placements or, if ``placement`` is false, the axes of drives. The axes are in the order of
-        nesting, which may differ from their order in the file."""
+        """The axes of placements; if ``placement`` is False, the axes of drives (motions of the carrier). The axes are
+        in the order of nesting, which may differ from their order in the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 
     # Enumeration.
 
     def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
-        """Each placement with its worlds. In a search, the list of worlds is empty, because worlds are made level by
+        """Each placement with its worlds. In a search, a placement comes without worlds, because they are made level by
         level."""
         return iter(self._kept_placements if self.n_variants <= MOST_KEPT else self._placements())
 
@@ -200,10 +203,10 @@ class Design:
                 yield placement, variants
 
     def draws(self) -> dict[int, int]:
-        """Index of each variant with random values → its draw. All variants of a draw use the same random numbers.
+        """Number of each variant with random values → its draw. All variants of a draw use the same random numbers.
 
-        In a grid, a draw is a replicate; its random numbers differ from plan to plan. In a sample, each variant is a
-        separate draw, and its parameters are the same for all plans.
+        In a grid, a draw is a replicate, and its random numbers differ from plan to plan. In a sample, each variant is
+        a separate draw, and its parameters are the same for all plans.
         """
         sweep = self.sweep
         if sweep.sample is not None:
@@ -233,8 +236,8 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants drawn from the axes. These variants are the same for all plans. Each variant has its own replicate
-        number."""
+        """Variants whose values are drawn from the axes. They are the same for all plans. Each variant has its own
+        replicate number."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)
@@ -271,7 +274,7 @@ def _drives(variant: Variant) -> Iterator[DriveSpec]:
 
 
 def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:
-    """All points of the grid; the last axis varies fastest. Without axes, one empty point."""
+    """All points of the grid. The last axis varies fastest. Without axes, there is one empty point."""
     names = [axis.name for axis in axes]
     for values in itertools.product(*(axis.values for axis in axes)):
         yield dict(zip(names, values, strict=True))
@@ -282,12 +285,12 @@ def _n_points(axes: Iterable[Axis]) -> int:
 
 
 _BESIDE = {"name", "description", "plans", "simulation", "axes", "own_profiles"}
-"""Fields of a sweep file that change no world, or that are compared separately when a run is resumed."""
+"""Fields of a sweep file that do not change worlds, or that are compared separately when a run is resumed."""
 
 
 def sweep_identity(sweep: Sweep) -> dict[str, Any]:
-    """The settings of a sweep as plain JSON values, without its simulation. Profiles appear as digests of their
-    samples."""
+    """The settings of a sweep as plain JSON values, without the options of its simulation. Profiles are replaced by
+    digests of their samples."""
     settings = sweep.model_dump(mode="json", exclude=_BESIDE)
     if sweep.search is not None:
         settings["search"]["levels"] = len(sweep.search_levels)
@@ -305,7 +308,7 @@ def _values(axis: Axis) -> object:
 
 
 def _digest(sweep: Sweep, name: str) -> str:
-    """Digest of the first realisation of a profile. The first realisation suffices, because realisations differ only by
+    """Digest of one random realisation of a profile. One realisation is enough, because realisations differ only by
     their random numbers."""
     profile = sweep.profiles[name]
     excitation = profile.excitation(sweep.simulation.physics.timestep_s, 0.0, WorldKey(sweep.seed, "", 0))

@@ -1,7 +1,7 @@
-"""Reads and checks sweep files (``sweeps/*.toml``), and finds ready-made ones by name.
+"""Reads and checks sweep files (``sweeps/*.toml``), and finds ready-made sweep files by name.
 
-Ready-made files are in the folder ``sweeps/`` of a checkout; an installed package has a copy. docs/sweeps.md describes
-the contents of sweep files.
+Ready-made files are in the folder ``sweeps/`` of a checkout. An installed package has a copy of them. docs/sweeps.md
+describes the contents of sweep files.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ from petmjx.world.profiles.profile_tables import MAX_NAME, FileName, define_prof
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = (_PACKAGE / "ready_sweeps", _PACKAGE.parent / "sweeps")
-"""The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a checkout, ``sweeps/`` is next to the
-package."""
+"""Folders of ready-made sweep files. The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a
+checkout, ``sweeps/`` is beside the package."""
 
 
 def ready_sweeps() -> dict[str, Path]:
@@ -53,10 +53,10 @@ def ready_sweeps() -> dict[str, Path]:
 
 
 def find_sweep(name_or_path: str | Path) -> Path:
-    """The file of a sweep, given its path or the name of a ready-made sweep such as ``eumos``.
+    """The file of a sweep, from its path or from the name of a ready-made sweep such as ``eumos``.
 
     Raises:
-        InputError: there is no such file or name; the message lists the ready-made names.
+        InputError: there is no such file or name. The message lists the ready-made names.
     """
     path = Path(name_or_path)
     with suppress(OSError, ValueError):  # for instance, the name is too long or contains a null character
@@ -74,25 +74,25 @@ def find_sweep(name_or_path: str | Path) -> Path:
 
 
 SAMPLES: Final = "samples"
-"""Value of ``plans`` that stands for the bundled samples."""
+"""Value of ``plans`` that stands for the bundled sample plans."""
 
 DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
-"""Default accuracy with which a search finds the largest level (g) or scale survived."""
+"""Default accuracy of the largest level (g) or scale that a search finds."""
 
 MAX_SEARCH_LEVELS: Final = 1_000_000
 MAX_PROFILE_STEPS: Final = 4_000_000
 """Largest number of steps of one profile. The samples of a profile take 24 bytes per step."""
 MAX_TEXT: Final = 100_000
-"""Largest number of characters of the name, and of the description."""
+"""Largest number of characters of a description."""
 MIN_TOLERANCE: Final = 1e-5
-"""Smallest tolerance of a search. Levels are rounded to 1e-12, so levels at much smaller distances would become
+"""Smallest tolerance of a search. Levels are rounded to 1e-12, so levels with much smaller distances would become
 equal."""
 MAX_REPEATS: Final = 2**31 - 1
-"""Largest number of samples or replicates; the results store it in 32 bits."""
+"""Largest number of samples or replicates. The results store the number in 32 bits."""
 
 
 class Search(CheckedRecord):
-    """``[search]``: finds the largest level or scale survived, instead of an axis ``level`` or ``scale``."""
+    """The table ``[search]``: find the largest level or scale survived, instead of an axis ``level`` or ``scale``."""
 
     lower: StrictFloat = Field(0.0, ge=0, le=MAX_STRENGTH, description="lowest level (g) or scale")
     upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale")
@@ -127,7 +127,8 @@ def _own_profiles(tables: Any, info: ValidationInfo) -> dict[str, Profile]:
 
 
 def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
-    """Axes by name. Families of profiles are replaced by their profiles."""
+    """Name → axis. On the axis ``profile``, names of families of profiles are replaced by the names of their
+    profiles."""
     axes = read_axes(tables, info.data.get("mode") == "sample")
     if "profile" in axes:
         names: list[str] = []
@@ -145,7 +146,7 @@ def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
 
 
 class Sweep(CheckedRecord):
-    """A checked sweep file."""
+    """The content of a sweep file, after all checks."""
 
     name: str = Field("", max_length=MAX_NAME, description="name of the sweep; by default the file's")
     description: str = Field("", max_length=MAX_TEXT, description="what it asks")
@@ -188,13 +189,13 @@ class Sweep(CheckedRecord):
 
     @property
     def file(self) -> str:
-        """The file as the user named it, for messages."""
+        """The path of the file as the user gave it, for messages."""
         return str(self._file or self.name)
 
     @cached_property
     def profiles(self) -> dict[str, Profile]:
-        """The profiles that the sweep uses, by name: the profiles of its axis ``profile``, or of the legs of its
-        chain."""
+        """Name → profile, for the profiles that the sweep uses: those of its axis ``profile``, or those of the legs of
+        its chain."""
         if self.legs:
             return profiles_of_legs(self.legs, self.own_profiles)
         names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []
@@ -202,7 +203,7 @@ class Sweep(CheckedRecord):
 
     @property
     def is_random(self) -> bool:
-        """Whether two worlds of a plan that have the same changes may differ."""
+        """Whether two worlds of a plan with the same changes may differ, because something is random."""
         axes, profiles = self.axes.values(), self.profiles.values()
         drawn = any(event.drawn for leg in self.legs for event in leg.events)
         return drawn or any(axis.random for axis in axes) or any(profile.random for profile in profiles)
@@ -214,7 +215,7 @@ class Sweep(CheckedRecord):
 
     @property
     def strength(self) -> Strength:
-        """The quantity that a search varies: a level or a scale. The value of the enum member is the name of the
+        """The quantity that a search varies: a level or a scale. The value of this enum member is the name of the
         axis."""
         levels = any(profile.strength is Strength.LEVEL for profile in self.profiles.values())
         return Strength.LEVEL if levels else Strength.SCALE
@@ -222,14 +223,14 @@ class Sweep(CheckedRecord):
     @cached_property
     def search_levels(self) -> FloatArray:
         """(n,) the levels that a search can test, in ascending order: from `lower` in steps of the search's tolerance,
-        and `upper` itself.
+        followed by `upper`.
 
         The last step is shorter if the tolerance does not divide the range. No level is above `upper`.
         """
         if self.search is None:
             return np.zeros(0)
         lower, upper = self.search.lower, self.search.upper
-        # 1e-6 offsets rounding errors: 0 … 2 by 0.01 must end with `upper`, without a second level just below.
+        # 1e-6 offsets rounding errors: 0 … 2 by 0.01 must end with `upper`, without a second level just below it.
         count = max(math.ceil((upper - lower) / self._tolerance - 1e-6), 1)
         return np.append(np.round(lower + np.arange(count) * self._tolerance, 12), upper)
 
@@ -239,7 +240,7 @@ class Sweep(CheckedRecord):
         return tolerance or DEFAULT_TOLERANCE[self.strength]
 
     def resolved(self) -> dict[str, Any]:
-        """The sweep as written to ``run.json``: all settings, including defaults, as plain JSON values."""
+        """The sweep as it is written to ``run.json``: all settings, including defaults, as plain JSON values."""
         record = {
             "file": self.file,
             "tables": _json_tables(self._tables),
@@ -251,7 +252,7 @@ class Sweep(CheckedRecord):
         record["profiles"] = {name: {"kind": p.kind, "source": p.source} for name, p in self.profiles.items()}
         return record
 
-    # Refused combinations.
+    # Checks for combinations that are not allowed.
 
     @model_validator(mode="after")
     def _mode(self) -> Self:
@@ -379,12 +380,13 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """Read and check a sweep file.
 
     Args:
-        plans_given: whether the caller gives plans. Then the file need not name plans, and plans that the file names
-            need not exist.
-        simulation: fields of ``Simulation`` that override those of the file.
+        plans_given: whether the caller provides plans. The file then need not name plans, and plans that it names need
+            not exist.
+        simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:
-        InputError: the message is one line with file and field, such as "x.toml: axes.scale must be > 0, got -1".
+        InputError: the file is wrong. The message is one line with file and field, such as "x.toml: axes.scale must be
+            > 0, got -1".
     """
     path = Path(path)
     return sweep_of_tables(read_toml(path), path, plans_given, simulation)
@@ -393,11 +395,11 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
 def sweep_of_tables(
     tables: Mapping[str, Any], path: Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None
 ) -> Sweep:
-    """Check a sweep like :func:`load_sweep`, but take it from the tables of a file that was read earlier."""
+    """Check a sweep like :func:`load_sweep`, but from the tables of a file that was read earlier."""
     said_by_file = _json_tables(tables)
     simulation_table = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
-        # The options override the carrier. The carrier's file is from an earlier run, and may be gone or changed.
+        # The options replace the carrier. The carrier's own file belongs to an earlier run, and may be gone or changed.
         simulation_table.pop("carrier", None)
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)
@@ -412,7 +414,7 @@ def sweep_of_tables(
 
 
 def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Tables of TOML as JSON; None if they contain times or infinities, or are nested too deeply."""
+    """Tables of TOML as JSON values. None if they contain times or infinities, or are nested too deeply."""
     try:
         return None if tables is None else json.loads(json.dumps(tables, allow_nan=False))
     except (TypeError, ValueError, RecursionError):
@@ -420,7 +422,7 @@ def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
 
 
 def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:
-    """The plan files, which must exist. The names of the files are relative to the sweep file's folder."""
+    """The plan files, which must exist. Their names are relative to the folder of the sweep file."""
     if plans is None:
         raise InputError("plans is missing: name plan files here or on the command line "
                          f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip
@@ -440,18 +442,18 @@ def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str |
 
 
 def nominal_sweep(sim: Simulation) -> Sweep:
-    """The sweep of a plain score: its only variant is the unchanged plan."""
+    """The sweep of a plain score. Its only variant is the unchanged plan."""
     return Sweep(name="nominal", nominal=True, simulation=sim)
 
 
 def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str, Any]) -> Sweep:
-    """The sweep of a score with a chain: the worlds of the chain, and the nominal world, which is placed but not
-    shaken.
+    """The sweep of a score with a chain. It has the worlds of the chain, and the nominal world, in which the unchanged
+    plan is placed but not shaken.
 
     Args:
         file: a sweep file with legs, or the name of a ready-made one.
-        n_worlds: worlds with errors for each plan; None: the number in the file.
-        simulation: fields of ``Simulation`` that override those of the file.
+        n_worlds: number of worlds with errors for each plan. If None, it is the number in the file.
+        simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:
         InputError: the file is unusable or has no legs.

@@ -1,7 +1,7 @@
 """Runs a sweep: simulates each placement once, starts all drives or chains from its settled state, and searches levels.
 
-The engine gets placements, drives and legs of many plans in one stream, since a device is fast with many worlds.
-``Batching`` limits the memory that a sweep takes, whatever its size.
+The engine gets placements, drives (motions of the carrier) and legs (parts of a chain) of many plans in one stream,
+since a device is fast with many worlds. ``Batching`` limits the memory of a sweep, whatever its size.
 """
 
 from __future__ import annotations
@@ -38,17 +38,18 @@ from petmjx.world.variants import LegSpec, Variant
 
 @dataclass(frozen=True)
 class Batching:
-    """How much of a sweep is in memory and in the engine at the same time. No result depends on these bounds.
+    """How much of a sweep is in memory and in the engine at the same time. Results do not depend on these limits.
 
     Attributes:
         undriven: largest number of worlds without a drive in one call of the engine. The states of such worlds are not
             stored.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
-        worlds: largest number of variants that start from stored states at the same time (a single placement may have
-            more).
-        drives: largest number of forked worlds in one call of the engine, for searches and chains. This limit covers
-            the first tests of all items in a search, and all worlds in a chain.
-        histories: largest number of settled states stored with their histories. A history with 43 boxes takes 1 MB.
+        worlds: largest number of variants that start from stored states at the same time. A single placement may have
+            more.
+        drives: for searches and chains, largest number of worlds that start from stored states in one call of the
+            engine: the first tests of all items in a search, and all worlds in a chain.
+        histories: largest number of settled states that are stored with their histories. A history with 43 boxes takes
+            1 MB.
     """
 
     undriven: int = MOST_PENDING
@@ -60,7 +61,7 @@ class Batching:
 
 @dataclass
 class Tally:
-    """The cost of a sweep up to now. Steps are world-steps after the soft start, in the last attempt of each world."""
+    """The cost of a sweep so far. Steps are those after the soft start, in the last attempt at each world."""
 
     placements: int = 0
     placement_steps: int = 0
@@ -75,8 +76,9 @@ class Answer:
     """The answer of a search for one placement, profile and direction.
 
     Attributes:
-        largest_survived, first_failed: level in g, or scale; None if there is none.
-        at_largest, at_failure: probes of the worlds at these two levels; None if no world was simulated at that level.
+        largest_survived, first_failed: largest level survived and smallest level that failed, in g or as a scale. None
+            if there is none.
+        at_largest, at_failure: results of the tests at these two levels. None if no world was simulated at this level.
     """
 
     group: PlacementGroup
@@ -90,12 +92,12 @@ class Answer:
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
 """The attempts for placements whose states are stored, and for the worlds that start from these states. The attempt
-with half the timestep is left out, because a state counts time in steps: no world can start from a state that was
-reached with half the timestep."""
+with half the timestep is left out. A state counts time in steps, so no world can start from a state that was reached
+with half the timestep."""
 
 
 def _n_drives(variant: Variant) -> int:
-    """Number of drives or legs of a world, if the world stands until its end."""
+    """Number of drives or legs of a world, if the pallet stands until the end of the world."""
     return len(variant.legs) or int(variant.drive is not None)
 
 
@@ -108,17 +110,18 @@ def _drained(worlds: list[AnyWorld]) -> list[AnyWorld]:
 
 @dataclass(eq=False)
 class SweepRun:
-    """One sweep on one engine. Iterate over :meth:`worlds` once; during the iteration, ``tally`` is kept up to date.
+    """One sweep on one engine. Iterate over :meth:`worlds` once. During the iteration, ``tally`` is updated.
 
     Args:
         plan: the worlds to simulate.
-        engine: the engine for placements and drives. The same engine object must simulate both, since no other object
-            can use its states.
-        progress: kept up to date during the simulation. While boxes are placed, the message counts ended placements.
+        engine: the engine for placements and drives. Both must be simulated by the same engine object, since no other
+            object can use its states.
+        progress: progress of the run, which is updated during the simulation. While boxes are placed, its message has
+            the number of ended placements.
         on_answer: function that is called for each answer of a search.
-        values_of: function that returns the columns that the sweep adds to a world's row (column → value).
-        recorded: the completed worlds of the run. Completed worlds are not simulated again; answers are computed from
-            their rows.
+        values_of: function that returns column → value, for the columns that the sweep adds to the row of a world.
+        recorded: the completed worlds of the run. They are not simulated again, and answers are computed from their
+            rows.
         recording: determines which worlds are recorded, and which histories are stored.
     """
 
@@ -134,16 +137,16 @@ class SweepRun:
     _check_pool: CheckPool[Any] | None = field(default=None, init=False)
     _work_done: int = field(default=0, init=False)
     _work: int = field(default=0, init=False)
-    """Total work: number of boxes, summed over all placements, drives and legs. 0 if the total is unknown or if there
-    are only placements."""
+    """Total work: the number of boxes, summed over all placements, drives and legs. 0 if the total is unknown or if
+    there are only placements."""
 
     @cached_property
     def sim(self) -> Simulation:
-        """The options of every world, before attempts change them."""
+        """The options of every world, before further attempts change them."""
         return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[FinishedWorld]:
-        """Simulate all missing worlds; yield each world when it is final, in any order."""
+        """Simulate all missing worlds. Yields each world when its outcome is final, in any order."""
         # The check pool is started while boxes are placed, because many drives may end soon after they begin.
         is_counted = self.plan.sweep.search is None
         self._check_pool = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if is_counted else None
@@ -173,7 +176,7 @@ class SweepRun:
         """Simulate one world alone, exactly as in the whole sweep.
 
         Args:
-            index: index of the variant, as in ``worlds``.
+            index: number of the variant, as in ``worlds``.
 
         Raises:
             InputError: the plan has no such variant.
@@ -185,8 +188,8 @@ class SweepRun:
         return world
 
     def _groups(self) -> Iterator[PlacementGroup]:
-        """Placements that have missing worlds. In a search these are all placements, since which worlds a search needs
-        follows from earlier worlds."""
+        """Placements that have missing worlds. In a search, these are all placements, since earlier worlds determine
+        which worlds a search needs."""
         return (group for group in self.plan.groups(self._has_all_worlds) if not group.variants or self._missing(group))
 
     def _has_all_worlds(self, plan: Plan) -> bool:
@@ -199,7 +202,7 @@ class SweepRun:
         return [variant for variant in group.variants if (group.plan.plan_id, variant.index) not in self.recorded]
 
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
-        """Placements with drives, in chunks as large as ``Batching`` allows."""
+        """Placements with drives, in groups as large as ``Batching`` allows."""
         search = self.plan.sweep.search
         # in a chain, the samples of a leg may differ from world to world
         most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
@@ -275,8 +278,8 @@ class SweepRun:
         return self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan))
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Simulate placements without drives. All worlds of a placement have the placement's outcome, which includes
-        the rest window."""
+        """Simulate placements without drives. All worlds of a placement have the outcome of the placement, which
+        includes the rest window (the last 0.2 s)."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
             for variant in self._missing(placed.group):
                 if variant is placed.group.variants[0]:
@@ -285,7 +288,7 @@ class SweepRun:
                     yield placed.undriven(variant)
 
     def _settling(self, groups: Sequence[PlacementGroup]) -> Iterator[SettledPlacement]:
-        """Simulate placements and keep their states."""
+        """Simulate placements, and keep their settled states."""
         placed = self._place(groups, self.batching.placements, keep_state=True)
         for count, settled in enumerate(placed, start=1):
             self.progress.message = f"placed {count:,} of {len(groups):,}"
@@ -293,13 +296,13 @@ class SweepRun:
         self.progress.message = ""
 
     def _settle(self, groups: Sequence[PlacementGroup]) -> list[SettledPlacement]:
-        """Simulate placements and keep their states. Returns the settled placements in the order of the groups."""
+        """Simulate placements, and keep their settled states. Returns the placements in the order of the groups."""
         settled_by_group = {id(settled.group): settled for settled in self._settling(groups)}
         return [settled_by_group[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: SettledPlacement) -> bool:
-        """Whether drives of a placement are simulated. With early stop the placement must stand; without early stop it
-        only has to be valid."""
+        """Whether drives of a placement are simulated. With early stop, the placement must stand. Without early stop,
+        it only has to be valid."""
         outcome = settled.outcome
         shaken = outcome.verdict is Verdict.STABLE if self.sim.early_stop else outcome.verdict is not Verdict.INVALID
         return shaken and outcome.state is not None
@@ -308,7 +311,7 @@ class SweepRun:
 
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Simulate placements, and start all their variants from the settled states. Drives and the first legs of
-        chains begin as soon as their own placement has settled, while other placements still run. A further leg begins
+        chains begin as soon as their own placement has settled, while other placements continue. Another leg begins
         when the leg before it has ended."""
         begin = time.perf_counter()
         n_settled = 0
@@ -349,10 +352,10 @@ class SweepRun:
     def _drive(
         self, worlds: Iterable[DriveWorld], following: Callable[[], Iterable[DriveWorld]] | None = None
     ) -> Iterator[tuple[Test, FinishedWorld]]:
-        """Simulate drives; yield each finished world with its test. ``following`` returns further drives that follow
-        from results."""
+        """Simulate drives. Yields each finished world with its test. ``following`` returns the drives that follow from
+        results."""
         begin = time.perf_counter()
-        most = self.batching.drives  # all drives of a batch begin at once, since their scenes already exist
+        most = self.batching.drives  # all drives of a group begin at once, since their scenes already exist
         for result in self._score(worlds, most, forks=True, begin_with=most, following=following):
             yield result.world.test, self._driven(result)
         self.tally.drive_s += time.perf_counter() - begin
@@ -370,8 +373,8 @@ class SweepRun:
     # Chains.
 
     def _legs_of(self, begin: LegStart) -> Iterator[LegWorld]:
-        """The next legs of some worlds that had the same outcome so far. Worlds whose next leg is the same are
-        simulated as one."""
+        """The next legs of worlds that had the same outcome so far. Worlds with the same next leg are simulated as one
+        world."""
         placed, before = begin.settled, begin.before
         plan, record = placed.group.plan, self.recording.of(placed.group.plan)
         alike: dict[tuple[LegSpec, int], list[Variant]] = {}
@@ -385,8 +388,8 @@ class SweepRun:
             yield LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
 
     def _after_leg(self, result: WorldResult[Any]) -> tuple[list[FinishedWorld], LegStart | None]:
-        """Two results: the worlds that end with this leg, and the start of the next leg for all other worlds (None: all
-        worlds have ended)."""
+        """The worlds that end with this leg, and the start of the next leg for all other worlds. The start is None if
+        all worlds have ended."""
         self.tally.drives += 1
         self.tally.drive_steps += result.outcome.n_steps
         world: LegWorld = result.world
@@ -410,7 +413,7 @@ class SweepRun:
         return ended, LegStart(begin.settled, further, number, outcome) if further else None
 
     def _end(self, world: LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
-        """The leg in which a world that does not stand ended. ``n_steps`` is the number of steps of its last leg."""
+        """The leg in which an unstable or invalid world ended. ``n_steps``: number of steps of the world's last leg."""
         if world.begin.settled.outcome.verdict is not Verdict.STABLE:
             return LegEnd(PLACING, 0.0)
         return LegEnd(world.leg.name, outcome.sim_time_s - n_steps * self.sim.physics.timestep_s)
@@ -418,9 +421,9 @@ class SweepRun:
     # Search.
 
     def _search(self, settled: Sequence[SettledPlacement]) -> Iterator[FinishedWorld]:
-        """Bisection over all placements, profiles and directions of a chunk together.
+        """Search the largest level survived for all placements, profiles and directions of a group together.
 
-        When all tests of an item have ended, its next tests begin, while tests of other items still run. A placement
+        When all tests of an item have ended, its next tests begin, while tests of other items continue. A placement
         that does not stand has one row per profile and direction, at the lowest level, with the outcome of the
         placement. Nothing else is simulated for it.
         """
@@ -443,15 +446,15 @@ class SweepRun:
         missing: dict[int, set[Test]] = {}
 
         def next_drives(which: int) -> list[DriveWorld]:
-            """The drives that an item needs next; empty if the item is finished."""
+            """The drives that an item needs next. Empty if the item is finished."""
             while tests := bisection.next_tests(which):
                 probes = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
                 tested.update(probes)
                 if missing_now := [test for test in tests if test not in probes]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
-                # Only the two worlds at the bounds of an item's search can still become the item's answer.
-                # All other worlds are dropped.
+                # Only the two worlds at the bounds of an item's search can still become the answer. All other worlds
+                # are dropped.
                 now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
                 bisection.record(tests, [now[test] for test in tests])
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
@@ -492,7 +495,7 @@ class SweepRun:
             )
 
     def _answer_again(self, group: PlacementGroup) -> bool:
-        """Answer all questions of a placement from completed worlds. False if a world is missing."""
+        """Answer all questions about a placement from completed worlds. Returns False if a world is missing."""
         if not len(self.recorded):
             return False
         numbers = range(len(self.plan.search_items()))
@@ -515,8 +518,8 @@ class SweepRun:
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
         """The outcome of a placement, as far as completed worlds show it. A placement that did not stand has a single
-        world: the one of the lowest level, with 0 steps. If the search tested the lowest level and this test failed,
-        that world may also have 0 steps. But then the run also has worlds of the search's other first tests, at higher
+        world: at the lowest level, with 0 steps. If the search tested the lowest level and this test failed, this world
+        may also have 0 steps. In this case, however, the run also has worlds of the other first tests, at higher
         levels.
         """
         row = self._row(group, number, 0)

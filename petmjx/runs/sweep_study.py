@@ -1,4 +1,4 @@
-"""The study for runs with variants: sweeps, and scores with confidence."""
+"""The study (worlds and summary) of runs with variants: sweeps, and scores with confidence."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SweepStudy(Study):
     """The study whose worlds are all variants of each plan.
 
     Args:
-        confidence: number of worlds with errors per plan, for a score with confidence; None for a sweep.
+        confidence: number of worlds with errors per plan, for a score with confidence. None for a sweep.
 
     Raises:
         InputError: see ``SweepPlan``.
@@ -72,7 +72,8 @@ class SweepStudy(Study):
             command="sweep" if confidence is None else "score",
             what="world",
             skipped=plan.skipped,
-            # no lines if friction depends on materials: it may hold a load that the general friction does not hold
+            # no lines if friction depends on materials, since it may then hold loads that the general friction does not
+            # hold
             notes=() if any(input_plan.materials for input_plan in everything) else hopeless_profiles(sweep),
             params=self._columns.params,
             dynamic=self._columns.has_drives,

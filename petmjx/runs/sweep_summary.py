@@ -1,5 +1,4 @@
-"""The additions of a sweep to the results: columns of ``worlds`` for parameters and answers, and the table
-``summary``."""
+"""What a sweep adds to the results: columns of ``worlds`` for parameters and answers, and the table ``summary``."""
 
 from __future__ import annotations
 
@@ -34,13 +33,13 @@ MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
 LEG = Param("leg", TEXT, "leg of the chain in which the world failed first; empty: it arrived", str)
 EUMOS_WORST = tuple(column.name for column in EUMOS_COLUMNS if column.unit)
-"""Columns with the deformations that a laboratory measures. A row of a grid's summary has the largest values over its
-worlds."""
+"""Columns with the deformations that a laboratory measures. The summary of a grid has their largest values over the
+worlds of each row."""
 FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
 
 
 class SweepColumns:
-    """The additional columns of a sweep's worlds."""
+    """The columns that a sweep adds to ``worlds``."""
 
     def __init__(self, plan: SweepPlan) -> None:
         self._plan = plan
@@ -58,7 +57,7 @@ class SweepColumns:
 
     @property
     def params(self) -> list[Param]:
-        """All additional columns, in order."""
+        """All added columns, in order."""
         columns = [*self.parameters, MODE]
         columns += [LEG] if self.has_legs else []
         columns += [SIGN] if self.has_drives else []
@@ -67,14 +66,14 @@ class SweepColumns:
         return columns
 
     def of(self, world: FinishedWorld) -> dict[str, Any]:
-        """Column → value of one world; columns without a value become null."""
+        """Column → value, for one world. Columns without a value become null."""
         values: dict[str, Any] = dict(world.variant.parameters)
         values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
         values |= self.during_drive(world)
         return values
 
     def during_drive(self, world: FinishedWorld) -> dict[str, Any]:
-        """The values of the columns that concern the drive or the legs."""
+        """The values of the columns about the drive (motion of the carrier) or the legs of a chain."""
         values: dict[str, Any] = {}
         if world.variant.legs:
             return self._of_leg(world)
@@ -92,7 +91,7 @@ class SweepColumns:
         return values
 
     def _of_leg(self, world: FinishedWorld) -> dict[str, Any]:
-        """The leg in which a world of a chain ended, and when a box crossed a threshold, as time in that leg."""
+        """The leg in which a world of a chain ended, and the time in this leg at which a box crossed a threshold."""
         end = world.ended_in
         if end is None or end.leg == PLACING:
             return {LEG.name: end.leg if end is not None else ""}
@@ -100,8 +99,8 @@ class SweepColumns:
         return {LEG.name: end.leg, SIGN.name: since_s if since_s > 0.5 * self._sim.physics.timestep_s else None}
 
     def _eumos(self, world: FinishedWorld, placement: Outcome) -> dict[str, Any]:
-        """The values of EUMOS's columns. Displacements count from the positions of the boxes before the drive. If the
-        placement did not stand, the test is not passed."""
+        """The values of the columns for EUMOS 40509. Displacements are measured from the positions of the boxes before
+        the drive. If the placement did not stand, the test is not passed."""
         values: dict[str, Any] = {}
         if world.driven:
             assessment = eumos_assessment(world.outcome.boxes, placement.boxes.pos, world.scene.half_size)
@@ -113,7 +112,8 @@ class SweepColumns:
         return values
 
     def _sign_in_profile_s(self, outcome: Outcome) -> float | None:
-        """Time from the beginning of the profile to the first sign; None if there was no sign or it came earlier."""
+        """Time from the beginning of the profile to the first sign of failure, s. None if there was no sign or it came
+        earlier."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
         # The comparison allows half a step, because the time is a running sum of timesteps, with rounding errors.
@@ -134,14 +134,15 @@ def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] |
 
 @dataclass(frozen=True)
 class ShareColumns:
-    """The columns of ``worlds`` by which shares are grouped. The fields are stored in ``run.json``, so that shards can
-    be merged.
+    """The columns of ``worlds`` by which shares are grouped. The fields are stored in ``run.json``, so that shards of a
+    run can be merged.
 
     Attributes:
-        axes: columns, in the order of the summary.
+        axes: names of the columns, in the order of the summary.
         ranges: column → (low, high), for columns whose values were drawn from a range.
-        eumos, tilt: whether the sweep has EUMOS's profile, and whether it has profiles that tilt.
-        draws: (variant, draw) for each variant with random values; see `Design.draws`.
+        eumos, tilt: whether the sweep has the profile of EUMOS 40509, and whether it has profiles that tilt the
+            carrier.
+        draws: pairs (variant, draw), for each variant with random values. See `Design.draws`.
         same_draws: whether a draw has the same random numbers for all plans.
     """
 
@@ -166,12 +167,12 @@ class ShareColumns:
 def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     """The summary of a grid or a sample: the share of worlds that stand, by axis value, over all plans and per plan.
 
-    Continuous ranges are divided into ``RANGE_BINS`` equal intervals. For EUMOS's profile, the summary also has the
-    share of worlds within the standard's limits, and the largest deformations. With ``tilt``, it has the smallest angle
-    at which a world failed.
+    Continuous ranges are divided into ``RANGE_BINS`` equal intervals. For the profile of EUMOS 40509, the summary also
+    has the share of worlds within the limits of the standard, and the largest deformations. With ``tilt``, it has the
+    smallest angle at which a world failed.
 
     Args:
-        parts: files of the run, all complete.
+        parts: files of the run's tables, all complete.
     """
     axes = list(columns.axes)
     extra = ["eumos_passed", *EUMOS_WORST] if columns.eumos else []
@@ -202,7 +203,7 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
 
 
 def _draws(worlds: pd.DataFrame, columns: ShareColumns) -> pd.Series[float]:
-    """For each world, a number that identifies its random numbers; NaN for worlds without random numbers."""
+    """For each world, a number that identifies its random numbers. NaN for worlds without random numbers."""
     drawn = worlds["variant"].map(dict(columns.draws))
     if columns.same_draws:
         return drawn
@@ -221,7 +222,7 @@ def _binned_values(values: pd.Series[float], lowest: float, highest: float) -> p
 
 
 def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
-    """One row of a search's summary."""
+    """One row of the summary of a search."""
     group, bracket = answer.group, answer.bracket
     box = bracket.box if bracket.box >= 0 else None
     at_failure: Mapping[str, Any] = answer.at_failure.values if answer.at_failure is not None else {}
@@ -268,7 +269,7 @@ def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str], dict[str, str]]:
-    """(units, descriptions) of a summary's columns."""
+    """Two dicts for the columns of a summary: column → unit, and column → description."""
     known = {param.name: (param.unit, param.description) for param in SweepColumns(plan).params}
     units: dict[str, str] = {}
     texts = dict(_DESCRIPTIONS)

@@ -1,4 +1,4 @@
-"""All worlds of a sweep and its plans, in groups that share one placement."""
+"""All worlds of a sweep over its plans, in groups of worlds that share one placement."""
 
 from __future__ import annotations
 
@@ -32,23 +32,24 @@ from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, LegSpec, Variant, apply_all
 
 _TILTED: Final = 0.5
-"""Share of a tilt's steps that is expected to be simulated. The share is below 1, since pallets slide or topple before
-the end of the tilt."""
+"""Share of the steps of a tilting profile that is expected to be simulated. It is below 1, since pallets slide or
+topple before the end."""
 
 _ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
-"""Fields that are changed by axes with errors of places or sizes. If there are such errors, boxes are placed by hand,
-unless the options name another placing."""
+"""Fields that axes with errors of places or sizes change. If there are such errors, boxes are carried to their places
+by a hand, unless the options name another manner of placing."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementGroup:
-    """Worlds of one plan that share a placement. The placement is simulated once, and its settled state is forked.
+    """Worlds of one plan that share a placement. It is simulated once, and all these worlds start from its settled
+    state.
 
     Attributes:
         number: number of the placement within its plan, from 0.
-        placement: the variant whose scene is simulated (its drive is not used).
-        variants: the worlds. A world without a drive has the outcome of the placement. Empty in a search, whose
-            variants are made level by level with `SweepPlan.search_variant`.
+        placement: the variant whose scene is simulated. The drive of this variant is not used.
+        variants: the variants of the worlds. A world without a drive has the outcome of the placement. Empty in a
+            search, whose variants are made level by level with `SweepPlan.search_variant`.
     """
 
     plan: Plan
@@ -73,18 +74,18 @@ class SweepPlan(Design):
     """All worlds of a sweep, made one placement at a time.
 
     Args:
-        plans: the plans of the sweep; after construction, only plans that can be simulated.
-        allow_large: accept more than a million worlds.
-        strict: raise an error instead of skipping a plan.
+        plans: the plans of the sweep. After construction, only the plans that can be simulated.
+        allow_large: whether more than a million worlds are accepted.
+        strict: whether to raise an error instead of skipping a plan.
 
     Attributes:
-        skipped: plans that are not simulated, because ``total_time_factor`` would end their run before the profile
-            begins.
+        skipped: plans that are not simulated, because ``total_time_factor`` would end their simulation before the
+            profile begins.
 
     Raises:
-        InputError: no usable plan, more than a million worlds without ``allow_large``, an axis ``placing`` although
-            boxes may not be carried, legs with soft boxes or ``total_time_factor``, or a profile whose frequencies are
-            too high for the timestep.
+        InputError: there is no usable plan, there are more than a million worlds without ``allow_large``, there is an
+            axis ``placing`` although boxes may not be carried, there are legs with soft boxes or ``total_time_factor``,
+            or the frequencies of a profile are too high for the timestep.
     """
 
     plans: Sequence[Plan]
@@ -119,7 +120,8 @@ class SweepPlan(Design):
                 if missing := [side.value for side in leg.open_walls if side not in sides]:
                     reason = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
                     raise InputError(f"{file}: legs[{place}].open_walls: {reason}")
-        # Excitations are made here to refuse, before the run begins, a frequency too high for the timestep.
+        # Excitations are made here so that a frequency that is too high for the timestep is refused before the run
+        # begins.
         for profile in self.sweep.profiles.values():
             try:
                 profile.excitation(self.sweep.simulation.physics.timestep_s)
@@ -127,7 +129,7 @@ class SweepPlan(Design):
                 raise InputError(f"{file}: {error}") from None
 
     def _has_time(self, plan: Plan) -> bool:
-        """Whether the run is long enough for a profile to begin. If it is too short, the plan is added to
+        """Whether a profile can begin before the simulation of a plan ends. If not, the plan is added to
         ``skipped``."""
         left = self._drive_steps_left(plan)
         if left is None or left > 0:
@@ -139,18 +141,18 @@ class SweepPlan(Design):
 
     @property
     def n_worlds(self) -> int:
-        """Number of worlds of all plans; in a search the largest possible number."""
+        """Number of worlds of all plans. In a search, the largest possible number."""
         return len(self.plans) * self.n_variants
 
     def groups(self, without: Callable[[Plan], bool] = lambda plan: False) -> Iterator[PlacementGroup]:
-        """Every placement of every plan with its worlds, plan by plan. Plans are left out if ``without`` is true for
-        them."""
+        """Every placement of every plan with its worlds, plan by plan. Plans for which ``without`` returns True are
+        left out."""
         for plan in (plan for plan in self.plans if not without(plan)):
             for number, (placement, variants) in enumerate(self.placements()):
                 yield PlacementGroup(plan, number, placement, variants)
 
     def find(self, plan_id: str, index: int) -> tuple[PlacementGroup, Variant]:
-        """The placement group and the variant of a plan's world with this index.
+        """The placement group and the variant of the world of a plan that has this variant number.
 
         Raises:
             InputError: the sweep has no such plan, or the plan has no such variant.
@@ -168,8 +170,8 @@ class SweepPlan(Design):
         raise InputError(f"{self.sweep.file}: plan {printable_name(plan_id)} has no variant {index}")
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
-        """The world of a placement that tests one level of one item of a search. The index of this world does not
-        depend on the order in which worlds are simulated."""
+        """The variant of a placement that tests one level of one item of a search. Its number does not depend on the
+        order in which worlds are simulated."""
         items, levels = self.search_items(), self.sweep.search_levels
         search_item, level = items[item], float(levels[level_index])
         index = 1 + (group.number * len(items) + item) * len(levels) + level_index
@@ -196,16 +198,16 @@ class SweepPlan(Design):
     def job(
         self, group: PlacementGroup, scene: Scene, *, keep_state: bool = False, record: Record | None = None
     ) -> Job:
-        """The job of a group's placement. A placement with random errors ends when a box is lost, because its only
-        answer is whether it stands."""
+        """The job of a group's placement. A placement with random errors ends as soon as a box is lost (has tilted too
+        far), because it only has to answer whether the pallet stands."""
         has_errors = group.placement.placement.random
         return Job(scene, keep_state=keep_state, record=record, has_errors=has_errors)
 
     # Drives.
 
     def drive_start_s(self, plan: Plan) -> float:
-        """Absolute time at which a drive begins with the fixed schedule, s: ``settle_s`` after the nominal end of
-        placement, n × interval, as in the reference implementation."""
+        """Time at which a drive begins with the fixed schedule, s: ``settle_s`` after the nominal end of placement,
+        which is n × interval as in the reference implementation."""
         sim = self.sweep.simulation
         placed_s = sim.interval_s * plan.n_boxes if sim.check is Check.ONE_BY_ONE else 0.0
         return placed_s + sim.settle_s
@@ -214,7 +216,7 @@ class SweepPlan(Design):
         """The drive of one world. Worlds whose drives have the same samples share one array of samples.
 
         Args:
-            load_height_m: height of the settled load, m. EUMOS's test limits the sway of boxes to a share of the load's
+            load_height_m: height of the settled load, m. EUMOS's test limits the sway of boxes to a share of this
                 height.
         """
         spec = variant.drive
@@ -257,8 +259,8 @@ class SweepPlan(Design):
         return Drive(self._rows[key], rest_s=rest_s, allowed_sway_m=allowed_m)
 
     def _with_strength(self, plan: Plan, variant: Variant, leg: LegSpec, place: int) -> DriveSpec:
-        """A drive of a leg, with the strength that is drawn for one world. With a remedy, the same world has the same
-        drawn strength."""
+        """A drive of a leg, with the strength that is drawn for one world. The same world with a remedy has the same
+        strength."""
         spec = leg.drives[place]
         if spec.scale_to is None:
             return spec
@@ -266,10 +268,10 @@ class SweepPlan(Design):
         return replace(spec, scale=spec.scale + rng.random() * (spec.scale_to - spec.scale), scale_to=None)
 
     def _unit_drive(self, profile: Profile, plan: Plan, start_s: float, world: WorldKey) -> Drive:
-        """A profile at scale 1, not turned.
+        """The drive of a profile at scale 1, without a turn.
 
-        With ``total_time_factor`` the run ends at a multiple of the placement time, as the reference's demo does, even
-        if the profile is not over.
+        With ``total_time_factor``, the simulation ends at a multiple of the placement time, as in the demo of the
+        reference implementation, even if the profile is not over.
         """
         sim = self.sweep.simulation
         timestep_s = sim.physics.timestep_s
@@ -282,12 +284,13 @@ class SweepPlan(Design):
         if left is None:
             return Drive(excitation, rest_s=sim.rest_s)
         samples = excitation.samples[:left]
-        # Half a step is added, so that truncation to whole steps gives exactly this number.
+        # Half a step is added, so that rounding down to whole steps gives exactly this number.
         rest_s = (left - len(samples) + 0.5) * timestep_s
         return Drive(replace(excitation, samples=samples), rest_s=rest_s)
 
     def _drive_steps_left(self, plan: Plan) -> int | None:
-        """Steps from a drive's beginning to the run's end if ``total_time_factor`` sets the end, else None."""
+        """Number of steps from the beginning of a drive to the end of the simulation, if ``total_time_factor`` sets the
+        end; otherwise None."""
         sim = self.sweep.simulation
         if sim.total_time_factor is None or not self.sweep.profiles:
             return None
@@ -296,7 +299,7 @@ class SweepPlan(Design):
         return seconds_to_steps(total_s, timestep_s) - seconds_to_steps(self.drive_start_s(plan), timestep_s)
 
     def job_bounds(self, groups: Collection[PlacementGroup]) -> JobBounds:
-        """Upper bounds for some placements and for the drives and legs that follow them."""
+        """Limits that hold for these placements and for the drives and legs that follow them."""
         sim, profiles = self.sweep.simulation, self.sweep.profiles.values()
         jobs = sum(max(len(group.variants), 1) for group in groups)
         box_counts = {group.plan.n_boxes for group in groups}
@@ -346,12 +349,12 @@ class SweepPlan(Design):
         )
 
     def _leg_steps(self, leg: LegSpec) -> float:
-        """Expected steps of a leg, if the pallet stands until its end."""
+        """Expected number of steps of a leg, if the pallet stands until its end."""
         return self._leg_samples(leg) + rest_steps(self.sweep.simulation, self.sweep.simulation.rest_s)
 
     @property
     def amount(self) -> str:
-        """Description of the simulated worlds."""
+        """Description of the simulated worlds: their number, and the numbers of plans, variants and placements."""
         if not self.sweep.axes and not self.sweep.legs:
             return count_text(len(self.plans), "plan")
         most = "at most " if self.sweep.search is not None else ""

@@ -1,6 +1,6 @@
 """Limits of transport tests: the limits of EUMOS 40509:2020, and the profiles that no unsecured load survives.
 
-A profile is hopeless if every load slides farther than the shift threshold, whatever the plan.
+Such a profile is called hopeless: every load slides farther than the shift threshold, whatever the plan.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ EUMOS_PROFILE = "eumos-40509"
 """The profile whose worlds are also checked against the limits of the standard."""
 
 EUMOS_ELASTIC_SHARE = 0.10
-"""Largest displacement during the test, as a share of the load's height."""
+"""Largest allowed displacement during the test, as a share of the height of the load."""
 EUMOS_PERMANENT_SHARE = 0.05
-"""Largest displacement that remains after the test, as a share of the load's height."""
+"""Largest allowed displacement that remains after the test, as a share of the height of the load."""
 EUMOS_FOOT_HEIGHT_M = 0.20
 EUMOS_FOOT_PERMANENT_M = 0.04
-"""Largest displacement that remains after the test in the lowest 20 cm of the load."""
+"""Largest allowed displacement that remains after the test in the lowest 20 cm of the load, m."""
 
 EUMOS_COLUMNS = (
     Param("eumos_elastic_share", DIMENSIONLESS, "largest horizontal displacement during the test / load height"),
@@ -41,11 +41,12 @@ EUMOS_COLUMNS = (
     Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
     Param("eumos_passed", TEXT, "whether it stood, all limits of EUMOS 40509 hold and nothing fell", bool),
 )
-"""Additional columns for worlds that are shaken by EUMOS's profile."""
+"""Additional columns for worlds that are shaken by the profile of EUMOS 40509."""
 
 
 def load_height_m(settled_pos: FloatArray, half_size: FloatArray) -> float:
-    """Height of a load above the carrier's top (z = 0), m, computed from (n, 3) settled centres and half extents, m."""
+    """Height of a load above the carrier's top (z = 0), m, from (n, 3) settled centres and half extents of its boxes,
+    m."""
     return float((settled_pos[:, 2] + half_size[:, 2]).max())
 
 
@@ -55,16 +56,16 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
     The standard allows an elastic deformation of at most 10 % of the load's height during the test. After the test, the
     permanent deformation may be at most 5 % of the load's height, and at most 4 cm in the lowest 20 cm. Displacements
     are measured from the settled positions of box centres. The load's height is measured from the carrier's top, z = 0.
-    The elastic deformation includes the permanent deformation, since in a video of a test the two cannot be
-    distinguished before the end.
+    The elastic deformation includes the permanent deformation, since a video of a test does not distinguish the two
+    before the end.
 
-    A world in which a box fell never passes, however small the shares. A world with a NaN never passes either, since
-    its profile did not run to its end. Source: EUMOS 40509:2020, criteria as published by ESTL, the laboratory behind
-    the standard.
+    A world in which a box fell never passes, even if the shares are small. A world with a NaN never passes either,
+    since its profile did not run to its end. Source: EUMOS 40509:2020, criteria as published by ESTL, the laboratory
+    behind the standard.
 
     Args:
-        settled_pos: (n, 3) centres before the profile, m.
-        half_size: (n, 3) half extents, m.
+        settled_pos: (n, 3) centres of the boxes before the profile, m.
+        half_size: (n, 3) half extents of the boxes, m.
     """
     bottom = settled_pos[:, 2] - half_size[:, 2]
     height = load_height_m(settled_pos, half_size)
@@ -97,21 +98,21 @@ def slide_m(
     enough_m: float = math.inf,
     kinetic: float = 1.0,
 ) -> float:
-    """How far a block slides on a moving carrier, m: the largest distance from its first position on the carrier.
+    """How far a block slides on a moving carrier, m: its largest distance from its first position on the carrier.
 
-    The model is Coulomb's friction. The block stays in place while the carrier's horizontal acceleration is at most
-    friction × (gravity + vertical acceleration). At a larger acceleration, the block slides, and friction acts against
-    the sliding. Friction then has this largest value. For a block that slides fast, it falls to ``kinetic`` times this
-    value. The result is exact for an acceleration along one line that is constant within each step, except for steps in
-    which the block stops or its friction changes.
+    The model is Coulomb's friction. The block stays in place while the horizontal acceleration of the carrier is at
+    most friction × (gravity + vertical acceleration). At a larger acceleration, the block slides, and friction acts
+    against the sliding with this largest value. If the block slides fast, friction is ``kinetic`` times this value. The
+    result is exact for an acceleration along one line that is constant within each step, except for steps in which the
+    block stops or its friction changes.
 
-    A whole load slides about as far, or farther. On a load that touches only the carrier's top, the horizontal force is
-    at most friction × the vertical force, as on the block. So the centre of mass of a load, and with it at least one
-    box, moves at least this far.
+    A whole load slides about as far as the block, or farther. If a load touches only the carrier's top, the horizontal
+    force on it is at most friction × the vertical force, as on the block. So the centre of mass of the load, and with
+    it at least one box, moves at least this far.
 
     Args:
         acceleration: (n_steps, 3) acceleration of the carrier, m/s².
-        enough_m: the computation stops once the block has slid farther than this, m.
+        enough_m: the computation stops when the block has slid farther than this, m.
         kinetic: friction of a fast-sliding block as a share of the friction at rest (petmjx/world/contact_laws.py).
     """
     grip = friction * np.maximum(gravity_m_s2 + acceleration[:, 2], 0.0)
@@ -143,11 +144,11 @@ def slide_m(
 
 
 def hopeless_profiles(sweep: Sweep) -> list[str]:
-    """A line for each profile that makes every unsecured load slide farther than the shift threshold.
+    """One line for each profile that makes every unsecured load slide farther than the shift threshold.
 
-    If the sweep has several strengths, the line names the smallest strength with which this happens. A line depends
-    only on accelerations, which are the same for all plans. Searches get no lines, since they find this strength
-    themselves. Runs with ``total_time_factor`` get no lines either, since they may end before the load slides that far.
+    If the sweep has several strengths, the line names the smallest strength with which this happens. Lines depend only
+    on accelerations, which are the same for all plans. Searches get no lines, since they find this strength themselves.
+    Runs with ``total_time_factor`` get no lines either, since they may end before the load slides that far.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:
@@ -160,7 +161,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
         return []  # film secures every load, so there are no lines
 
     def values(name: str) -> list[float]:
-        """The values of an axis that is a factor, in ascending order; [1] if the sweep does not have this axis."""
+        """The values of an axis of factors, in ascending order. [1] if the sweep does not have this axis."""
         if name not in axes:
             return [1.0]
         factors = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
@@ -203,16 +204,16 @@ def _friction_errors(sweep: Sweep) -> list[Distribution]:
 
 
 def _largest(error: Distribution) -> float:
-    """The largest value of an error; for a normal distribution, the value ``LARGEST_SD`` standard deviations above its
+    """The largest value of an error. For a normal distribution, the value ``LARGEST_SD`` standard deviations above its
     centre."""
     return error.centre + (LARGEST_SD if error.shape is DistributionShape.NORMAL else 1.0) * error.spread
 
 
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
-    """Index of the smallest strength that makes a block slide too far; the number of strengths if there is none.
+    """Index of the smallest strength that makes a block slide too far. The number of strengths if there is none.
     Strengths are in ascending order.
 
-    The search relies on this: if a strength makes the block slide too far, all larger strengths do so as well.
+    The search assumes that if a strength makes the block slide too far, all larger strengths do so as well.
     """
     physics, limit_m = sim.physics, sim.thresholds.shift_m
 

@@ -16,8 +16,8 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number
 
 
 def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. Of the worlds with different verdicts, and of the worlds that only one run has, at most
-    ``max_rows`` are listed."""
+    """All tables and lines about the comparison of two runs, a and b. At most ``max_rows`` worlds with different
+    verdicts are listed, and at most ``max_rows`` worlds that only one run has."""
     yield line(f"a  {comparison.a}")
     yield line(f"b  {comparison.b}")
     for note in comparison.notes:
@@ -61,7 +61,8 @@ def _confusion_table(comparison: Comparison) -> FittedTable:
 
 
 def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
-    """A table with two rows per world, a above b, since a single row would need more than 80 columns."""
+    """A table of worlds with different verdicts. Each world has two rows, first for run a and then for run b, since a
+    single row would need more than 80 characters."""
     title = f"flipped verdicts ({len(flips):,}), with margins to the thresholds: + is over"
     if len(flips) > max_rows:
         title += f"; the first {max_rows}"
@@ -93,7 +94,7 @@ def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
 
 
 def _differences_tables(table_name: str, differences: pd.DataFrame) -> Iterator[FittedTable]:
-    """One table for each group that is not empty."""
+    """A table of the differences of metrics, for each group of metrics that is not empty."""
     key = [column for column in BOX_KEY if column in differences]
     for group, rows in differences[differences["n"] > 0].groupby("group", sort=False):
         table = FittedTable(
@@ -120,8 +121,8 @@ def _differences_tables(table_name: str, differences: pd.DataFrame) -> Iterator[
 
 
 def _name_and_factor(row: dict[str, Any]) -> tuple[str, float]:
-    """The name of a metric with its unit, and the factor that converts values to this unit. The unit of relative
-    differences is per cent."""
+    """The name of a metric with its unit, and the factor that converts differences to this unit. Relative differences
+    are in per cent."""
     metric, unit = row["metric"], row["unit"]
     if metric.endswith(" relative"):
         return metric.removesuffix("relative") + "%", 100.0

@@ -15,14 +15,16 @@ from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
 
 SHOWN_SKIPPED = 10
-"""Largest number of skipped plans that are shown. ``criteria.json`` lists all of them."""
+"""Largest number of skipped plans that are shown. ``criteria.json`` lists all skipped plans."""
 
 
 def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterator[RenderableType]:
-    """All tables and lines: the answers of the criteria and, with a run, their comparison with physics.
+    """All tables and lines: the answers of the criteria and, if a run is given, their comparison with the run's
+    verdicts.
 
     Args:
-        out: the folder of the tables, if they were written.
+        results: the answers of the criteria.
+        out: folder of the written files; None if no files were written.
     """
     skipped = results.info["skipped"]
     for message in skipped[:SHOWN_SKIPPED]:
@@ -45,7 +47,8 @@ def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterato
 
 
 def _says_table(results: CriteriaResults) -> FittedTable:
-    """How many plans and boxes each criterion accepts, and the plan with the smallest slack."""
+    """A table of the number of plans and boxes that each criterion accepts, and the plan with the smallest slack (how
+    far a rule is from being broken)."""
     table = FittedTable(
         TableColumn("criterion", "left"),
         TableColumn("plans\naccepted"),
@@ -135,7 +138,7 @@ def _thresholds_table(thresholds: pd.DataFrame) -> FittedTable:
 
 
 def _with_interval(row: dict[str, Any], score: str) -> str:
-    """A score with its interval, such as "0.95 (0.91 … 0.99)"."""
+    """A score and its interval as text, such as "0.95 (0.91 … 0.99)"."""
     if pd.isna(row[score]):
         return "-"
     return f"{row[score]:.2f} ({row[f'{score}_low']:.2f} … {row[f'{score}_high']:.2f})"

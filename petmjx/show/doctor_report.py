@@ -1,5 +1,5 @@
-"""The report of ``petmjx doctor``: versions, devices, which engines work on this machine and why others do not, and
-cache folders."""
+"""The report of ``petmjx doctor``: versions, devices, whether each engine works on this machine, and folders of
+caches."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ from petmjx.world.scene import build_scene
 
 @dataclass(frozen=True)
 class EngineReport:
-    """Whether an engine works on this machine, and a line with its device or with the reason why it does not work."""
+    """Whether an engine works on this machine. ``detail`` is the engine's device, or the reason why it does not
+    work."""
 
     name: str
     works: bool
@@ -39,10 +40,10 @@ class Report:
     """The findings of ``petmjx doctor``.
 
     Attributes:
-        versions: package → version, for Python, petmjx and its dependencies.
-        devices: CPU and GPUs, one line each.
+        versions: name of a package → its version. The packages are Python, petmjx and petmjx's dependencies.
+        devices: one line about the CPU, and one about each GPU.
         engines: one report per engine.
-        caches: content of a cache → its folder; if this is not the requested folder, also the reason.
+        caches: content of a cache → its folder, and a reason if this is not the requested folder.
     """
 
     versions: dict[str, str]
@@ -52,7 +53,7 @@ class Report:
 
 
 def examine() -> Report:
-    """Examine this machine. For ``mujoco``, this includes the simulation of a plan with one box, which takes
+    """Examine this machine. To check the engine ``mujoco``, a plan with one box is simulated, which takes
     milliseconds."""
     return Report(
         versions={"python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})"} | package_versions(),
@@ -109,7 +110,8 @@ _CHECKS: dict[str, Callable[[], str]] = {
     "mjx-warp": _check_mjx_warp,
     "mjx-warp-cpu": _check_mjx_warp_cpu,
 }
-"""Engine → check that runs the engine. For other engines, the doctor only checks whether they can be built."""
+"""Name of an engine → function that checks the engine. For other engines, the doctor only checks whether they can be
+built."""
 
 
 def _one_box() -> Plan:
@@ -131,7 +133,7 @@ def _caches() -> dict[str, str]:
 
 
 def _cache(kind: Kind) -> str:
-    """The folder of a cache, and the reason if another folder was requested."""
+    """The folder of a cache, and a reason if this is not the requested folder."""
     if fault := why_no_folder(kind):
         return fault
     fault = why_not_written(kind)

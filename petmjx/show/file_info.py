@@ -1,5 +1,5 @@
-"""The records and lines of ``petmjx info``: the kind of each file of packing plans, how it is read, and its
-oddities."""
+"""The records and lines of ``petmjx info``: the kind of each file of packing plans, how the file is read, and what is
+odd in it."""
 
 from __future__ import annotations
 
@@ -27,16 +27,19 @@ _WIDTH: Final = 11
 
 
 def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[dict[str, Any]], PlanSet]:
-    """A record for each file; and the plans, with the readings of files of other tools.
+    """A record for each file, and the plans in the files.
+
+    A reading states how a file of another tool is read: columns, units, axes and so on.
 
     Args:
+        paths: files and folders.
         options: options of ``petmjx.load_plans``.
 
     Raises:
         InputError: a path does not exist, or an option is invalid.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PlanWarning)  # warnings are returned, so they are not issued again
+        warnings.simplefilter("ignore", PlanWarning)  # the records contain the warnings
         plan_set = load_plans(list(paths), **options)
     sources = dict.fromkeys(
         [*(plan.source for plan in plan_set), *(skipped.source for skipped in plan_set.skipped), *plan_set.readings]
@@ -51,11 +54,11 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
 
 
 def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
-    """Describes how a file without plans would be read as orders, or both possible readings; "" if it has no orders.
-    Also returns the fault of the first order if no order is usable.
+    """Two texts about a file without plans: how the file would be read as orders, and the error of its first order.
 
-    A file with columns of places is meant to have plans. If its plans cannot be read, it is not read as orders either,
-    because this would hide the reason.
+    The first text is "" if the file has no orders. If there are two equally plausible readings, it names both. The
+    second text is "" unless no order is usable. A file with columns of places should contain plans. If these plans
+    cannot be read, the file is not read as orders either, since this would hide the reason.
     """
     errors: list[InputError] = []
     try:
@@ -119,8 +122,8 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
 
 
 def _why_worse(reading: Reading, other: Reading) -> str:
-    """Why another reading is less plausible than the chosen one: the part of its cost that is larger (that of the
-    boxes, or that of names, units and usual values)."""
+    """Why another reading is less plausible than the chosen reading: which part of its cost is larger, that of the
+    boxes' places or that of names, units and usual values."""
     extra_cost, of_layout = other.cost - reading.cost, other.layout_cost - reading.layout_cost
     cause = "by its boxes" if of_layout > extra_cost / 2 else "by names, units and usual values"
     return (
@@ -131,7 +134,7 @@ def _why_worse(reading: Reading, other: Reading) -> str:
 
 
 def info_lines(infos: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """The lines about files that a terminal shows."""
+    """The lines about files for the terminal."""
     for number, record in enumerate(infos):
         if number:
             yield ""

@@ -14,10 +14,11 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def kpi_tables(kpis: Kpis, out: str | None = None) -> Iterator[RenderableType]:
-    """A table of the plans, if there are few; then the means, the ratings and the notes.
+    """A table of the plans if there are few; then notes, and a table of mean values and ratings.
 
     Args:
-        out: folder of the files, if any were written.
+        kpis: the KPIs of plans.
+        out: folder of the written files; None if no files were written.
     """
     if len(kpis.plans) <= FEW_ROWS:
         yield _plans_table(kpis)

@@ -16,10 +16,11 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType]:
-    """The worlds with the largest load of a box relative to its strength, and a line with counts.
+    """A table of the worlds in which a box has the largest load relative to its strength, and lines with counts.
 
     Args:
-        out: folder of the files, if any were written.
+        loads: the loads of a run's boxes.
+        out: folder of the written files; None if no files were written.
     """
     yield _table(loads)
     yield ""
@@ -47,7 +48,8 @@ def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType
 
 
 def _ways_table(ways: pd.DataFrame) -> FittedTable:
-    """How likely pallets are to arrive at the end of a chain, and to arrive without crushed boxes."""
+    """A table of the shares of worlds in which pallets arrive at the end of a chain, and arrive without overloaded
+    boxes."""
     remedies = ways["remedy"].nunique() > 1
     table = FittedTable(
         TableColumn("plan", "left", least=12, middle=True),
@@ -106,7 +108,8 @@ def _table(loads: Loads) -> FittedTable:
 
 
 def _overload_text(row: Mapping[str, Any]) -> str:
-    """Whether a world is overloaded and, if the run has intervals of forces, whether this is certain."""
+    """Text that states whether a box of a world is overloaded and, if forces are given as intervals, whether this is
+    certain."""
     overloaded: Any = row["overloaded"]
     answer = "-" if pd.isna(overloaded) else "yes" if overloaded else "no"
     if row.get("surely_overloaded") is True:

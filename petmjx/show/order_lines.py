@@ -1,4 +1,4 @@
-"""Lines about plans and their orders."""
+"""Lines of text that compare plans with their orders."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from petmjx.show.table_layout import line
 
 
 def order_lines(info: Mapping[str, Any], most: int) -> Iterator[Text]:
-    """Lines about orders that were not compared; then one line about boxes that plans leave out and orders without a
-    plan.
+    """Lines about orders that were not compared; then lines about boxes that plans leave out, and about orders without
+    a plan.
 
     Args:
-        info: ``run.json`` of a run that was compared with orders.
-        most: largest number of orders that the line about orders without comparison names.
+        info: content of ``run.json`` of a run that was compared with orders.
+        most: largest number of lines about orders that were not compared.
     """
     counts = info["counts"]["orders"]
     for error in info["orders"]["unusable"][:most]:
@@ -36,7 +36,7 @@ def order_lines(info: Mapping[str, Any], most: int) -> Iterator[Text]:
     if counts["not_ordered"]:
         verb = _verb(counts["not_ordered"], "was", "were")
         odd.append(f"{count_text(counts['not_ordered'], 'box', 'boxes')} in plans {verb} not ordered")
-    if resized := counts.get("resized", 0):  # runs of petmjx 0.2 lack this count
+    if resized := counts.get("resized", 0):  # runs of petmjx 0.2 do not have this count
         differ = "has another size, mass or property" if resized == 1 else "have other sizes, masses or properties"
         odd.append(f"{count_text(resized, 'box', 'boxes')} {differ} than ordered")
     if counts["plans_without_order"]:

@@ -17,14 +17,15 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. For each pair of packers, at most ``max_rows`` orders are named as won or lost."""
+    """All tables and lines. For each pair of packers, at most ``max_rows`` orders are named in which the plan of only
+    one packer stands."""
     for name, folder in comparison.runs.items():
         yield line(f"{printable_name(name)}  {folder}")
     for note in comparison.notes:
         yield line(f"note: {note}", style="yellow")
     yield from _not_compared(comparison)
     if not comparison.packers["n"].any():
-        return  # a note already gives the reason
+        return  # one of the notes gives the reason
     yield ""
     yield _packers_table(comparison)
     if KPIS[0] in comparison.packers:
@@ -36,7 +37,7 @@ def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[
         yield ""
         yield from _arrival_tables(comparison)
     yield ""
-    # padding makes rich wrap between words, whereas the terminal would break words
+    # with padding, rich wraps lines between words; without it, the terminal would break words
     yield from (Padding(line(sentence), 0, expand=False) for sentence in comparison.sentences)
     sized = comparison.packers[(comparison.packers["size"] != ALL_SIZES) & (comparison.packers["n"] > 0)]
     if sized["size"].nunique() > 1:
@@ -130,8 +131,8 @@ def _pairs_table(comparison: PackerComparison) -> FittedTable:
 
 
 def _arrival_tables(comparison: PackerComparison) -> Iterator[RenderableType]:
-    """Tables for chains: the chance of plans to arrive, for each packer, and the differences of this chance between
-    packers."""
+    """Tables for runs of chains (a pallet's whole journey): for each packer the share of worlds in which plans arrive,
+    and for each pair of packers the difference of this share."""
     table = FittedTable(
         TableColumn("packer", "left", least=8, middle=True),
         TableColumn("P"),
@@ -198,7 +199,7 @@ def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableT
 
 
 def _left_out(comparison: PackerComparison) -> list[TableColumn]:
-    """The column with the boxes left out, if a run was compared with orders."""
+    """A list with the column of the number of boxes left out. The list is empty if no run was compared with orders."""
     return [TableColumn("left\nout", spare=3)] if comparison.packers["left_out"].notna().any() else []
 
 
@@ -207,7 +208,7 @@ def _interval_header(comparison: PackerComparison) -> str:
 
 
 def _interval(row: dict[str, Any], form: str) -> str:
-    """An interval as text, such as "57.1 to 79.4", in per cent or in percentage points."""
+    """The interval of a row as text, such as "57.1 to 79.4", in per cent or percentage points."""
     return f"{number(row['low'], form, factor=100.0)} to {number(row['high'], form, factor=100.0)}"
 
 

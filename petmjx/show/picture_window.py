@@ -14,7 +14,8 @@ class PictureWindow:
     """A window that opens when the first picture is shown.
 
     Args:
-        title: title of the window; ``pause_s``: shortest time for which a picture is visible, s.
+        title: title of the window.
+        pause_s: shortest time for which a picture is visible, s.
 
     Raises:
         InputError: Matplotlib is missing, or can only draw into files, for example because there is no display.

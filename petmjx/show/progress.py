@@ -22,18 +22,18 @@ from petmjx.runs.simulate import RunStart
 from petmjx.runs.study import FinishedWorld
 
 REFRESH_S: Final = 0.5
-"""The bar is redrawn at least after this time, s, even if no world has finished, since its message may have changed."""
+"""Time after which the bar is redrawn, s, even if no world has finished, since its message may have changed."""
 
 LINE_S: Final = 10.0
-"""Time between two lines when there is no terminal, s."""
+"""Time between two lines if there is no terminal, s."""
 
 
 class ProgressSink(Protocol):
     """The object that :func:`progress` yields."""
 
     def update(self, done: int, message: str = "", share: float | None = None) -> None:
-        """Show that ``done`` worlds are finished, and a message about the present activity (compiling, repeating
-        invalid worlds). ``share`` has the same meaning as in ``Throughput.update``."""
+        """Show that ``done`` worlds are finished, and a message about the present activity, such as compiling.
+        ``share`` has the same meaning as in ``Throughput.update``."""
 
 
 @contextmanager
@@ -42,8 +42,8 @@ def progress(total: int | None, what: str = "plan", console: Console | None = No
 
     Args:
         total: number of worlds; None if it is unknown.
-        what: the noun for a world in messages: ``plan``, or ``world`` in sweeps.
-        console: the console to write to. The default is standard error, so that standard output contains only results.
+        what: the word for a world in messages: ``plan``, or ``world`` in sweeps.
+        console: the console to write to. If None, it is standard error, so that standard output contains only results.
     """
     console = console or Console(stderr=True, force_interactive=None if _is_terminal() else False)
     if console.is_interactive:
@@ -62,7 +62,7 @@ def _is_terminal() -> bool:
 
 
 def _wrapped_line(text: str) -> str:
-    """A line that is wrapped between words if the terminal is too narrow."""
+    """The text, wrapped between words into lines that fit into the terminal."""
     return textwrap.fill(text, shutil.get_terminal_size().columns) if _is_terminal() else text
 
 
@@ -109,7 +109,7 @@ class _Bar(RichProgress):
     """A progress bar, with a message in the line below."""
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
-        self._message = ""  # set before the bar is created, since the bar reads it then
+        self._message = ""  # set before ``super().__init__``, which reads it
         pace = self._pace = Throughput(total, what)
         count, rate, left = _Words(lambda: pace.count), _Words(lambda: pace.rate), _Words(lambda: pace.left)
         super().__init__(count, BarColumn(), rate, left, console=console)
@@ -130,11 +130,11 @@ class _Bar(RichProgress):
 
 
 class BarWatcher(AbstractContextManager["BarWatcher"]):
-    """Prints the activity of a run to standard error, and shows its progress.
+    """Prints the size and the engine of a run to standard error, and shows its progress.
 
     Attributes:
-        what: the noun for a world in messages: "plan", or "world" in sweeps.
-        total: number of worlds; None before the run begins, or if it is unknown.
+        what: the word for a world in messages: "plan", or "world" in sweeps.
+        total: number of worlds; None before the run begins, or if the number is unknown.
     """
 
     def __init__(self) -> None:

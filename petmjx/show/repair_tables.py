@@ -13,11 +13,12 @@ from petmjx.repairs.trials import Share
 from petmjx.show.table_layout import line
 
 MOST_STANDING: Final = 20
-"""Of the plans that stood already, at most this number get a line."""
+"""Largest number of plans that stand without repair for which a line is shown."""
 
 
 def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:
-    """A block of lines for each plan that did not stand, a line about all plans, and notes."""
+    """Several lines for each plan that did not stand, a line for each of the first plans that stood, a line about all
+    plans, and notes."""
     standing = [repaired for repaired in repairs.each if repaired.trial_before.stands]
     for repaired in repairs.each:
         if not repaired.trial_before.stands:
@@ -43,7 +44,7 @@ def _plan_lines(repaired: Repaired) -> Iterator[RenderableType]:
 
 
 def _shares(repaired: Repaired) -> str:
-    """The shares of worlds with errors in which the plan stands, before and after, as text."""
+    """Text with the shares of worlds with errors in which a plan stands, before and after its repair."""
     if repaired.share_before is None or repaired.share_after is None:
         return ""
     before, after = share_text(repaired.share_before), share_text(repaired.share_after)

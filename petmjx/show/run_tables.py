@@ -26,14 +26,14 @@ SHOWN_PLANS: Final = 10
 """Largest number of plans that a line names."""
 
 SHOWN_SKIPPED: Final = 10
-"""Largest number of skipped plans that are shown. ``run.json`` lists all of them."""
+"""Largest number of skipped plans that are shown. ``run.json`` lists all skipped plans."""
 
 _STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
 
 
 def run_tables(results: RunResults) -> Iterator[RenderableType]:
-    """All tables and lines: the answers of a sweep or of a score with confidence, or the worlds if there are few; then
-    the skipped plans and the counts."""
+    """All tables and lines of a run: the answers of a sweep or of a score with confidence, or else the worlds if there
+    are few; then lines about skipped plans, and a table of counts."""
     config = results.info["config"]
     sweep = config["command"] == "sweep"
     if results.summary is not None and "coin_toss" in results.summary:
@@ -60,16 +60,16 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
 
 
 def _nominal(results: RunResults) -> FittedTable | None:
-    """The table of the worlds without errors; None if the run has no such worlds."""
+    """The table of the worlds without errors; None if the run has no world without errors."""
     worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes_if_kept))
     orders = results.plans if results.info.get("orders") else None
     return worlds_table(worlds.sort_values("plan_id"), boxes, orders) if len(worlds) else None
 
 
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
-    """The tables of a score with confidence: the nominal worlds, the shares, and the names of the plans that need
-    attention."""
-    # Runs of earlier versions lack these columns.
+    """The tables of a score with confidence: the worlds without errors, and the shares of worlds with errors that
+    stand; and lines that name the plans that need attention."""
+    # runs of earlier versions do not have these columns
     since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}
     summary = summary.assign(**since)
     if len(summary) <= FEW_ROWS:
@@ -89,8 +89,8 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
 
 
 def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
-    """Lines about worlds in which a box could not be placed, and about plans whose share depends on how boxes are
-    placed."""
+    """Lines that name plans of which most failed worlds have a box that could not be placed, and plans whose share
+    depends on how boxes are placed."""
     missed = summary["n_not_placed"] > summary["n_fell"]
     if missed.any():
         plan_names = _plan_id_list(summary.loc[missed, "plan_id"].tolist())
@@ -106,7 +106,7 @@ def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
 
 
 def _plan_id_list(plan_ids: list[str]) -> str:
-    """The first ``SHOWN_PLANS`` plans, and how many more there are."""
+    """Text with the ids of the first ``SHOWN_PLANS`` plans, and the number of further plans."""
     more_text = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
     return ", ".join(map(printable_name, plan_ids[:SHOWN_PLANS])) + more_text
 
@@ -130,11 +130,11 @@ def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
 
 
 def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
-    """The table of counts.
+    """The table of counts: numbers of worlds by verdict and reason.
 
     Args:
-        info: the entries of ``run.json``, or ``RunWriter.info``.
-        what: the noun for worlds in messages: ``plans``, or ``worlds`` in sweeps.
+        info: content of ``run.json``, or ``RunWriter.info``.
+        what: the word for worlds in the table: ``plans``, or ``worlds`` in sweeps.
     """
     counts = info.get("counts", {})
     worlds = int(counts.get("worlds", 0))
@@ -158,12 +158,13 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
 
 def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The short table of a search. The table counts answers, because the verdicts of single tests only show which
-    levels the search tried.
+    """The table of counts of a search: numbers of placements, answers and tests.
+
+    Verdicts are not counted, since the verdicts of single tests only show which levels the search tried.
 
     Args:
-        info: the entries of ``run.json``.
-        summary: one row per search.
+        info: content of ``run.json``.
+        summary: the run's table ``summary``, with one row per search.
     """
     placements = summary.drop_duplicates(["plan_id", "placement"])
     answers = summary[summary["stands_at_rest"]]
@@ -187,11 +188,12 @@ def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
 
 
 def confidence_counts(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The short table of a score with confidence: numbers of plans by their share, and the number of worlds.
+    """The table of counts of a score with confidence: numbers of plans by their share of standing worlds, and numbers
+    of worlds.
 
     Args:
-        info: the entries of ``run.json``.
-        summary: one row per plan.
+        info: content of ``run.json``.
+        summary: the run's table ``summary``, with one row per plan.
     """
     plans, worlds = len(summary), int(info.get("counts", {}).get("worlds", 0))
     table = _counts_table()
@@ -218,12 +220,13 @@ def _counts_table() -> Table:
 
 
 def _add(table: Table, label: str, count: int, of: int, style: str = "") -> None:
-    """Add a row with a count and its share."""
+    """Add a row with a count, and the count as a share of ``of``."""
     table.add_row(label, f"{count:,}", percent(count / of) if of else "", style=style if count else "dim")
 
 
 def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> None:
-    """Add the rows that every run has after its verdicts or answers, including the speed of the run."""
+    """Add the last rows of every table of counts: skipped plans, worlds that were run more than once, and the speed of
+    the run."""
     counts = info.get("counts", {})
     if skipped := counts.get("skipped_plans"):
         table.add_row("skipped plans", f"{skipped:,}", "", style="yellow")
@@ -236,12 +239,12 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 
 
 def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[str, str]:
-    """How far a load is from an edge, mm, and the number of the box on which it lies. If the flag ``knife-edge`` is
-    set, the load is the one that set it. If not, it is the load that is nearest to an edge.
+    """Two cells about one world: the distance of a box's load from the edge of the box's supports, mm, and the number
+    of this box. The load is the one that set the flag ``knife-edge``; without this flag, the load nearest to an edge.
 
     Args:
-        row: the row of the world.
-        of_boxes: the world's rows of ``boxes``; None if the run has no such table.
+        row: the world's row of the table ``worlds``.
+        of_boxes: the world's rows of the table ``boxes``; None if the run does not have this table.
     """
     flagged = bool(int(row["flags"]) & Flag.KNIFE_EDGE)
     plan_edge_m, rest_edge_m = (
@@ -261,13 +264,13 @@ def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
-    """A table with one row per plan of a score: its verdict, the first box to fail and the time of failure, and its
-    largest metrics. If any world has the flag ``knife-edge``, two more columns state how far a load is from an edge,
-    and on which box it lies.
+    """A table with one row per plan of a score: the verdict, the first box to fail and the time of its failure, and the
+    largest shift, tilt and force. If any world has the flag ``knife-edge``, two more columns state the distance of a
+    box's load from the edge of the box's supports, and the number of this box.
 
     Args:
-        worlds, boxes: tables of the run. If there are no boxes, the article of the first box to fail is unknown.
-        orders: the run's table ``plans``, if it has the number of boxes left out, which then becomes a column.
+        worlds, boxes: tables of the run. If ``boxes`` is empty, the article of the first box to fail is not shown.
+        orders: the run's table ``plans``, if it has the number of boxes left out. This number then becomes a column.
     """
     on_edge = any(int(flags) & Flag.KNIFE_EDGE for flags in worlds["flags"])
     edges = (TableColumn("edge\nmm", spare=6), TableColumn("of\nbox", spare=6)) if on_edge else ()

@@ -1,4 +1,5 @@
-"""The story of one plan as text: its events, the first box to fail, and the boxes with the largest forces on top."""
+"""A story (the simulation of one plan) as text: its events, the first box to fail, and the boxes with the largest
+forces on top."""
 
 from __future__ import annotations
 
@@ -83,5 +84,5 @@ def _boxes_table(story: Story) -> FittedTable:
 
 
 def how_to_draw() -> Text:
-    """A text about the options that draw a story."""
+    """A line that names the options with which a story is drawn."""
     return line("to see it: --html, --png, --pdf, --svg, --gif, --mp4 or --rrd FILE, or --viewer", style="dim")

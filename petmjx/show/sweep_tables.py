@@ -19,10 +19,10 @@ from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.table_layout import FittedTable, TableColumn, number, percent
 
 FEW_ROWS: Final = 40
-"""Largest number of worlds or searches for which a table has one row each."""
+"""Largest number of worlds or searches for which a table with one row for each is shown."""
 
 MAX_VALUES: Final = 50
-"""Largest number of values of an axis that are shown. ``summary`` has all values."""
+"""Largest number of rows in other tables. The run's table ``summary`` has all rows."""
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
@@ -30,20 +30,20 @@ _DOUBTS: Final = {
     "monotone": "* a level above the smallest that failed was survived",
     "moving": "~ boxes still moved there when the longest wait was over",
 }
-"""Columns in the summary of a search that make an answer doubtful → the footnote in tables. A footnote begins with its
-mark."""
+"""Name of a column in the summary of a search that makes an answer doubtful → footnote of the table. The first letter
+of a footnote is its mark."""
 
 _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
-"""Columns of searched quantities, and of those axes that every table shows in a separate column."""
+"""Columns of axes that every table of a search shows, or whose largest survived value is the answer of the search."""
 
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 
 
 def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
-    """The tables for the ``summary`` of a run: tables of shares, or of the largest levels survived.
+    """The tables for the ``summary`` of a run: tables of shares that stand, or of the largest levels survived.
 
     Args:
-        summary: in the form of :attr:`petmjx.results.run_reader.RunResults.summary`.
+        summary: :attr:`petmjx.results.run_reader.RunResults.summary`.
     """
     if "axis" in summary:
         yield shares_table(summary)
@@ -65,7 +65,8 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def _varied_columns(summary: pd.DataFrame) -> list[str]:
-    """The columns with axes of the placement, such as turns of film, that have several values in a search."""
+    """The columns of those axes that have several values in a search, such as turns of film, except
+    ``_STANDARD_AXES``."""
     axis_columns = (kind.column for kind in AXIS_KINDS.values())
     return [
         name for name in axis_columns if name in summary and name not in _STANDARD_AXES and summary[name].nunique() > 1
@@ -77,10 +78,10 @@ def _headers(names: Sequence[str]) -> list[TableColumn]:
 
 
 def shares_table(summary: pd.DataFrame) -> FittedTable:
-    """The share that stands over all plans, for each value of each axis that has several values.
+    """A table of the share of worlds that stand, over all plans, for each value of each axis that has several values.
 
-    A share refers to the worlds that the column before it counts: worlds with a verdict, or worlds to which EUMOS's
-    limits were applied.
+    The column before a share gives the number of worlds of which it is a share: worlds with a verdict, or worlds to
+    which EUMOS's limits were applied.
     """
     overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
@@ -116,9 +117,12 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def confidence_table(summary: pd.DataFrame) -> FittedTable:
-    """One row per plan of a score with confidence: its nominal verdict, and the share of worlds with errors in which it
-    stands. If boxes could not be placed, the table also has the number of such worlds, and of other worlds in which
-    boxes fell."""
+    """A table with one row per plan of a score with confidence: the verdict without errors, and the share of worlds
+    with errors in which the plan stands.
+
+    If boxes could not be placed in some worlds, the table also has the number of these worlds, and the number of other
+    worlds in which boxes fell.
+    """
     tosses = bool(summary["coin_toss"].any())
     fails, has_exact = bool(summary[["n_not_placed", "n_fell"]].any(axis=None)), "share_exact" in summary
     table = FittedTable(
@@ -154,8 +158,8 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
-    """The tables of a chain: one with a row per plan if there are few plans, one about all plans leg by leg, and one
-    with the gains from remedies."""
+    """The tables of a chain (a pallet's journey in parts, called legs): a table with one row per plan if there are few
+    plans, a table with one row per leg, and a table with one row per remedy."""
     of_plans = arrivals(summary)
     if len(of_plans) <= FEW_ROWS:
         yield arrivals_table(summary, of_plans)
@@ -168,8 +172,8 @@ def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable:
-    """One row per plan: its chance to arrive; for each leg the share that stands after it, among the worlds that
-    reached it; and the leg with the most failures."""
+    """A table with one row per plan: the share of worlds in which the plan arrives; for each leg, the share that stands
+    after this leg, of the worlds that reached it; and the leg with the most failures."""
     shares = shares_by_leg(summary)
     drawn = bool(of_plans["low"].notna().any())
     table = FittedTable(
@@ -200,7 +204,7 @@ def _interval(row: Mapping[Any, Any], low: str, high: str) -> str:
 
 
 def legs_table(legs: pd.DataFrame) -> FittedTable:
-    """One row per leg, over all plans."""
+    """A table with one row per leg, over all plans."""
     table = FittedTable(
         TableColumn("leg", "left", least=10),
         TableColumn("worlds\nreach it"),
@@ -217,7 +221,7 @@ def legs_table(legs: pd.DataFrame) -> FittedTable:
 
 
 def remedies_table(remedies: pd.DataFrame) -> FittedTable:
-    """One row per remedy, over all plans, with the largest gain first."""
+    """A table with one row per remedy, over all plans. The remedy with the largest gain comes first."""
     table = FittedTable(
         TableColumn("remedy", "left", least=16),
         TableColumn("P"),
@@ -241,11 +245,11 @@ def remedies_table(remedies: pd.DataFrame) -> FittedTable:
 
 
 def levels_table(summary: pd.DataFrame) -> FittedTable:
-    """Quantiles of the largest levels survived, for each profile and direction. Only searches whose placement stands
-    count.
+    """A table of quantiles of the largest levels survived, for each profile and direction. Only searches whose pallet
+    stands before it is shaken are considered.
 
-    "survive none" counts the searches in which no level above 0 is survived. A quantile below the lowest level is shown
-    as "none".
+    "survive none" is the number of searches in which no level above 0 is survived. If no level is survived at a
+    quantile, the table shows "none".
     """
     column, name = _largest(summary)
     varied = _varied_columns(summary)
@@ -278,7 +282,7 @@ def _cell(value: object) -> str:
 
 
 def _quantile(levels: FloatArray, q: float) -> str:
-    """A quantile of levels in ascending order. NaN levels come first, and count as lower than all others."""
+    """A quantile of levels as text. The levels are rising; NaN (no level is survived) comes first."""
     if not len(levels):
         return "-"
     place = q * (len(levels) - 1)
@@ -287,7 +291,7 @@ def _quantile(levels: FloatArray, q: float) -> str:
 
 
 def answers_table(summary: pd.DataFrame) -> FittedTable:
-    """One row per search: the largest level survived, and the box that fails first at higher levels."""
+    """A table with one row per search: the largest level survived, and the box that fails first at higher levels."""
     column, name = _largest(summary)
     varied = _varied_columns(summary)
     table = FittedTable(
@@ -315,7 +319,8 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def laboratory_table(summary: pd.DataFrame) -> FittedTable:
-    """One row per search with EUMOS's test: the values that a laboratory reports, at the largest level survived."""
+    """A table with one row per search with EUMOS's test: the values that a laboratory reports, at the largest level
+    survived."""
     varied = _varied_columns(summary)
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
@@ -341,13 +346,13 @@ def laboratory_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def levels_passed_table(levels: pd.DataFrame) -> FittedTable:
-    """For each level of a grid with EUMOS's test, the values that a laboratory reports: the worst over all worlds of
-    the level, for example over directions.
+    """A table with one row for each plan and level of a grid with EUMOS's test: the values that a laboratory reports,
+    each the worst over all worlds of the level, for example over directions.
 
-    If the grid has levels at which laboratories test, only these are shown.
+    If the grid has levels at which laboratories test, only these levels are shown.
 
     Args:
-        levels: rows of the summary with ``level_g``, one for each plan and level.
+        levels: rows of the summary, one for each plan and level, with the column ``level_g``.
     """
     usual = np.isclose(levels["level_g"].to_numpy()[:, None], LABORATORY_LEVELS_G).any(axis=1)
     shown = levels[usual] if usual.any() else levels
@@ -375,7 +380,8 @@ def levels_passed_table(levels: pd.DataFrame) -> FittedTable:
 
 
 def _deformations(row: Mapping[Any, Any]) -> Iterator[str]:
-    """Yield cells with elastic and permanent deformation, as shares, and the deformation of the foot, cm."""
+    """Yield three cells: the elastic and the permanent deformation as shares, and the deformation of the load's foot,
+    cm."""
     yield percent(row["eumos_elastic_share"])
     yield percent(row["eumos_permanent_share"])
     yield number(row["eumos_foot_permanent_m"], ".1f", factor=100.0)
@@ -386,8 +392,9 @@ LABORATORY_LEVELS_G: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 
 
 def turns_table(summary: pd.DataFrame) -> FittedTable:
-    """The number of turns of film that each plan needs: the smallest tested number with which it survives a level in
-    every direction. "none" means that it survives with none of the tested numbers."""
+    """A table of the number of turns of film that each plan needs to survive each level: the smallest tested number
+    with which the plan survives the level in every direction. "none": the plan does not survive with any tested
+    number."""
     least = summary.fillna({"largest_level_g": 0.0}).groupby(["plan_id", "wrap_turns"], sort=False)["largest_level_g"]
     survived = least.min().unstack("wrap_turns")
     tested = np.fmax(summary["largest_level_g"].max(), summary["first_failed_level_g"].max())
@@ -405,17 +412,18 @@ def turns_table(summary: pd.DataFrame) -> FittedTable:
 
 
 _SAME_LEVEL_G: Final = 1e-9
-"""Levels that differ by less than this value count as equal, since 0.1 + 0.2 is not exactly 0.3."""
+"""Largest difference of two levels that count as equal, g. It is needed since 0.1 + 0.2 is not exactly 0.3."""
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:
-    """(n,) whether one column of ``_DOUBTS`` makes each answer doubtful. All False if an older run lacks the column."""
+    """(n,) whether each answer of a search is doubtful according to one column of ``_DOUBTS``. All are False if an
+    older run does not have the column."""
     if column not in summary:
         return pd.Series(False, index=summary.index)
     return summary[column].astype(bool) != (column == "monotone")
 
 
 def _largest(summary: pd.DataFrame) -> tuple[str, str]:
-    """The column with the largest level or the largest scale, and its heading."""
+    """The name of the column with the largest level or scale survived, and its heading."""
     names = {"largest_level_g": "level, g", "largest_scale": "scale"}
     return next((column, name) for column, name in names.items() if column in summary)

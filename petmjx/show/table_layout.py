@@ -22,12 +22,12 @@ class TableColumn:
 
     Attributes:
         header: heading, which may have several lines.
-        justify: alignment of its cells.
-        least: shortest length to which texts are cut, in characters; None: texts are never cut.
-        middle: whether texts are cut in the middle, which suits names that differ at their ends. If false, texts are
-            cut at the end.
-        spare: priority for leaving out the column if the table is too wide: the column with the largest value is left
-            out first. 0: never left out.
+        justify: alignment of the column's cells.
+        least: number of characters to which texts may be shortened. If None, texts are never shortened.
+        middle: whether texts are shortened in the middle, which suits names that differ at their ends. If False, texts
+            are shortened at the end.
+        spare: rank for leaving out the column if the table is too wide: the column with the largest number is left out
+            first. A column with 0 is never left out.
     """
 
     header: str
@@ -38,10 +38,11 @@ class TableColumn:
 
 
 class FittedTable:
-    """A table without rules between its cells that is never wider than the terminal.
+    """A table without lines between its cells that is never wider than the terminal.
 
-    If the terminal is too narrow, texts are cut first. If the table is then still too wide, spare columns are left out,
-    and a line below the table names them. Numbers are cut only if even the remaining columns do not fit.
+    If the terminal is too narrow, texts are shortened first. If the table is then still too wide, columns are left out
+    (see ``TableColumn.spare``), and a line below the table names them. Numbers are shortened only if even the remaining
+    columns do not fit.
     """
 
     def __init__(self, *columns: TableColumn, title: str = "", caption: str = "") -> None:
@@ -51,7 +52,7 @@ class FittedTable:
         self._rows: list[Sequence[str | Text]] = []
 
     def add(self, *cells: str | Text) -> None:
-        """Add a row. Strings are made printable. A ``Text`` keeps its style."""
+        """Add a row. Characters of strings that cannot be printed are replaced. A ``Text`` keeps its style."""
         self._rows.append([cell if isinstance(cell, Text) else printable(cell) for cell in cells])
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -76,13 +77,14 @@ class FittedTable:
             yield line(self.caption, style="dim")
 
     def _natural(self, number: int) -> int:
-        """The width in which a column can show all its cells uncut."""
+        """The width that a column needs to show all its cells in full."""
         texts = [*self.columns[number].header.split("\n"), *(str(row[number]) for row in self._rows)]
         return max(cell_len(text) for text in texts)
 
 
 def _column_widths(columns: Sequence[TableColumn], natural: Sequence[int], width: int) -> dict[int, int]:
-    """Index of each shown column → its width. Remaining space goes to the narrowest columns that are cut."""
+    """Index of each column that is not left out → its width. Remaining space goes to the narrowest columns whose texts
+    are shortened."""
     least = [min(n, n if column.least is None else column.least) for column, n in zip(columns, natural, strict=True)]
     shown_columns = list(range(len(columns)))
 
@@ -113,29 +115,31 @@ def _shortened_cell(cell: str | Text, width: int, column: TableColumn) -> Text:
 
 
 def _fits(text: Iterable[str], width: int) -> int:
-    """Number of characters at the beginning of a text that fit into a width. Chinese characters are two columns
-    wide."""
+    """Number of characters at the beginning of a text that fit into a width. Chinese characters, for example, take two
+    columns of the terminal."""
     return sum(used <= width for used in accumulate(map(cell_len, text)))
 
 
 def line(text: str, style: str = "") -> Text:
-    """A line of text, or a long text for a cell. Text that is too long is wrapped."""
+    """A line of text, or a text for a cell. A text that is too long is wrapped."""
     return Text(printable(text), style=style, overflow="fold")
 
 
 def print_renderables(renderables: Iterable[RenderableType], console: Console) -> None:
-    """Print tables and lines. Long lines are wrapped by the terminal itself, so that a path can be copied as a
-    whole."""
+    """Print tables and lines. The terminal itself wraps long lines, so that a path can be copied as a whole."""
     for renderable in renderables:
         console.print(renderable, soft_wrap=isinstance(renderable, Text))
 
 
 def number(value: Any, form: str | None = None, unit: str = "", factor: float = 1.0, sign: bool = False) -> str:
-    """A number multiplied by ``factor``, with its unit; "-" if there is no number.
+    """Text of a number multiplied by ``factor``, with its unit; "-" if there is no number.
 
     Args:
-        form: format specification; None: as with ``three_digits``.
-        sign: whether positive numbers also get a sign; used only if ``form`` is None.
+        value: the number, or None or NaN.
+        form: format specification. If None, the number has three digits (``three_digits``).
+        unit: text after the number.
+        factor: the factor.
+        sign: whether positive numbers also get a sign. This is used only if ``form`` is None.
     """
     if pd.isna(value):
         return "-"
@@ -144,5 +148,5 @@ def number(value: Any, form: str | None = None, unit: str = "", factor: float = 
 
 
 def percent(share: Any) -> str:
-    """A share as text, such as "12.3 %"; "-" if there is none."""
+    """A share as text, such as "12.3 %"; "-" if there is no share."""
     return number(share, ".1f", " %", 100.0)

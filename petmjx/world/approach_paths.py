@@ -1,8 +1,8 @@
-"""Approach paths: where a box starts, how it moves to its place, and the hand that holds it meanwhile.
+"""Approach paths: where a box starts, how it moves to its place, and the hand that holds the box on the way.
 
 A box starts above its place. A carried box also starts to the side of its place, away from its neighbours. The path is
-straight: a spring and a damper pull the box towards a point that moves smoothly from the start to the place. Boxes that
-appear at their places have no path. The rules: docs/rules.md, section 4.
+straight. The hand is a spring and a damper that pull the box towards a point, which moves smoothly from the start to
+the place. Boxes that appear at their places have no path. docs/rules.md, section 4, has all rules.
 """
 
 from __future__ import annotations
@@ -22,82 +22,81 @@ from petmjx.world.scene import Scene
 from petmjx.world.stackable_scenes import stacked_values
 
 HAND_RATE_1_S: Final = 50.0
-"""Natural frequency of the hand's spring, 1/s. The spring is critically damped: a box that is pushed away is back after
-about 3 / 50 s. The value is 1 / the time constant of the contacts of ``pallet``, since a stiffer hand would work
-against the contacts. The stiffness is m · 50² / s²: a box that lags 1 mm behind on its path is pushed with 2.5 N per
-kg."""
+"""Natural angular frequency of the hand's spring with a box, 1/s. The spring is critically damped: a box that is pushed
+away returns within about 3 / 50 s. The value is the inverse of the time constant of contacts with the physics
+``pallet``, since a stiffer hand would work against the contacts. The stiffness is m · 50² / s²: a box that is 1 mm
+behind on its path is pushed with 2.5 N per kg of its mass."""
 
 MOST_RATE_PER_STEP: Final = 0.1
-"""Largest natural frequency × timestep. The hand's forces are computed at the beginning of a step. With semi-implicit
-Euler, the damped hand is stable if this product is below 2 (√2 − 1) = 0.83 (Jury's criterion on
-z² − (2 − 2h − h²) z + 1 − 2h). At 0.1, the simulated motion follows the continuous one to within a tenth."""
+"""Largest product of the natural frequency and the timestep. The hand's forces are computed at the beginning of a step.
+With semi-implicit Euler, the damped hand is stable if this product h is below 2 (√2 − 1) = 0.83 (Jury's criterion for
+z² − (2 − 2h − h²) z + 1 − 2h). At 0.1, the simulated motion differs from the continuous motion by at most a tenth."""
 
 MOST_WAY_S: Final = 2.0
-"""Longest duration of an approach, s. A box whose approach would take longer, because it starts high, moves faster."""
+"""Longest duration of an approach, s. If an approach would take longer, because the box starts high, the box moves
+faster."""
 
 MOST_STUCK_S: Final = 0.5
-"""Longest time for which a hand holds a box after the end of the path, s, if the box does not come to rest. After that,
-setting the box down may take up to the same time."""
+"""Longest time for which the hand holds a box at the end of its path, waiting for the box to come to rest, s. After
+that, the hand may take up to the same time to set the box down."""
 
 AT_PLACE_M: Final = 0.0002
-"""A box has arrived once it is within this distance of the end of its path, m. The distance allows for contacts, which
-give way by a tenth of a millimetre."""
+"""Distance from the end of the path within which a box counts as arrived, m. Contacts give way by a tenth of a
+millimetre, so a smaller distance may not be reached."""
 
 MISSED_M: Final = 0.01
-"""A box counts as not placed if the hand releases it farther than this from its place, m. A box that finds room ends
-within 5 mm of its place. A box that comes to stand on the edge of a neighbour is too high by the neighbour's height, or
-by half of it."""
+"""Distance from its place, m, beyond which a box that the hand releases counts as not placed. If there is room, boxes
+are released within 5 mm of their places. A box that comes to stand on the edge of a neighbour is too high by the
+neighbour's height, or by half of this height."""
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
-"""A damper sets a box down. The damper's rate is ``LOWERING_RATE_1_S``, 1/s. Rate × timestep is at most
-``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is stable below 2. The box sinks at a speed of g / 400 s⁻¹, 25
-mm/s. At this speed a contact of ``pallet`` gives way by a quarter of a millimetre."""
+"""A damper sets a box down. The damper's rate (damping constant / mass) is ``LOWERING_RATE_1_S``, 1/s. The product of
+rate and timestep is at most ``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is only stable below 2. The box sinks
+at 9.81 m/s² / (400 / s) = 25 mm/s. If a box lands at this speed, a contact of the physics ``pallet`` gives way by a
+quarter of a millimetre."""
 
 LOWERING_STEPS: Final = 5
-"""Smallest number of steps during which a hand sets a box down. By then, a box without a support sinks faster than a
-box that counts as quiet."""
+"""Smallest number of steps that the hand takes to set a box down. After these steps, a box without a support sinks so
+fast that it does not count as quiet (at rest)."""
 
 FREE_M: Final = 0.0003
-"""If two boxes overlap by at most this amount, they count as not overlapping, m. The amount is twice the distance by
-which soft contacts may move neighbours that stand flush. An overlap of this amount is too small to push neighbours
-apart visibly."""
+"""Largest overlap of two boxes that is ignored, m. It is twice the distance by which soft contacts may move neighbours
+that stand flush. So small an overlap does not push neighbours apart visibly."""
 
 MOST_TILTED: Final = 0.5
-"""Tines tilt a box by at most this share of the tilt threshold, so that the tilt of a released box does not count as a
-first sign of failure."""
+"""Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. So the tilt
+of a released box does not count as a sign of failure."""
 
 MOST_SIDESTEPS: Final = 8
-"""Largest number of times that the start of a path is moved aside. If the start is still not free, it is moved up
-instead."""
+"""Largest number of times that the start of a path is moved aside because a box is in the way. If the start is then
+still not free, it is moved up instead."""
 
 ASIDE_SHARE: Final = 2.0
-"""Largest move aside, as a multiple of the distance to the side at which a box starts. The multiple is larger than 1,
-since the errors of two places may add up."""
+"""Largest distance by which the start of a path is moved aside, as a multiple of the usual horizontal distance between
+start and place. The multiple is larger than 1, since the position errors of two boxes may add up."""
 
 CLEARANCE_M: Final = 0.001
-"""A box that has to start above obstacles starts with its bottom this far above them, m."""
+"""Height of a box's bottom above the highest obstacle, m, if the box must start above obstacles."""
 
 BESIDE_M: Final = 0.005
-"""Two boxes count as side by side along an axis if their planned extents along it overlap by at most this, m. The
-tolerance is needed since sizes and places have errors."""
+"""Largest overlap of two boxes along an axis, in the plan, at which they count as side by side along this axis, m."""
 
 
 class ApproachPath(NamedTuple):
     """The paths on which the n boxes of a scene reach their places.
 
-    For several stackable scenes, every array has a leading axis, one entry per scene. All positions are positions of
-    the boxes' middles, m.
+    For several stackable scenes, every array has an additional first axis, with one entry per scene. Positions are
+    those of the boxes' middles, m.
 
     Attributes:
-        lift: (n, 3) vector from the place at which a box would rest to the point of its release, m.
-        quat: (n, 4) orientation of the box along the path.
-        offset: (n, 3) vector from a box's release to the start of its path, m, if that start is free.
-        steps: (n,) number of steps of the path; 0: the box is not carried, but falls.
-        falls: (n,) True: the box is released at the end of its path and falls. False: at the end of its path, the hand
-            sets the box down, and then releases it.
-        aside: (n, 2, 2) how far a box may move aside from the start of its path, towards the low and the high end of x
-            and y, m.
+        lift: (n, 3) vector from each box's place to the end of its path, m. The box is released at the end of its path.
+        quat: (n, 4) orientation of each box on its path, as a quaternion (w, x, y, z).
+        offset: (n, 3) vector from the end of each path to its start, m, if no other box is at that start.
+        steps: (n,) duration of each path in steps. If 0, the box is not carried, but falls.
+        falls: (n,) whether the box falls after its path. If False, the hand sets the box down and then releases it.
+        aside: (n, 2, 2) largest distance by which the start of each path may be moved aside, m. Axis 1 is the low and
+            the high direction, axis 2 is x and y.
     """
 
     lift: FloatArray
@@ -109,7 +108,7 @@ class ApproachPath(NamedTuple):
 
 
 def approach_path_of(scene: Scene, sim: Simulation) -> ApproachPath | None:
-    """The approach paths of the boxes of a scene; None: the boxes appear at their places."""
+    """The approach paths of the boxes of a scene; None if the boxes appear at their places."""
     placing, n = scene.placing, scene.n_boxes
     if placing.appears or sim.check is Check.STATIC:
         return None
@@ -133,8 +132,10 @@ def approach_path_of(scene: Scene, sim: Simulation) -> ApproachPath | None:
 
 
 def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath | None:
-    """The approach paths of stackable scenes (petmjx.world.stackable_scenes), bit-identical to the result of
-    ``approach_path_of`` for each scene."""
+    """The approach paths of stackable scenes (scenes with arrays of equal shapes, petmjx.world.stackable_scenes).
+
+    They are bit-identical to the results of ``approach_path_of``.
+    """
     placing = scenes[0].placing
     if placing.appears or sim.check is Check.STATIC:
         return None
@@ -163,15 +164,16 @@ def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath 
 def _between_walls(
     room: Room, end: FloatArray, offset: FloatArray, reaches: FloatArray, aside: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(…, n, 2) offsets with which boxes start between the walls, and (…, n, 2, 2) how far each may then move aside.
+    """(…, n, 2) horizontal offsets with which all paths start between the walls, m, and (…, n, 2, 2) the distances
+    ``aside`` of ``ApproachPath`` that these offsets leave, m.
 
-    A box that does not fit between the walls starts in the middle.
+    A box that does not fit between the walls starts in the middle between them.
 
     Args:
-        end: (…, n, 3) the ends of the paths, at which boxes are released, m.
-        offset: (…, n, 2) from the ends of the paths to their starts, m.
-        reaches: (…, n, 3) half extents of the boxes along the axes, m.
-        aside: as in ``ApproachPath``, but before walls are taken into account.
+        end: (…, n, 3) ends of the paths, m.
+        offset: (…, n, 2) horizontal vectors from the ends of the paths to their starts, without regard to walls, m.
+        reaches: (…, n, 3) half extents of the rotated boxes along x, y and z, m.
+        aside: (…, n, 2, 2) the distances ``aside`` of ``ApproachPath`` without regard to walls, m.
     """
     gap = room.gaps(end, reaches, BESIDE_M)
     low, high = -gap[..., 0, :], gap[..., 1, :]
@@ -185,10 +187,10 @@ def _between_walls(
 def way_steps(
     length_m: FloatArray | float, mass_kg: FloatArray | float, placing: Placing, timestep_s: float
 ) -> NDArray[np.int64]:
-    """Number of steps of paths with these lengths.
+    """Durations of paths in steps, given their lengths and the boxes' masses.
 
-    The largest speed, 1.5 × length / time, is at most the speed in the options. The largest acceleration, 6 × length /
-    time², needs at most half of the hand's force. No path takes longer than ``MOST_WAY_S``.
+    The largest speed on a path, 1.5 × length / time, is at most the option ``placing.speed_m_s``. The largest
+    acceleration, 6 × length / time², needs at most half of the hand's force. No path takes longer than ``MOST_WAY_S``.
     """
     seconds = np.maximum(1.5 * length_m / placing.speed_m_s, np.sqrt(12.0 * mass_kg * length_m / placing.force_n))
     steps: NDArray[np.int64] = np.ceil(np.minimum(seconds, MOST_WAY_S) / timestep_s).astype(np.int64)
@@ -196,30 +198,30 @@ def way_steps(
 
 
 def progress(step: int, steps: int) -> float:
-    """Share of a path of ``steps`` steps covered by step ``step``: 3t² − 2t³ with t = step / steps. The box is at rest
-    at both ends."""
+    """Share of a path that is covered after ``step`` of its ``steps`` steps: 3t² − 2t³ with t = step / steps. The speed
+    is 0 at both ends of the path."""
     share = min(max(step / steps, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 def rate_1_s(timestep_s: float) -> float:
-    """Natural frequency of the hand's spring at this timestep, 1/s."""
+    """Natural angular frequency of the hand's spring, reduced if the timestep is long, 1/s."""
     return min(HAND_RATE_1_S, MOST_RATE_PER_STEP / timestep_s)
 
 
 def lowering_rate_1_s(timestep_s: float) -> float:
-    """Rate of the damper that sets a box down, at this timestep, 1/s."""
+    """Rate of the damper that sets a box down, reduced if the timestep is long, 1/s."""
     return min(LOWERING_RATE_1_S, MOST_LOWERING_PER_STEP / timestep_s)
 
 
 def most_aside_m(placing: Placing) -> float:
-    """Largest distance that a box may move aside along x, and along y, m."""
+    """Largest distance by which the start of a path may be moved aside along x, and along y, m."""
     return ASIDE_SHARE * placing.side_mm / MM_PER_M
 
 
 def stuck_steps(timestep_s: float) -> int:
-    """Largest number of steps for which a hand holds a box after the end of its path. Also the largest number of steps
-    for which it sets the box down."""
+    """Largest number of steps for which the hand holds a box at the end of its path. It is also the largest number of
+    steps that the hand takes to set the box down."""
     return int(MOST_STUCK_S / timestep_s)
 
 
@@ -231,19 +233,19 @@ def reach(quat: FloatArray, half_size: FloatArray) -> FloatArray:
 def free_begin(
     begin: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray, most_m: FloatArray
 ) -> FloatArray:
-    """(3,) where a box starts so that it overlaps no other box, m: at ``begin`` if there is room, else to the side of
-    it, else above it.
+    """(3,) position of a box's middle at the start of its path, m, at which the box overlaps no other box.
 
-    The box moves aside from the first box that it overlaps, along x or y, whichever overlap is smaller. This move is
-    repeated at most ``MOST_SIDESTEPS`` times. If the box would have to move aside by more than ``most_m``, or still
-    overlaps a box, it moves up from ``begin`` instead. ``begin`` is between the carrier's walls, and moves of up to
-    ``most_m`` stay between them.
+    The result is ``begin`` if there is room, else a position beside ``begin``, else a position above ``begin``. The box
+    is moved aside from the first box that it overlaps, along x or y, whichever overlap is smaller. Such moves are
+    repeated at most ``MOST_SIDESTEPS`` times. If the box would be moved by more than ``most_m`` in all, or still
+    overlaps a box, it is moved up from ``begin`` instead. ``begin`` is between the carrier's walls; moves of up to
+    ``most_m`` stay between the walls.
 
     Args:
-        begin: (3,) position at which the box would start if it were free, m.
-        own_reach: (3,) half extents of the box, m.
-        pos, reaches: (k, 3) middles and half extents of the boxes that already stand, m.
-        most_m: (2, 2) largest distance aside, towards the low and the high end of x and y, m.
+        begin: (3,) preferred position at the start, m.
+        own_reach: (3,) half extents of the box along x, y and z, m.
+        pos, reaches: (k, 3) middles, and half extents along x, y and z, of the boxes that already stand, m.
+        most_m: (2, 2) largest distance of moves aside, m: axis 0 is the low and the high direction, axis 1 is x and y.
     """
     aside = begin.copy()
     for _ in range(MOST_SIDESTEPS + 1):
@@ -269,28 +271,30 @@ def free_begin(
 def _overlap(
     place: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(k, 3) overlap of a box with k other boxes along each axis, m, and (k,) whether it overlaps each box."""
+    """(k, 3) overlap of a box with each of k other boxes along x, y and z, m, and (k,) whether the two boxes overlap
+    along all three axes."""
     shared = reaches + own_reach - np.abs(pos - place)
     return shared, np.asarray((shared > FREE_M).all(axis=1))
 
 
 def _approaches(scene: Scene, room: Room | None) -> tuple[FloatArray, FloatArray]:
-    """``_approaches_of`` for one scene."""
+    """The result of ``_approaches_of`` for one scene."""
     return _approaches_of(_neighbour_mask(scene.target, scene.half_size, scene.placing, room), scene.approach)
 
 
 def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """(…, n, 2) horizontal directions in which boxes move to their places, and (…, n, 2) unit vectors along an axis.
+    """(…, n, 2) horizontal directions in which boxes move to their places, and (…, n, 2) a unit vector along x or y for
+    each box.
 
-    A direction has the length 1 if the box starts as far to the side as the options state. If the plan gives no
-    direction, a box moves along x towards the side that has a neighbour, provided that the opposite side has none;
-    likewise along y. So a box without neighbours, or between two, comes from straight above. The unit vector is the
-    axis of the box that is nearest to the direction. If there is no direction, the unit vector is an axis along which
-    the box has no neighbour, +x before +y.
+    A box starts at the length of its direction × the option ``placing.side_mm`` to the side of its place. If the plan
+    gives no direction, a box moves along x towards the side that has a neighbour, provided that the opposite side has
+    no neighbour. The same holds along y. So a box without neighbours, or between two neighbours, moves straight down.
+    The unit vector is along the axis that is nearest to the direction. If the direction is 0, the unit vector is along
+    an axis on which the box has no neighbour; if x and y are equally good, along x.
 
     Args:
-        beside: the mask of ``_neighbour_mask``.
-        approaches: (n, 2) directions given by the plan; None: the plan gives none.
+        beside: (…, n, 2, 2) the result of ``_neighbour_mask``.
+        approaches: (n, 2) directions that the plan gives; a row of 0 is no direction. None if the plan gives none.
     """
     towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
     if approaches is not None:
@@ -307,17 +311,19 @@ def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> 
 def _neighbour_mask(
     place: FloatArray, half: FloatArray, placing: Placing, room: Room | None = None
 ) -> NDArray[np.bool_]:
-    """(…, n, 2, 2) whether each side of a box has a neighbour when the box is placed, according to the plan: (low and
-    high side, x and y). A neighbour is a box or a wall that is no farther away than the box may move aside.
+    """(…, n, 2, 2) whether each side of a box has a neighbour when the box is placed, according to the plan. The last
+    two axes are the low and high side, and x and y.
+
+    A neighbour is a box or a wall that is nearer than the largest distance by which a path's start may be moved aside.
 
     Args:
-        place: (…, n, 3) planned middles, m.
-        half: (…, n, 3) half extents, m.
-        room: the space between the carrier's walls; None: no walls.
+        place: (…, n, 3) planned middles of the boxes, m.
+        half: (…, n, 3) half extents of the boxes, m.
+        room: the space between the carrier's walls. If None, there are no walls.
     """
     near_m = most_aside_m(placing)
     lifted_m = placing.height_mm / MM_PER_M
-    # distance along each axis from the row's box to the column's box
+    # for each axis, the distance from the box of the row to the box of the column
     between = [place[..., None, :, axis] - place[..., :, None, axis] for axis in range(3)]
     gap = [np.abs(between[axis]) - (half[..., None, :, axis] + half[..., :, None, axis]) for axis in range(3)]
     before = np.tri(place.shape[-2], k=-1, dtype=bool)
@@ -332,11 +338,12 @@ def _neighbour_mask(
 
 
 def _on_an_edge(scene: Scene, towards: FloatArray, tilt_deg: float) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) lifts and (n, 4) orientations of boxes that stand on their rear bottom edge, with the front edge raised.
+    """(n, 3) ``lift`` and (n, 4) ``quat`` of ``ApproachPath`` for boxes that stand on their rear bottom edge, with the
+    front edge raised by tines.
 
     Args:
-        towards: (n, 2) forward direction of each box: x or y of its own axes, before the box is rotated.
-        tilt_deg: the tilt threshold.
+        towards: (n, 2) forward direction of each box: unit vector along the box's own x or y axis.
+        tilt_deg: the tilt threshold, degrees.
     """
     yaw = 2.0 * np.arctan2(scene.start_quat[:, 3], scene.start_quat[:, 0])
     cos, sin = np.cos(yaw), np.sin(yaw)
@@ -348,8 +355,8 @@ def _on_an_edge(scene: Scene, towards: FloatArray, tilt_deg: float) -> tuple[Flo
     up = scene.half_size[:, 2]
     along = half * np.cos(angle) - up * np.sin(angle) - half
     lift = np.column_stack([along[:, None] * ahead, half * np.sin(angle) + up * np.cos(angle) - up])
-    # the product q_axis(angle) · q: a rotation about the horizontal axis (a, b), which points to the right of the
-    # forward direction
+    # quaternion product: a rotation by ``angle`` about a horizontal axis, which points to the right of the forward
+    # direction, after the rotation ``start_quat``
     c, s = np.cos(angle / 2), np.sin(angle / 2)
     a, b = s * ahead[:, 1], -s * ahead[:, 0]
     w, x, y, z = scene.start_quat.T

@@ -1,15 +1,18 @@
-"""Loads that a stack can balance, by a linear programme with vertical forces.
+"""Loads with which vertical forces can balance a stack of boxes, found by a linear programme.
 
-Statics does not determine how a box shares its load among several supports. With some shares, a load may be beyond the
-edge of its supports, while with other shares all loads are inside. If such shares exist, rigid boxes stand. The
-unknowns are forces at the corners of all contact areas of boxes with several supports. The forces must push and balance
-every box. The programme picks feasible forces so that the load nearest to an edge is as far inside as possible. If no
-forces keep all loads inside, the programme minimises how far loads go beyond edges. (Forces of this kind: Livesley
+The load of a box is its own weight plus the weight that rests on it. The box is in balance if its load acts inside the
+edges of its supports, that is, within their convex hull. Statics does not determine how several supports share a load.
+With some shares, a load may be beyond an edge, while all loads are inside with other shares. If shares exist with which
+all loads are inside, rigid boxes stand.
+
+The unknowns of the programme are forces at the corners of all contact areas of boxes with several supports. The forces
+must push, and must balance every box. The programme chooses the forces with which the load nearest to an edge is as far
+inside as possible. If no forces keep all loads inside, the programme minimises the distances beyond edges. (Livesley
 1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in
-Engineering 12(12).)
+Engineering 12(12), uses forces of this kind.)
 
-A box on one support passes its whole load to this support. Such a box adds edges to the programme, but no unknown
-forces.
+A box with one support passes its whole load to this support. The edges of this support are part of the programme, but
+its force is not an unknown.
 """
 
 from __future__ import annotations
@@ -24,39 +27,39 @@ from petmjx.world.load_sharing import IntArray
 from petmjx.world.supports import Bearing
 
 FAR_M: Final = 0.1
-"""If all loads are at least this far inside their edges, m, the programme does not move them further inside."""
+"""Distance inside the edges, m, with which the programme is content. It does not move loads further inside."""
 
 BEYOND_M: Final = 1e-6
-"""A load counts as beyond an edge only if the programme leaves it farther outside than this, m. The solver's own
-tolerance is a tenth of this."""
+"""Distance beyond an edge, m, that a load must exceed in the programme's result to count as beyond the edge. The
+solver's tolerance is a tenth of this distance."""
 
 _OUTSIDE: Final = 10.0
-"""In the programme, a metre by which a load is outside an edge costs this many times as much as a metre inside. A
-moment that no support bears costs this many times as much as a metre outside.
-"""
+"""Cost in the programme of a metre by which a load is beyond an edge, as a multiple of the gain of a metre inside. A
+metre of an unbalanced moment (moment / load) costs this multiple of a metre beyond an edge."""
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-"""Normals of a rectangle's edges: two at the lowest corner, then two at the highest."""
+"""Inward normals of a rectangle's edges: of the two edges at the lowest corner, then of the two at the highest."""
 
 
 def balanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads that balance the boxes of one scene as well as possible, and (n,) the distances by which they are
-    still beyond edges, m; None if none of the loads outside an edge can change.
+    """(n, 3) loads that balance the boxes of one scene as well as possible, and (n,) the distances by which these loads
+    are still beyond edges, m. None if no choice of shares changes any of the loads that are beyond an edge.
 
     Args:
-        bearing: the bearing of one scene.
-        load: (n, 3) or more columns: loads with any feasible shares of the supports; 0 for boxes that are not placed.
-        edge_m: (n,) distances of these loads from the edges, positive inside.
-        placed: (n,) which boxes are placed.
+        bearing: the contacts between boxes and their supports in one scene.
+        load: (n, 3 or 4) loads as in ``Bearing.loads`` if supports share loads like springs. The load of a box that is
+            not placed is 0.
+        edge_m: (n,) distances of these loads from edges, m: positive inside, negative beyond.
+        placed: (n,) whether each box is placed.
     """
     outside = placed & (edge_m < 0)
     passed, fixed = _fixed_forces(bearing, placed)
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
-    # the loads that change if a box with several supports shares its load differently: the loads of the boxes below it.
-    # Its own load counts as one of them, since the equations contain it.
+    # for each box with several supports: the loads that depend on how its supports share its load. These are the loads
+    # of the boxes below, and its own load, which the equations also contain.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True
@@ -77,11 +80,11 @@ def balanced_loads(
 
 
 def _fixed_forces(bearing: Bearing, placed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], FloatArray]:
-    """(c, n) whether the load of each box contains the whole force at a contact, and (n, 3) the part of each load that
+    """(c, n) whether the force at each contact is part of the load of each box, and (n, 3) the part of each load that
     does not depend on these forces.
 
-    A force at a contact is in the load of the box below and, as long as boxes have one support, in the loads of the
-    boxes further below. The boxes' own weights are passed on by the same rule.
+    A force at a contact is part of the load of the box below. If that box has a single support, the force is also part
+    of this support's load, and so on. A box's own weight is passed on in the same way.
     """
     n = len(placed)
     one = placed & (bearing.n_supports == 1)
@@ -106,12 +109,16 @@ def _solved_loads(
     load: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads, with those of the boxes ``changed`` taken from the programme, and (n,) their distances beyond
-    edges; None: no solution.
+    """(n, 3) loads of one scene, and (n,) distances by which these loads are beyond edges, m. None if the programme has
+    no solution.
 
-    The unknowns are the forces at the four corners of each contact; the distance of each load outside its edges;
-    moments that no support bears, for boxes with several supports whose load is beyond their hull; and the smallest
-    distance of any load inside its edges.
+    The loads of the boxes ``changed`` are those of the programme. The other loads are those in ``load``. The unknowns
+    of the programme are
+
+    - the forces at the four corners of each contact in ``contacts``,
+    - the distance by which each load is beyond an edge,
+    - for each box with several supports, moments that no support balances,
+    - the smallest distance of any load inside its edges.
     """
     middle = load[changed, 1:].sum(axis=0) / load[changed, 0].sum()
     mean = load[changed, 0].mean()
@@ -127,7 +134,7 @@ def _solved_loads(
     reach = np.repeat(passed[contacts].T[changed], 4, axis=1)
     place, normal, offset = _edges_of(bearing, changed)
     offset = offset - normal @ middle
-    # rows of edges are divided by the previous loads, so that these rows, and the solver's tolerance, are in metres
+    # the rows for edges are divided by the loads in ``load``, so that these rows, and the solver's tolerance, are in m
     edges = np.zeros((len(place), least + 1))
     edges[:, :f] = reach[place] * (normal @ corner[1:] - offset[:, None]) / weight[place, None]
     edges[np.arange(len(place)), outside + place], edges[:, least] = 1.0, -1.0
@@ -159,7 +166,8 @@ def _solved_loads(
 
 
 def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The edges of the boxes' supports: (e,) number of the box within ``boxes``, (e, 2) normals and (e,) offsets."""
+    """The edges of the supports of ``boxes``: (e,) index of the box in ``boxes``, (e, 2) inward normal, and (e,) scalar
+    product of the normal with any point of the edge."""
     one, several = (np.flatnonzero(which) for which in (bearing.n_supports[boxes] == 1, bearing.n_supports[boxes] > 1))
     contact, number = bearing.ends[boxes[one]], bearing.number_of_hull[boxes[several]]
     hull, edge = np.nonzero(np.isfinite(bearing.hulls.offset[number]))
@@ -172,9 +180,9 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
 def _least(
     cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
 ) -> FloatArray | None:
-    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if HiGHS
-    gives up."""
-    # SciPy takes a second to load, and few plans need it.
+    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound. None if the solver HiGHS
+    finds no solution."""
+    # SciPy is imported here, since its import takes a second and few plans need it.
     from scipy.optimize import Bounds, LinearConstraint, milp
     from scipy.sparse import csc_array
 

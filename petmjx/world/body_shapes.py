@@ -1,8 +1,8 @@
-"""Bodies of a scene and their shapes. A shape is a solid box that is fixed to its body.
+"""Bodies of a scene and their shapes. A shape is a solid cuboid that is fixed to its body.
 
-The origin of a body's frame is its centre of mass. The frame's axes are parallel to the edges of its shapes and count
-as principal axes. So the inertia matrix of every body is diagonal, and MuJoCo's qpos and qvel describe the centre of
-mass.
+The origin of a body's frame is the body's centre of mass. The frame's axes are parallel to the edges of the body's
+shapes, and are used as principal axes. So the inertia matrix of every body is diagonal, and MuJoCo's ``qpos`` and
+``qvel`` describe the centre of mass.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ from petmjx.world.rotation import rotations
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A body of one or more boxes, such as the carrier with its boards.
+    """A body of one or more shapes, such as the carrier with its boards.
 
     Attributes:
         pos: (3,) centre of mass, m.
-        mass: mass, kg.
+        mass: mass of the body, kg.
         half_size: (s, 3) half extents of the shapes, m.
         shape_pos: (s, 3) centres of the shapes in the body's frame, m.
         friction: (s, 3) sliding, torsional and rolling coefficients of the shapes.
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
-        surface: (s,) surface number of each shape (petmjx/world/friction_pairs.py); None: all 0.
-        walls: sides of a carrier that have a wall. Walls are the last shapes, in this order; all others are boards.
+        surface: (s,) surface number of each shape (petmjx/world/friction_pairs.py). If None, every shape has 0.
+        walls: sides of a carrier that have a wall. The last shapes are these walls, in this order; all other shapes are
+            boards.
     """
 
     pos: FloatArray
@@ -46,22 +47,22 @@ class Body:
 
     @classmethod
     def solid(cls, pos: FloatArray, half_size: FloatArray, mass: float, friction: Triple) -> Body:
-        """A body that is one solid box."""
+        """A body that is one solid cuboid."""
         return cls(pos, mass, half_size[None], np.zeros((1, 3)), np.array([friction]), half_size)
 
     @classmethod
     def of_boards(cls, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray) -> Body:
-        """A body made of boards. Each board is a solid box.
+        """A body made of boards. Each board is a solid cuboid.
 
-        The edges of the boards count as the principal axes of the body. Boards may be unbalanced, but products of
-        inertia are neglected: for a pallet without one of its outer deck boards, these products are a few per cent of
-        the moments. The principal axes would matter only if the carrier turned, and the carrier stands on the floor.
+        The edges of the boards are used as the principal axes of the body: products of inertia are neglected. For a
+        pallet without one of its outer deck boards, these products are a few per cent of the moments of inertia. They
+        would matter only if the carrier turned, but it stands on the floor.
 
         Args:
             center: (s, 3) centres of the boards, m.
-            half_size: (s, 3) half extents, m.
+            half_size: (s, 3) half extents of the boards, m.
             mass: (s,) masses of the boards, kg.
-            friction: (s, 3) as in ``Body``.
+            friction: (s, 3) sliding, torsional and rolling coefficients of the boards.
         """
         pos = mass @ center / mass.sum()
         place = center - pos
@@ -71,7 +72,8 @@ class Body:
     def with_walls(
         self, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray, sides: Sequence[Side]
     ) -> Body:
-        """This body with walls added, one for each side. Arguments as for ``of_boards``."""
+        """This body with additional walls, one for each of ``sides``. The other arguments are those of ``of_boards``,
+        with one row per wall."""
         boards = self.pos + self.shape_pos
         body = Body.of_boards(
             np.vstack([self.pos, center]),
@@ -88,18 +90,19 @@ class Body:
         )
 
     def shapes_at(self, pos: FloatArray, quat: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(s, 3) centres, (s, 3, 3) rotations and (s, 3) half extents of the shapes if the body has this pose."""
+        """(s, 3) centres, (s, 3, 3) rotation matrices and (s, 3) half extents of the shapes if the body has the
+        position ``pos``, m, and the orientation ``quat``, a quaternion (w, x, y, z)."""
         turns = np.tile(rotations(quat[None]), (len(self.half_size), 1, 1))
         return pos + np.einsum("sij,sj->si", turns, self.shape_pos), turns, self.half_size
 
     @property
     def n_boards(self) -> int:
-        """Number of shapes that are not walls. These shapes are the first ones of the body."""
+        """Number of shapes that are not walls. They are the first shapes of the body."""
         return len(self.half_size) - len(self.walls)
 
     def without_walls(self, sides: Collection[Side]) -> Body:
-        """This body without the walls of these sides. The body keeps the mass of these walls, so that its frame stays
-        the same.
+        """This body without the walls on ``sides``. The mass of these walls still counts, so that the centre of mass
+        stays the same.
 
         Raises:
             ValueError: the body has no wall on one of the sides.
@@ -113,12 +116,12 @@ class Body:
 
     @property
     def boards(self) -> FloatArray:
-        """(s, 6) full extents of the shapes and their centres in the body's frame, m, as pages and tables need them."""
+        """(s, 6) full extents of the shapes along x, y and z, and the shapes' centres in the body's frame, m."""
         return np.hstack([2 * self.half_size, self.shape_pos])
 
     @property
     def room(self) -> Room:
-        """The space between the walls, with the body at its planned place."""
+        """The space between the walls, if the body is at its planned place."""
         face, top = np.array([[-np.inf] * 2, [np.inf] * 2]), np.full((2, 2), -np.inf)
         center, half = (self.pos + self.shape_pos)[self.n_boards :], self.half_size[self.n_boards :]
         for row, side in enumerate(self.walls):
@@ -129,13 +132,13 @@ class Body:
 
     @property
     def low(self) -> FloatArray:
-        """(3,) the lowest coordinates of all shapes, with the body at its planned place, m."""
+        """(3,) lowest x, y and z of any shape, m, if the body is at its planned place."""
         low: FloatArray = (self.pos + self.shape_pos - self.half_size).min(axis=0)
         return low
 
     @property
     def high(self) -> FloatArray:
-        """(3,) the highest coordinates of all shapes, m."""
+        """(3,) highest x, y and z of any shape, m, if the body is at its planned place."""
         high: FloatArray = (self.pos + self.shape_pos + self.half_size).max(axis=0)
         return high
 
@@ -145,8 +148,9 @@ class Room:
     """The space between the walls of one or several carriers.
 
     Attributes:
-        face: (…, 2, 2) inner faces of the walls at the low and the high end of x and y, m; infinite without a wall.
-        top: (…, 2, 2) heights of the tops of the walls, m.
+        face: (…, 2, 2) coordinates of the walls' inner faces, m; infinite if there is no wall. The last two axes are
+            the low and the high end, and x and y.
+        top: (…, 2, 2) heights of the walls' tops, m.
     """
 
     face: FloatArray
@@ -154,7 +158,7 @@ class Room:
 
     @classmethod
     def of(cls, carriers: Sequence[Body]) -> Room:
-        """The rooms of m carriers, stacked: arrays (m, 2, 2)."""
+        """The spaces of m carriers, with arrays (m, 2, 2)."""
         rooms = [carrier.room for carrier in carriers]
         return cls(np.array([room.face for room in rooms]), np.array([room.top for room in rooms]))
 
@@ -162,21 +166,24 @@ class Room:
         return Room(self.face[row], self.top[row])
 
     def gaps(self, place: FloatArray, half: FloatArray, least_m: float) -> FloatArray:
-        """(…, n, 2, 2) gaps between boxes and walls, m; negative: the box overlaps the wall. The gap is infinite if
-        there is no wall, if the box is above the wall, or if the box's middle is beyond the wall's inner face.
+        """(…, n, 2, 2) gap between each box and each wall, m; negative if the box overlaps the wall.
+
+        The gap is infinite if there is no wall, if the box is above the wall, or if the box's middle is beyond the
+        wall's inner face.
 
         Args:
-            place, half: (…, n, 3) middles and half extents of the boxes along the axes, m.
-            least_m: a box is beside a wall if it reaches below the wall's top by more than this, m.
+            place, half: (…, n, 3) middles of the boxes, and half extents along x, y and z, m.
+            least_m: length by which a box must reach below the wall's top, m. Otherwise, the box is above the wall.
         """
         inwards, beside = self._inwards(place, half, least_m)
         gap: FloatArray = np.where(beside & (inwards > 0), inwards - half[..., None, :2], np.inf)
         return gap
 
     def depths(self, place: FloatArray, half: FloatArray, least_m: float) -> FloatArray:
-        """(…, n, 2, 2) lengths by which boxes reach beyond the inner faces of walls, m; 0 for boxes that do not reach
-        the faces. Unlike in ``gaps``, the position of a box's middle does not matter: a box wholly behind a wall
-        counts, too.
+        """(…, n, 2, 2) length by which each box reaches beyond the inner face of each wall, m; 0 if the box does not
+        reach the face.
+
+        A box whose middle is beyond the inner face, or that is wholly behind the wall, has a depth, too.
 
         Args:
             place, half, least_m: as in ``gaps``.
@@ -186,20 +193,20 @@ class Room:
         return depth
 
     def _inwards(self, place: FloatArray, half: FloatArray, least_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(…, n, 2, 2) distances of boxes' middles from the walls' inner faces, inwards, m, and whether boxes reach
-        below the tops of the walls."""
+        """(…, n, 2, 2) distances of boxes' middles from walls' inner faces, m, positive inside the room, and
+        (…, n, 2, 2) whether each box reaches below the top of each wall."""
         inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
         return inwards, (place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """The shapes of a box that is made up of several solid boxes.
+    """The shapes of an item that consists of several solid cuboids.
 
     Attributes:
-        box: number of the box.
-        half_size: (s, 3) half extents, m.
-        pos: (s, 3) middles, relative to the middle of the box, m.
+        box: number of the item among the boxes of the scene.
+        half_size: (s, 3) half extents of the shapes, m.
+        pos: (s, 3) middles of the shapes, relative to the middle of the item, m.
     """
 
     box: int
@@ -213,8 +220,10 @@ class Shapes:
 
     Attributes:
         body: (s,) number of the box to which each shape belongs, or ``CARRIER``.
-        half_size, pos, friction: (s, 3) see ``Body``.
-        surface: (s,) see ``Body``.
+        half_size: (s, 3) half extents of the shapes, m.
+        pos: (s, 3) centres of the shapes in their bodies' frames, m.
+        friction: (s, 3) sliding, torsional and rolling coefficients of the shapes.
+        surface: (s,) surface number of each shape (petmjx/world/friction_pairs.py).
     """
 
     body: NDArray[np.intp]
@@ -224,6 +233,6 @@ class Shapes:
     surface: NDArray[np.intp]
 
     def of(self, body: int) -> range:
-        """The rows that hold a body's shapes."""
+        """The rows of the arrays with the shapes of one body."""
         begin, end = np.searchsorted(self.body, [body, body + 1]).tolist()
         return range(begin, end)

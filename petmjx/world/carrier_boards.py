@@ -1,7 +1,7 @@
-"""Carriers made of boards: pallets with gaps between their boards, like real ones.
+"""Carriers made of boards: pallets with gaps between their boards, like real pallets.
 
-A board is a box, given in mm as (front-left-bottom corner, size). The pallet's front-left corner is at the origin, and
-its bottom is at z = 0.
+A board is a cuboid, given as (front-left-bottom corner, size), mm. In this module, the pallet's front-left corner is at
+the origin, and its bottom is at z = 0.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class Pallet:
     Attributes:
         boards: corner and size of each board, mm.
         masses_kg: mass of each board.
-        frictions: coefficient of sliding friction of each board; None: the carrier's coefficient in the physics.
-            Empty: no board has a value of its own.
-        materials: material of each board; empty: all boards are wooden.
+        frictions: coefficient of sliding friction of each board. None stands for ``Physics.carrier_friction``. If the
+            tuple is empty, all boards have ``Physics.carrier_friction``.
+        materials: material of each board. If the tuple is empty, all boards are wooden.
     """
 
     boards: tuple[Board, ...]
@@ -49,7 +49,7 @@ class Pallet:
 
     @property
     def deck_mm(self) -> FloatArray:
-        """(b, 2, 2) lowest and highest corner in x and y of each board that reaches the top of the pallet."""
+        """(b, 2, 2) lowest and highest corner (x, y) of each board that reaches the top of the pallet."""
         corner, size = np.array(self.boards, np.float64).swapaxes(0, 1)
         end = corner + size
         on_top = end[:, 2] >= self.height_mm - TOUCH_MM
@@ -57,21 +57,21 @@ class Pallet:
 
 
 def _spread(length: float, widths: tuple[float, ...]) -> list[float]:
-    """Where boards of these widths begin along a length, mm. The outer boards are flush with the ends, and all gaps are
-    equal."""
+    """Positions along ``length`` at which boards of the given widths begin, mm. The outer boards are flush with the
+    ends, and all gaps are equal."""
     gap = (length - sum(widths)) / (len(widths) - 1)
     return [sum(widths[:k]) + k * gap for k in range(len(widths))]
 
 
 def _by_volume(boards: Sequence[Board], mass_kg: float) -> tuple[float, ...]:
-    """The mass of each board if all boards have the same density."""
+    """The mass of each board, kg, if the boards have the mass ``mass_kg`` in all, and the same density."""
     volume = np.array([size for _, size in boards]).prod(axis=1)
     return tuple((mass_kg * volume / volume.sum()).tolist())
 
 
 def _epal_1() -> Pallet:
-    """EN 13698-1: 1200 × 800 × 144 mm, about 25 kg. It has five deck boards on three cross boards, nine blocks, and
-    three bottom boards."""
+    """The EPAL 1 pallet of EN 13698-1: 1200 × 800 × 144 mm, about 25 kg. It has five deck boards on three cross boards,
+    nine blocks, and three bottom boards."""
     length, width, board, block = 1200.0, 800.0, 22.0, 78.0
     deck, rows, columns = (145.0, 100.0, 145.0, 100.0, 145.0), (100.0, 145.0, 100.0), (145.0, 145.0, 145.0)
     x, y = _spread(length, columns), _spread(width, rows)
@@ -86,8 +86,8 @@ def _epal_1() -> Pallet:
 
 
 def _gma() -> Pallet:
-    """GMA 48 × 40 in, as commonly built. It has seven deck boards (two of 140 mm, five of 89 mm), three stringers of
-    38 × 89 mm, and five bottom boards. Boards are 16 mm thick; the mass is 20 kg."""
+    """The GMA pallet of 48 × 40 in, as commonly built. It has seven deck boards (two are 140 mm wide, five are 89 mm),
+    three stringers of 38 × 89 mm, and five bottom boards. Boards are 16 mm thick. The mass is 20 kg."""
     length, width, board, stringer, high = 1219.0, 1016.0, 16.0, 38.0, 89.0
     deck, bottom = (140.0, *[89.0] * 5, 140.0), (140.0, *[89.0] * 3, 140.0)
     boards: list[Board] = []
@@ -100,8 +100,11 @@ def _gma() -> Pallet:
 
 
 def _pet_eur() -> Pallet:
-    """The pallet of PET-Physics (its ``eur-pallet.xml``, 7031863). It has 20 boxes of 2 kg, some of which overlap by
-    4 mm. In PET-Physics its deck is 5 mm above z = 0; here the deck is at z = 0, as for all carriers."""
+    """The pallet of PET-Physics, the reference implementation (its file ``eur-pallet.xml`` of commit 7031863).
+
+    The pallet consists of 20 cuboids of 2 kg each, some of which overlap by 4 mm. In simulations of PET-Physics, its
+    deck is 5 mm above z = 0. In simulations of petmjx, the deck is at z = 0, as for all carriers.
+    """
     middle, bottom_mm = np.array([600.0, 400.0, 0.0]), -72.0
     half_and_place: list[tuple[Triple, Triple]] = [((600, 75, 15), (0, y, 62)) for y in (-325, 0, 325)]
     half_and_place += [((600, 60, 15), (0, y, 62)) for y in (-162.5, 162.5)]
@@ -116,10 +119,11 @@ def _pet_eur() -> Pallet:
 
 
 def _rollcontainer_grid() -> Pallet:
-    """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
+    """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm. It is 200 mm high and
+    weighs 25 kg.
 
-    It is a typical base, not the product of a certain maker: no source was found for the bars. The base has the extents
-    of the target ``rollcontainer``. Castors are modelled as blocks; like the feet of a pallet, they do not roll.
+    This is a typical base, not that of a certain maker: no source was found for the bars. Length and width are those of
+    the target ``rollcontainer`` in plans. Castors are modelled as blocks that do not roll, like the feet of a pallet.
     """
     length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
     under = top - bar - tube
@@ -130,8 +134,8 @@ def _rollcontainer_grid() -> Pallet:
 
 
 def _gitterbox() -> Pallet:
-    """The base of a steel box pallet: a floor of 30 mm on four feet, 150 mm high, 25 kg. UIC 435-3 gives the sizes of
-    the whole box pallet. The feet are modelled as plain blocks."""
+    """The base of a steel box pallet: a floor of 30 mm on four feet. It is 150 mm high and weighs 25 kg. UIC 435-3
+    gives the sizes of the whole box pallet. The feet are modelled as plain blocks."""
     length, width, floor, foot, top = 1200.0, 800.0, 30.0, 100.0, 150.0
     boards: list[Board] = [((0, 0, top - floor), (length, width, floor))]
     boards += [((x, y, 0), (foot, foot, top - floor)) for x in (0.0, length - foot) for y in (0.0, width - foot)]
@@ -139,13 +143,15 @@ def _gitterbox() -> Pallet:
 
 
 def _container_20ft() -> Pallet:
-    """The floor of a container: 28 mm of wood on a frame. The floor is modelled as one slab, 150 mm high, 900 kg."""
+    """The floor of a 20 ft container: 28 mm of wood on a frame. It is modelled as one slab, which is 150 mm high and
+    weighs 900 kg."""
     boards: list[Board] = [((0, 0, 0), (5867.0, 2330.0, 150.0))]
     return Pallet(tuple(boards), (900.0,))
 
 
 def _trailer() -> Pallet:
-    """The floor of a semi-trailer: wood on a frame. Modelled as one slab, 150 mm high, 6 t including the frame."""
+    """The floor of a semi-trailer: wood on a frame. It is modelled as one slab, which is 150 mm high and weighs 6 t
+    including the frame."""
     boards: list[Board] = [((0, 0, 0), (13600.0, 2480.0, 150.0))]
     return Pallet(tuple(boards), (6000.0,), materials=(TRAILER_FLOOR,))
 
@@ -178,7 +184,7 @@ def pallet(carrier: Carrier | OwnCarrier) -> Pallet | None:
 
 
 def body_of(board_pallet: Pallet, physics: Physics) -> Body:
-    """A pallet as a body, with its deck at z = 0."""
+    """The body of a pallet, with the pallet's deck at z = 0."""
     corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*board_pallet.boards, strict=True))
     corner[:, 2] -= board_pallet.height_mm / MM_PER_M
     friction = np.tile(physics.carrier_friction, (len(size), 1))
@@ -189,21 +195,21 @@ def body_of(board_pallet: Pallet, physics: Physics) -> Body:
 
 
 WALL_DEPTH_M: Final = 0.02
-"""Largest depth to which walls reach below the carrier's top, m, so that no box gets under them."""
+"""Largest depth to which walls reach below the carrier's top, m. They reach below it so that no box gets under them."""
 
 
 def has_walls(sim: Simulation) -> bool:
-    """Whether the carrier has walls. Open walls count."""
+    """Whether the carrier has walls, even if all of them are open."""
     return bool(walls_of(sim.carrier, sim.walls).sides)
 
 
 def with_walls(carrier: Body, sim: Simulation) -> Body:
-    """A carrier with the walls from the options, except the open ones.
+    """A carrier with the walls that the options define, except open walls.
 
     A wall stands along a whole side, and also covers the ends of the adjacent walls.
 
     Args:
-        carrier: the carrier's boards, with the top at z = 0.
+        carrier: the carrier without walls, with its top at z = 0.
 
     Raises:
         InputError: there is no room between the walls.
@@ -232,7 +238,8 @@ def with_walls(carrier: Body, sim: Simulation) -> Body:
 
 
 def carrier_surfaces(sim: Simulation) -> list[tuple[float | None, str]]:
-    """Friction and material of each shape of the carrier: first its boards, then the walls that are not open."""
+    """(coefficient of friction, material) of each shape of the carrier: first of its boards, then of the walls that are
+    not open. The coefficient is None if ``Physics.carrier_friction`` applies."""
     board_pallet, walls = pallet(sim.carrier), walls_of(sim.carrier, sim.walls)
     count = 1 if board_pallet is None else len(board_pallet.boards)
     frictions, materials = ((), ()) if board_pallet is None else (board_pallet.frictions, board_pallet.materials)
@@ -241,7 +248,7 @@ def carrier_surfaces(sim: Simulation) -> list[tuple[float | None, str]]:
 
 
 def carrier_notes(sim: Simulation) -> Iterator[str]:
-    """One line for each option that has no effect with this carrier."""
+    """Notes for the user, one for each option that has no effect with this carrier."""
     board_pallet, physics = pallet(sim.carrier), sim.physics
     if board_pallet is None:
         return
@@ -258,13 +265,14 @@ def carrier_notes(sim: Simulation) -> Iterator[str]:
 
 
 def carrier_friction(sim: Simulation) -> float:
-    """The largest coefficient of sliding friction of the carrier."""
+    """The largest coefficient of sliding friction of any board of the carrier."""
     board_pallet, usual = pallet(sim.carrier), sim.physics.carrier_friction[0]
     frictions = () if board_pallet is None else board_pallet.frictions
     return max((usual if friction is None else friction for friction in frictions), default=usual)
 
 
 def floor_z_m(sim: Simulation) -> float:
-    """Height of the floor, m: the bottom of a pallet of boards, else the value of the physics."""
+    """Height of the floor, m. If the carrier is made of boards, its bottom is on the floor. Otherwise, the height is
+    ``Physics.floor_z_m``."""
     board_pallet = pallet(sim.carrier)
     return sim.physics.floor_z_m if board_pallet is None else -board_pallet.height_mm / MM_PER_M

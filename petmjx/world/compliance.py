@@ -1,16 +1,16 @@
 """Compliance of boxes: contacts are springs whose stiffness depends on the two boxes that touch.
 
-A box of stiffness k is compressed by F/k between a load F on its top and its support. Half of the compression is at
-each face, as in a column. So a box sinks by m·g/2k under its own weight. A face is a bed of springs (Winkler 1867, "Die
-Lehre von der Elasticität und Festigkeit") with a stiffness of 2k/A per area, where A is the area of the face. If two
-faces press on one another, their beds are in series. The planned common area of the two faces determines the stiffness
-of the contact. So a box sinks deeper if less of its base is supported, and a narrow box presses deeper into its
-support.
+A load F on top of a box of stiffness k compresses the box by F/k. In this model, half of the compression is at the top
+face, and half at the bottom face. So a box sinks by m·g/2k under its own weight. A face is a bed of springs (Winkler
+1867, "Die Lehre von der Elasticität und Festigkeit") with a stiffness of 2k/A per area, where A is the area of the
+face. If two faces press on one another, their beds of springs are in series. The stiffness of the contact is that of
+the common area of the two faces in the plan. So a box sinks deeper if less of its base is supported, and a narrow box
+presses deeper into its support.
 
 At rest, MuJoCo's contact of impedance d and time constant τ is the spring f = x / (τ²·ζ²·(1 − d)·A), where A is the sum
 of the inverse masses (petmjx/world/contact_laws.py). So each stiffness corresponds to an impedance. If that impedance
-were below ``LEAST_IMPEDANCE``, the time constant is made longer instead. No box can be stiffer than the contacts of
-``Physics``.
+were below ``LEAST_IMPEDANCE``, the impedance is ``LEAST_IMPEDANCE`` and the time constant is longer. No box can be
+stiffer than the contacts of ``Physics``.
 """
 
 from __future__ import annotations
@@ -33,37 +33,38 @@ LEAST_IMPEDANCE: Final = 0.5
 millimetre per second."""
 
 LEAST_SHARE: Final = 0.05
-"""Smallest common area of two faces, as a share of the smaller face. A sliver that two boxes share only because of
-position errors is not a bed of springs."""
+"""Smallest common area of two faces that is used, as a share of the smaller face. Position errors can make two boxes
+overlap by a thin strip, which does not behave like a bed of springs."""
 
 
 POINTS_PER_BED: Final = 4
 """Number of contacts between two faces that press on one another, if at least one of the boxes is compliant."""
 
 EDGE_SHARE: Final = 2 / 3
-"""Smallest share of the common area of two faces that counts as pressed; smaller shares are treated as equal to this
-one. On springs alone, a load near an edge would sink without limit. A real carton spreads such a load, and its edges
-bear more than its middle. A load up to 0.28 of the width from the middle leans as on springs alone."""
+"""Smallest pressed share of the common area of two faces. If less of the area is pressed, the springs are as stiff as
+if this share were pressed. Without this limit, a load near an edge would sink without limit. A real carton spreads such
+a load, and its edges carry more than its middle. The limit has no effect on a load at up to 0.28 of the width from the
+middle."""
 
 OUTWARD: Final = 0.6
-"""If the pressed share is below ``EDGE_SHARE``, the pressure also moves outwards, towards the deepest line. The
-pressure moves by this factor times (``EDGE_SHARE`` / share − 1) of the distance to that line. At a quarter of the face,
-the pressure reaches the deepest line. The lean is then 12 F / (k·L). At this lean, of the nine points of Simpson's
-rule, only those at one edge bear load."""
+"""Factor for the outward move of the pressure. If the pressed share of a face is below ``EDGE_SHARE``, the pressure
+moves towards the deepest edge, by this factor × (``EDGE_SHARE`` / share − 1) × the distance to that edge. If a quarter
+of the face is pressed, the pressure reaches the edge. The lean is then 12 F / (k·L). At this lean, only the points at
+one edge carry load, of the nine points of Simpson's rule."""
 
 FACE_COSINE: Final = 0.5
-"""Two faces press on one another if the cosine between the normal of one and the reversed normal of the other is at
-least this. Otherwise, an edge presses on a body."""
+"""Smallest cosine of the angle between one face's normal and the other face's reversed normal at which two faces press
+on one another. At a smaller cosine, an edge presses on a body."""
 
 
 @dataclass(frozen=True)
 class Face:
-    """The values of a shape that determine the law of its contacts: those of its face and of its body.
+    """The properties of a shape that determine how stiff its contacts are.
 
     Attributes:
-        give: area of the face over twice the stiffness, A/2k, m³/N; 0: the face is rigid.
-        middle, half: planned middle and half extents, m.
-        inverse_mass: 1 / mass of its body, 1/kg; 0: the body does not move.
+        give: area of the shape's face divided by twice the body's stiffness, A/2k, m³/N; 0 if the face is rigid.
+        middle, half: planned middle and half extents of the shape, m.
+        inverse_mass: 1 / mass of the shape's body, 1/kg; 0 if the body does not move.
     """
 
     give: float
@@ -79,8 +80,8 @@ def compliances(stiffness_n_m: FloatArray, half_size: FloatArray) -> FloatArray:
 
 
 def shared_area_m2(one: Face, two: Face) -> float:
-    """Planned area over which two shapes press on one another. If neither shape is above the other, it is the area of
-    the smaller shape."""
+    """Area over which two shapes press on one another in the plan, m². If neither shape is above the other, the area is
+    that of the smaller shape."""
     (ax, ay, az), (bx, by, bz) = one.middle, two.middle
     (al, aw, ah), (bl, bw, bh) = one.half, two.half
     smaller = 4.0 * min(al * aw, bl * bw)
@@ -91,19 +92,24 @@ def shared_area_m2(one: Face, two: Face) -> float:
 
 
 def spring_laws(physics: Physics, spring_n_m: FloatArray, inverse_mass: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(p, 2) MuJoCo's solref and (p,) impedances of contacts that behave at rest like springs of these stiffnesses."""
+    """(p, 2) MuJoCo's ``solref`` and (p,) impedances of contacts that behave at rest like given springs.
+
+    Args:
+        spring_n_m: (p,) stiffness of each spring, N/m.
+        inverse_mass: (p,) sum of the inverse masses of the two bodies at each contact, 1/kg.
+    """
     time_s, damping, impedance = _spring_terms(physics, spring_n_m, inverse_mass)
     return np.column_stack(np.broadcast_arrays(time_s, damping)), impedance
 
 
 def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tuple[tuple[float, float], Triple]:
-    """MuJoCo's solref and solimp of a contact that behaves at rest like a spring of this stiffness."""
+    """MuJoCo's ``solref`` and ``solimp`` of one contact that behaves at rest like a spring; see ``spring_laws``."""
     time_s, damping, impedance = map(float, _spring_terms(physics, spring_n_m, inverse_mass))
     return (time_s, damping), (impedance, impedance, physics.solimp[2])
 
 
 def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple[Any, Any, Any]:
-    """Both numbers of solref, and the impedance: three numbers for one contact, or arrays (p,) for p contacts."""
+    """The two numbers of ``solref``, and the impedance: three numbers for one contact, (p,) arrays for p contacts."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
     # stiffness of the contact's spring at rest, multiplied by (1 − d)·A; the product is in 1/s²
@@ -117,8 +123,8 @@ def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple
 
 
 def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[float, float], Triple]:
-    """MuJoCo's solref and solimp of the contacts between two shapes, or between a shape and the floor if ``two`` is
-    None."""
+    """MuJoCo's ``solref`` and ``solimp`` of the contacts between two shapes. If ``two`` is None, the second shape is
+    the floor."""
     give = one.give + (two.give if two is not None else 0.0)
     if give == 0.0:
         return physics.solref, physics.solimp
@@ -128,10 +134,10 @@ def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[fl
 
 
 def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
-    """(n,) planned compression of the springs below each box, m; 0 if nothing is compliant.
+    """(n,) compression of the springs between each box and its supports, m; 0 if neither is compliant.
 
     Args:
-        load_n: (n,) weight of each box plus its load, N.
+        load_n: (n,) force with which each box presses on its supports, N.
     """
     if scene.stiffness is None:
         return np.zeros(scene.n_boxes)
@@ -149,8 +155,8 @@ def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
 def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
     """(n,) distance by which each box is expected to sink once all boxes are placed, m; None if no box is compliant.
 
-    The descent of a box is the compression of the springs below it plus the largest descent of the boxes on which it
-    rests, under the planned loads.
+    A box sinks by the compression of the springs below it, plus the distance by which its supports sink (the largest,
+    if they differ). Loads are those of the plan.
     """
     if scene.stiffness is None:
         return None

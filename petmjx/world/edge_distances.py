@@ -1,17 +1,19 @@
-"""Distances of loads from the edges of the boxes' supports, by the plan: when it is complete, and while it is built.
+"""Distances of boxes' loads from the edges of their supports, for complete plans and for plans while they are built.
 
-The load of a box is its own weight plus the weight that rests on it. If supports share loads as springs do, a load may
-be beyond an edge although other shares would keep all loads inside. So petmjx searches for such shares
-(petmjx.world.balance_programme). A load is beyond an edge only if vertical forces cannot balance the boxes.
+A support of a box is a body that touches the box's base from below. The load of a box is its own weight plus the weight
+that rests on it. A load is inside the edges if it acts within the convex hull of the supports. If supports share loads
+like springs, a load may be beyond an edge although other shares would keep all loads inside. So petmjx searches for
+such shares (petmjx.world.balance_programme). A load counts as beyond an edge only if vertical forces cannot balance the
+boxes.
 
-While the plan is built, a counterweight that comes too late holds nothing. So a plan may fall while it is built,
-although all its loads are inside once it is complete. Therefore, the load of every box is checked after each placement
-that changes it.
+A box that holds down other boxes may be placed too late, when these have already fallen. So a plan may fall while it is
+built, although all loads of the complete plan are inside. Therefore, the load of every box is checked after each
+placement that changes this load.
 
-The part of an upper box's weight that a box bears does not depend on other boxes, as long as no support pulls. So the
-weight of each box is passed down once, on its own. The load of a box after a placement is the sum of the parts of the
-boxes that are placed. Only boxes with a support that pulls, and the boxes below them, are computed placement by
-placement.
+As long as no support would have to pull, the part of one box's weight that another box carries does not depend on
+further boxes. So the weight of each box is distributed to the boxes below only once. The load of a box after a
+placement is the sum of the parts of all placed boxes. Only for boxes with a support that would pull, and for the boxes
+below them, loads are computed anew after each placement.
 """
 
 from __future__ import annotations
@@ -31,17 +33,18 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import Bearing, add_rows, bearing_of, ranges
 
 ROUNDING_M: Final = 1e-9
-"""A load beyond an edge by less than this, m, counts as on the edge, since sums of millimetres have rounding errors."""
+"""Distance beyond an edge, m, up to which a load counts as on the edge, since sums of millimetres have rounding
+errors."""
 
 
 class Edges(NamedTuple):
-    """Distances of n boxes' loads from the nearest edge of their supports, m: positive inside, negative beyond.
+    """Distances of the loads of n boxes from the nearest edge of their supports, m: positive inside, negative beyond.
 
-    NaN: the box has no support, or is not placed.
+    The distance is NaN if the box has no support or is not placed.
 
     Attributes:
-        by_weight: (n,) distances of the boxes' own weights alone.
-        by_load: (n,) distances of the boxes' loads, which include their own weights.
+        by_weight: (n,) distance of each box's own weight alone.
+        by_load: (n,) distance of each box's load, which includes its own weight.
     """
 
     by_weight: FloatArray
@@ -49,30 +52,34 @@ class Edges(NamedTuple):
 
     @property
     def least(self) -> FloatArray:
-        """(n,) the smaller one of ``by_weight`` and ``by_load`` of each box. Exception: if a box would tip over by its
-        own weight, but its load holds it down, the distance of the load counts. Whether such a box could be placed at
-        all is checked elsewhere (``building_edges``)."""
+        """(n,) ``by_weight`` or ``by_load`` of each box, whichever is smaller.
+
+        If a box would tip over by its own weight, but is held down by its load, the value is ``by_load``. Whether such
+        a box would fall before its load is placed is checked by ``building_edges``.
+        """
         held = (self.by_weight < 0) & (self.by_load >= 0)
         nearer: FloatArray = np.where(held, self.by_load, np.fmin(self.by_weight, self.by_load))
         return nearer
 
 
 def edges_of(bearing: Bearing, placed: Sequence[int]) -> list[Edges]:
-    """For each scene, the distances of its boxes' loads, once its first ``placed`` boxes are placed.
+    """The distances of the boxes' loads in each scene.
 
     Args:
-        placed: number of placed boxes of each scene.
+        bearing: the contacts between boxes and their supports, of one or several scenes.
+        placed: number of boxes that are already placed in each scene.
     """
     _, by_weight, by_load = loads_and_edges(bearing, placed)
     return [Edges(by_weight[i:k], by_load[i:k]) for i, k in pairwise(bearing.boxes.first.tolist())]
 
 
 def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, 4) loads of all boxes (see ``Bearing.loads``), (n,) distances of their own weights from edges, and (n,)
-    distances of their loads.
+    """(n, 4) loads of all boxes (see ``Bearing.loads``), (n,) distances of the boxes' own weights from edges, m, and
+    (n,) distances of the loads from edges, m.
 
     Args:
-        placed: number of placed boxes of each scene.
+        bearing: the contacts between boxes and their supports, of one or several scenes.
+        placed: number of boxes that are already placed in each scene.
     """
     among, load = bearing.boxes.among(placed), bearing.loads(placed)
     by_weight, by_load = (
@@ -89,28 +96,32 @@ def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray
 
 
 def _scenes(bearing: Bearing, boxes: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Numbers of the scenes that contain at least one of these boxes."""
+    """Numbers of the scenes that contain at least one of the chosen boxes."""
     return np.unique(np.searchsorted(bearing.boxes.first, np.flatnonzero(boxes), side="right") - 1)
 
 
 def _exact(edge_m: FloatArray) -> FloatArray:
-    """The distances, with 0 for a load that is beyond the edge only by rounding."""
+    """The same distances, but 0 for a load that is beyond the edge only because of rounding errors."""
     return np.where((edge_m < 0) & (edge_m > -ROUNDING_M), 0.0, edge_m)
 
 
 def rebalanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) loads of one scene, balanced so that they are as far inside as possible, and (n,) their distances from
-    edges, m.
+    """(n, 3) loads of one scene if supports share loads so that the loads are as far inside the edges as possible, and
+    (n,) the distances of these loads from edges, m.
 
-    Called if loads seem to be beyond edges.
+    Args:
+        bearing: the contacts between boxes and their supports.
+        load: (n, 3 or 4) loads if supports share loads like springs. Some of these loads are beyond edges.
+        edge_m: (n,) distances of these loads from edges, m.
+        placed: (n,) whether each box is already placed.
     """
     result = balanced_loads(bearing, load, edge_m, placed)
     if result is None:
         return load[:, :3], edge_m
     balancing, beyond = result
-    # if nothing balances the boxes, a load that is inside keeps its distance
+    # if no forces balance the boxes, loads that are inside keep their distances
     is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
     balanced_m = bearing.edges_m(balancing)
     edges = np.where(~placed | is_unchanged, edge_m, np.maximum(balanced_m, 0.0))
@@ -119,29 +130,34 @@ def rebalanced_loads(
 
 
 def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n,) whether a box bears part of a box with several supports. If so, its load depends on the shares of these
-    supports.
+    """(n,) whether each box is below a box with several supports. If so, its load depends on how these supports share
+    the load.
 
     Args:
-        among: (n,) mask: of the boxes with several supports, only these are considered.
+        bearing: the contacts between boxes and their supports.
+        among: (n,) which boxes with several supports are considered.
     """
     return bearing.all_below(among & (bearing.n_supports > 1))
 
 
 MOST_PROGRAMMES: Final = 2
 """Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
-milliseconds, and more for a hundred boxes on several supports. After further placements, loads that seem to be beyond
-edges are left out, since only a programme could prove that they are."""
+milliseconds, and more if a hundred boxes have several supports. For other placements, loads that seem to be beyond
+edges are ignored, since only a programme could prove that they are beyond edges."""
 
 
 class BuildingLoads(NamedTuple):
-    """Loads after placements, as p sorted pairs: a box, and a box whose placement changes the load of the first box.
+    """The loads of boxes after the placements of other boxes.
+
+    There is one entry for each of p pairs: a box, and a box whose placement changes the load of the first box. Pairs
+    are sorted by the first box, then by the second box.
 
     Attributes:
-        box: (p,) the box that has the load.
-        step: (p,) number of the box after whose placement this load acts.
-        load: (p, 3) as in ``Bearing.loads``, without the height.
-        edge_m: (p,) distance of the load from the nearest edge, positive inside; NaN if nothing bears the box.
+        box: (p,) number of the first box, which has the load.
+        step: (p,) number of the second box, after whose placement the load acts.
+        load: (p, 3) the load: mass, kg, and its first moments along x and y, kg·m.
+        edge_m: (p,) distance of the load from the nearest edge of the first box's supports, m: positive inside,
+            negative beyond; NaN if the box has no support.
     """
 
     box: IntArray
@@ -151,15 +167,19 @@ class BuildingLoads(NamedTuple):
 
 
 class LeastBuildingEdge(NamedTuple):
-    """The load that is furthest beyond an edge while a plan is built; if none is beyond, the load that is nearest to an
-    edge.
+    """Two loads of a plan while it is built: the load with the smallest distance from an edge, and the load nearest to
+    an edge.
+
+    Distances are positive inside an edge and negative beyond it. So the smallest distance is that of the load furthest
+    beyond an edge. The load nearest to an edge may be on either side of the edge. If a plan has no loads, distances are
+    NaN and numbers are -1.
 
     Attributes:
-        edge_m: distance from the edge, positive inside; NaN: there is no load.
-        box: the box that has the load; -1: there is no load.
-        step: number of the box after whose placement this load acts; -1: there is no load.
-        nearest_m: distance of the load that is nearest to an edge, on either side.
-        nearest_box: the box with the load nearest to an edge.
+        edge_m: smallest distance of a load from an edge, m.
+        box: number of the box that has this load.
+        step: number of the box after whose placement this load acts.
+        nearest_m: distance of the load nearest to an edge, m.
+        nearest_box: number of the box that has this load.
         nearest_step: number of the box after whose placement this load acts.
     """
 
@@ -175,10 +195,11 @@ _NO_EDGE: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
 
 
 def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildingEdge]:
-    """For each scene, the smallest distance from an edge over the placements of its first ``placed`` boxes.
+    """The smallest distance of a load from an edge in each scene, while boxes are placed one by one.
 
     Args:
-        placed: number of placed boxes of each scene.
+        bearing: the contacts between boxes and their supports, of one or several scenes.
+        placed: number of boxes of each scene that are placed; later boxes are ignored.
     """
     n_scenes = len(bearing.boxes.first) - 1
     if not any(placed):
@@ -199,9 +220,8 @@ def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildin
 
 
 def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
-    """The first placement after which the load of a box is beyond an edge while a plan is built, and the first later
-    one after which the load is inside again. A placement is given by the number of the placed box; -1: there is
-    none."""
+    """The first placement after which the load of ``box`` is beyond an edge, and the next placement after which this
+    load is inside again. A placement is given by the number of the placed box, or -1 if there is no such placement."""
     built = building_loads_of(bearing_in_order(bearing_of(scene)), [scene.n_boxes])
     steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
     beyond = np.flatnonzero(edge < 0)
@@ -212,9 +232,8 @@ def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
 
 
 def bearing_in_order(bearing: Bearing) -> Bearing:
-    """A bearing without supports that are placed after the box that they bear: when they are placed, this box has
-    already fallen.
-    """
+    """The contacts with supports that are placed before the box above. A support that is placed later is too late: the
+    box above has already fallen."""
     before = bearing.lower < bearing.upper
     if before.all():
         return bearing
@@ -224,11 +243,12 @@ def bearing_in_order(bearing: Bearing) -> Bearing:
 
 
 def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
-    """The loads of boxes after all placements that change them.
+    """The load of each box after every placement that changes this load.
 
     Args:
-        bearing: several scenes joined. No box may lie on a box that is placed later.
-        placed: number of placed boxes of each scene.
+        bearing: the contacts between boxes and their supports, of one or several scenes. No box may lie on a box that
+            is placed later.
+        placed: number of boxes of each scene that are placed; later boxes are ignored.
     """
     box, step, part = _parts(bearing, bearing.boxes.among(placed))
     begins = np.searchsorted(box, np.arange(len(bearing.boxes.mass) + 1))
@@ -243,13 +263,13 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
 
 
 def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArray, FloatArray]:
-    """Three arrays for p sorted pairs of boxes: (p,) the bearing box; (p,) a box whose weight it bears at least in
-    part; and (p, 3) this part. A box also bears its own weight."""
+    """(p,) numbers of lower boxes, (p,) numbers of upper boxes, and (p, 3) the part of the upper box's weight that the
+    lower box carries, for p sorted pairs of boxes. Every box also forms a pair with itself."""
     n, boxes = len(among), np.flatnonzero(among)
     alone = bearing.n_supports == 1
     below = np.full(n, CARRIER)
     below[alone] = bearing.lower[bearing.ends[:-1][alone]]
-    # A weight is passed down undivided, as far as the carrier or the first box with several supports.
+    # A weight is passed down undivided until it reaches the carrier or a box with several supports.
     pairs, box, step = [(boxes[:0], boxes[:0])], boxes, boxes
     while len(box):
         pairs.append((box, step))
@@ -257,7 +277,7 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         goes_on = np.flatnonzero(under != CARRIER)
         box, step = under[goes_on], step[goes_on]
     box, step = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
-    weights = (bearing.weights + 0.0)[:, :3].copy()  # + 0.0 turns -0.0 into 0.0, as in sums
+    weights = (bearing.weights + 0.0)[:, :3].copy()  # + 0.0 turns -0.0 into 0.0, as a sum would
     several = bearing.n_supports[box] > 1
     keys, parts = _shared_parts(bearing, box[several] * n + step[several], weights.take(step[several], axis=0))
     box, step = np.concatenate([box[~several], keys // n]), np.concatenate([step[~several], keys % n])
@@ -269,11 +289,13 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
 
 
 def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The parts of weights that reach boxes with several supports, and the parts that reach all boxes below these: (k,)
-    keys, and (k, 3) parts. A key is the number of the bearing box · n + the number of the box whose weight it is.
+    """(k,) keys and (k, 3) parts of weights that boxes with several supports carry, and the boxes below these.
+
+    A key is the number of the box that carries the part · n + the number of the box whose weight it is.
 
     Args:
-        keys, parts: keys and parts of the weights that are still undivided when they reach boxes with several supports.
+        bearing: the contacts between boxes and their supports.
+        keys, parts: keys and parts of the undivided weights that boxes with several supports carry.
     """
     n = len(bearing.boxes.mass)
     between = np.flatnonzero(bearing.lower != CARRIER)
@@ -308,24 +330,27 @@ def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[
 
 
 def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray:
-    """(k, 3) the parts of loads that reach (k,) contacts. A box on one support passes on its whole load.
+    """(k, 3) the part of its box's load that each contact carries. The contact of a box with one support carries the
+    whole load.
 
     Args:
+        bearing: the contacts between boxes and their supports.
+        contact: (k,) numbers of the contacts.
         load: (k, 3) load of the upper box of each contact.
     """
-    passed = load + 0.0  # + 0.0 turns -0.0 into 0.0, as in sums
+    passed = load + 0.0  # + 0.0 turns -0.0 into 0.0, as a sum would
     several = np.flatnonzero(bearing.n_supports.take(bearing.upper.take(contact)) > 1)
     passed[several] = bearing.shared(contact[several], load.take(several, axis=0))
     return passed
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
-    """(p, 3) running sums of the parts, over the pairs of each box."""
+    """(p, 3) running sums of the parts over the pairs of each lower box, which begin at ``begins``."""
     sums, count = part.copy(), np.diff(begins)
     longest = np.argsort(-count, kind="stable")
     place = begins[:-1][longest]
     still = np.searchsorted(-count[longest], -np.arange(int(count.max(initial=0)))).tolist()
-    for boxes in still[1:]:  # the loop adds one pair of each box at a time, so that sums do not depend on other boxes
+    for boxes in still[1:]:  # one pair of each box at a time, so that a box's sums do not depend on other boxes
         before = place[:boxes]
         place = before + 1
         sums[place] = sums.take(place, axis=0) + sums.take(before, axis=0)
@@ -333,7 +358,14 @@ def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
 
 
 def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: FloatArray) -> None:
-    """Correct the loads of boxes on which a support would pull, and of all boxes below them."""
+    """Correct, in place, the loads of the boxes below a box on which a support would pull.
+
+    Args:
+        bearing: the contacts between boxes and their supports.
+        begins: (n + 1,) first pair of each box.
+        step: (p,) as in ``BuildingLoads``.
+        load: (p, 3) loads as in ``BuildingLoads``, if supports share loads like springs.
+    """
     count, contacts = np.diff(begins), bearing.together
     upper = bearing.upper[contacts]
     pair, contact = ranges(begins[upper], count[upper]), np.repeat(contacts, count[upper])
@@ -351,7 +383,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     first_above = np.cumsum(n_above) - n_above
     key = np.repeat(np.arange(n), count) * n + step  # keys increase
-    # forces at the contacts of corrected boxes: at each contact, one force for each load of the upper box
+    # ``forces`` has the forces at the contacts of corrected boxes: for each contact, one for each load of the upper box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3].copy(), np.flatnonzero(pulled)
@@ -380,13 +412,14 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
 def _contact_pushes(
     bearing: Bearing, owner: IntArray, load: FloatArray, rows: IntArray, contact: IntArray
 ) -> FloatArray:
-    """(k, 3) the forces with which loads press at contacts.
+    """(k, 3) the part of a load that each contact carries, for p loads.
 
     Args:
-        owner: (p,) the box that has each load.
+        bearing: the contacts between boxes and their supports.
+        owner: (p,) number of the box that has each load.
         load: (p, 3) the loads.
-        rows: (k,) number of the load that presses at each contact.
-        contact: (k,) numbers of contacts, load by load: for each load, all contacts on which its box rests.
+        rows: (k,) number of the load for each contact.
+        contact: (k,) numbers of contacts, load by load: for each load, all contacts on which the load's box rests.
     """
     force = load.take(rows, axis=0)
     several = np.flatnonzero((bearing.n_supports[owner] > 1)[rows])
@@ -405,11 +438,9 @@ def _contact_pushes(
 
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
-    """The smallest distance of one scene from an edge, if every load that seems to be beyond an edge depends on how
-    supports share loads.
-
-    A linear programme decides whether the loads furthest beyond an edge are really beyond it.
-    """
+    """The smallest distance of a load from an edge in one scene. Every load that seems to be beyond an edge depends on
+    how supports share loads, so linear programmes decide whether the loads furthest beyond an edge are really beyond
+    it."""
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
         if not (edge < 0).any():
@@ -425,8 +456,8 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
 
 
 def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[IntArray, FloatArray]:
-    """The pairs of one scene that hold the load of each box after the placement ``step``, and (n,) the distances of
-    these loads from edges, balanced so that they are as far inside as possible."""
+    """Indices in ``built`` of the loads that act in one scene after the placement ``step``, and (n,) the distances of
+    loads from edges, m, if supports share loads so that the loads are as far inside as possible."""
     n = len(bearing.boxes.mass)
     now = np.flatnonzero(built.step <= step)
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
@@ -442,11 +473,12 @@ def _least(built: BuildingLoads) -> LeastBuildingEdge:
 
 
 def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> list[LeastBuildingEdge]:
-    """The smallest distance of each scene from an edge.
+    """The smallest distance of a load from an edge in each scene.
 
     Args:
-        scene: (p,) the scene of each pair, in order.
-        first: (s + 1,) first box of each scene.
+        built: the loads of all scenes.
+        scene: (p,) number of the scene of each load, rising.
+        first: (s + 1,) number of each scene's first box.
     """
     least, columns = [_NO_EDGE] * (len(first) - 1), list[list[Any]]()
     numbers: IntArray = scene[:0]
@@ -461,11 +493,12 @@ def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> 
 
 
 def first_least(values: FloatArray, group: IntArray) -> tuple[IntArray, IntArray]:
-    """(g,) the groups with a value that is not NaN, and (g,) the index of the smallest value of each group; if several
-    are equal, the first.
+    """(g,) numbers of the groups with a value that is not NaN, and (g,) the index of the smallest value in each of
+    these groups. If several values are equally small, it is the index of the first.
 
     Args:
-        group: (p,) the group of each value, in order.
+        values: (p,) the values.
+        group: (p,) number of the group of each value, rising.
     """
     known = np.flatnonzero(~np.isnan(values))
     if not len(known):
@@ -478,7 +511,7 @@ def first_least(values: FloatArray, group: IntArray) -> tuple[IntArray, IntArray
 
 
 def depends_on_sharing(bearing: Bearing, built: BuildingLoads) -> NDArray[np.bool_]:
-    """(p,) whether a load depends on how a box with several supports shares its load."""
+    """(p,) whether each load depends on how the supports of some box above share that box's load."""
     shares = (bearing.n_supports[built.step] > 1) & (built.step != built.box)
     first = np.full(len(bearing.boxes.mass), len(bearing.boxes.mass))
     np.minimum.at(first, built.box[shares], built.step[shares])

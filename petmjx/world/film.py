@@ -2,19 +2,19 @@
 
 The model has three parts, for a pallet that is wrapped to its carrier:
 
-- **Tension.** Film pulls, over its whole width, with the force of a turn × the number of turns. So a strip of height h
-  has the tension T = force · turns · h / width. Around a corner, the film pulls along both sides. So each side of the
-  load is pressed inwards by T at each of its two ends. This force, 2·T in all, is spread over the outer faces of that
-  side. If nothing stands behind a box, the film draws the box in and slackens: after ``SLACK_M`` it no longer presses
-  on the box.
-- **Hold.** Film sticks to an outer face with a force of at most its friction coefficient × the force that presses on
-  the face. A spring holds a box that moves relative to the carrier, with at most this force. If more force is needed,
-  the film slips.
-- **A hat** presses on all tops on which no box stands.
+- **Tension.** Over its whole width, film pulls with the force of one turn × the number of turns. So a strip of height
+  h has the tension T = force · turns · h / width. Around a corner, the film pulls along both sides. So each side of the
+  load is pressed inwards by T at each of its two ends. The sum of both forces, 2·T, is spread over the outer faces of
+  that side. If there is a gap behind a box, the film draws the box into the gap and slackens. After the distance
+  ``SLACK_M``, the film no longer presses on the box.
+- **Hold.** Film sticks to an outer face by friction: with at most the film's friction coefficient × the force with
+  which the film presses on the face. If a box moves relative to the carrier, the film holds the box like a spring, with
+  at most this force. If more force is needed, the film slips.
+- **A hat** of film presses on all box tops on which no other box stands.
 
-Faces that stand back from the outermost face of their side by more than ``MOST_BACK_M`` do not touch the film. The
-forces act at the boxes' centres of mass. Stretching, tearing and creeping of the film are not modelled. Source of the
-linearity: Sensors 2025, 25(22), 6883.
+If a face stands back from the outermost face of its side by more than ``MOST_BACK_M``, the face does not touch the
+film. The forces act at the boxes' centres of mass. Stretching, tearing and creeping of the film are not modelled. The
+source for the linear relation of force and turns is Sensors 2025, 25(22), 6883.
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ MOST_BACK_M: Final = 0.02
 """Largest distance by which a face may stand back from the outermost face of its side and still touch the film, m."""
 
 SLACK_M: Final = 0.005
-"""How far film draws a box in before it slackens, m: an assumption. Film that is stretched more also draws a box in
-farther, and so closes wider gaps."""
+"""Distance by which film draws a box into a gap before the film slackens, m. The value is an assumption. Real film that
+is stretched more draws boxes farther, and so closes wider gaps."""
 
 RATE_1_S: Final = 100.0
-"""Natural frequency of a box held by film, 1/s: a box held by a force equal to its weight gives way by 1 mm."""
+"""Natural angular frequency of a box that film holds, 1/s. With this value, a force equal to the box's weight displaces
+the box by 1 mm."""
 
 MOST_RATE_PER_STEP: Final = 0.2
-"""Largest natural frequency × timestep. With a larger product, the spring would be unstable."""
+"""Largest product of the natural frequency and the timestep. With a larger product, the spring would be unstable."""
 
 SIDES: Final = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
 """Axis and sign of the outward normal of each side of the load."""
@@ -49,7 +50,7 @@ class Film(NamedTuple):
 
     Attributes:
         press: (n, 3) force with which film presses on each box, N.
-        hold: (n,) largest holding force of the film on each box, N.
+        hold: (n,) largest force with which film can hold each box by friction, N.
     """
 
     press: FloatArray
@@ -57,12 +58,12 @@ class Film(NamedTuple):
 
 
 def spring_rate_1_s(timestep_s: float) -> float:
-    """Natural frequency of a box held by film at this timestep, 1/s."""
+    """Natural angular frequency of a box that film holds, reduced if the timestep is long, 1/s."""
     return min(RATE_1_S, MOST_RATE_PER_STEP / timestep_s)
 
 
 _FILMS: Final = WeakKeyDictionary[Scene, Film]()
-"""Cached films, by scene. A film is kept as long as its scene is in use. Legs of a chain may share a scene."""
+"""Cached films, by scene. A film is kept as long as its scene is in use."""
 
 
 def film_of(scene: Scene) -> Film:
@@ -80,7 +81,7 @@ def _film(scene: Scene) -> Film:
     at_level = (low[:, 2] <= begin + 1e-6) & (high[:, 2] >= end - 1e-6)
     full = at_level.any(axis=1)
     at_level, height = at_level[full], (end - begin)[full]
-    of_sides = np.zeros((len(height), len(SIDES), scene.n_boxes))  # N, at each level
+    of_sides = np.zeros((len(height), len(SIDES), scene.n_boxes))  # forces at each level, on each side, N
     for number, (axis, sign) in enumerate(SIDES):
         reach = sign * (high if sign > 0 else low)[:, axis]
         outermost = np.where(at_level, reach, -np.inf).max(axis=1, keepdims=True)
@@ -96,7 +97,7 @@ def _film(scene: Scene) -> Film:
 
 
 def _hat(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(n,) each box's share of the free top area; 0 if another box stands on the box."""
+    """(n,) each box's share of the top area on which no box stands. The share is 0 if another box stands on the box."""
     over = (low[:, None, :2] < high[None, :, :2]) & (high[:, None, :2] > low[None, :, :2])
     is_under = (over.all(axis=2) & (low[None, :, 2] >= high[:, None, 2] - 1e-3)).any(axis=1)
     area = np.where(is_under, 0.0, (high - low)[:, :2].prod(axis=1))

@@ -1,4 +1,7 @@
-"""Boxes released with any pose and velocity, in worlds without the rules of placement, for ``petmjx.release``."""
+"""Boxes that are released with any pose and velocity, without the rules by which plans are placed.
+
+For ``petmjx.release``.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,8 @@ from petmjx.world.carrier_boards import body_of, floor_z_m, pallet, with_walls
 from petmjx.world.scene import Scene
 
 _BURIED_M: Final = -100.0
-"""Height of the carrier's centre if the ground is a plane, m. Every scene has a carrier; here it is buried so deep that
-no box gets near it. The carrier is held in place, so that the floor does not push it out."""
+"""Height of the carrier's centre if the ground is a plane, m. Every scene needs a carrier. In these scenes, the carrier
+is buried so deep that no box gets near it. It is held in place, so that the floor does not push it out."""
 
 _BURIED_HALF_M: Final = 0.1
 
@@ -31,7 +34,7 @@ class Ground:
         carrier: the carrier of each scene.
         floor_z: height of the floor, m.
         friction: sliding, torsional and rolling coefficients of the floor.
-        is_plane: True: boxes touch only the floor.
+        is_plane: whether the ground is a plane, so that boxes touch only the floor.
     """
 
     carrier: Body
@@ -48,10 +51,10 @@ class Ground:
 
     @classmethod
     def of_carrier(cls, sim: Simulation) -> Ground:
-        """The carrier of these options, with its front-left corner at the origin, as in plans.
+        """The carrier that these options choose, with its front-left corner at the origin, as in plans.
 
         Raises:
-            ValueError: the carrier's extent depends on the plan.
+            ValueError: the carrier's length and width depend on the plan.
         """
         physics, boards, extent = sim.physics, pallet(sim.carrier), extent_m(sim.carrier)
         if extent is None:
@@ -65,8 +68,8 @@ class Ground:
 
     @property
     def smooth(self) -> Ground:
-        """The ground with a sliding friction of 0. Since the larger of two coefficients counts, contacts then have the
-        boxes' friction."""
+        """The ground with a sliding friction of 0. A contact uses the larger coefficient of the two bodies, so contacts
+        with this ground have the friction of the box."""
         friction = self.carrier.friction.copy()
         friction[:, 0] = 0.0
         return replace(
@@ -76,13 +79,14 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class FreeBodies:
-    """Worlds with equal numbers of boxes, and the steps after which poses are recorded.
+    """Worlds in which equal numbers of boxes are released, and the steps after which the poses are recorded.
 
     Attributes:
-        scenes: n scenes. Boxes are released at ``start_pos`` with orientation ``start_quat``; carriers are held.
-        velocity: (n, k, 6) velocities at release: m/s along the world's axes, then rad/s about the boxes' own axes.
-        steps: (s,) rising step counts after which poses are recorded; 0: at release.
-        on_plane: True: boxes touch only the floor, so that engines may ignore the carrier.
+        scenes: n scenes. Boxes are released at ``start_pos`` with orientation ``start_quat``. Carriers do not move.
+        velocity: (n, k, 6) velocities of the boxes at release: 3 components along the world's axes, m/s, then 3 about
+            the boxes' own axes, rad/s.
+        steps: (s,) numbers of steps after which the poses are recorded, rising. 0 records the poses at release.
+        on_plane: whether boxes touch only the floor, so that engines may ignore the carrier.
     """
 
     scenes: tuple[Scene, ...]
@@ -96,20 +100,20 @@ class FreeBodies:
         return int(self.velocity.shape[1])
 
     def part(self, worlds: slice) -> FreeBodies:
-        """This object with only the given worlds."""
+        """The given worlds alone."""
         return replace(self, scenes=self.scenes[worlds], velocity=self.velocity[worlds])
 
     @property
     def pose(self) -> FloatArray:
-        """(n, k, 7) positions at release, m, and quaternions (w, x, y, z)."""
+        """(n, k, 7) positions, m, and orientations as quaternions (w, x, y, z) of the boxes at release."""
         return np.array([np.hstack([scene.start_pos, scene.start_quat]) for scene in self.scenes])
 
 
 def inertia_box(inertia: FloatArray, mass: FloatArray) -> FloatArray:
     """(…, 3) half extents of solid boxes with these (…, 3) principal moments, kg·m², and (…) masses, kg.
 
-    A box with half extents a, b, c has I_x = m/3 · (b² + c²), and likewise for y and z, so a² = 3/(2m) · (I_y + I_z −
-    I_x). The result is NaN if no body has these moments: the largest must not exceed the sum of the other two.
+    A box with half extents a, b, c has I_x = m/3 · (b² + c²), and likewise for y and z. So a² = 3/(2m) · (I_y + I_z −
+    I_x). The result is NaN if the largest moment exceeds the sum of the other two, which no body can have.
     """
     total = inertia.sum(axis=-1, keepdims=True)
     with np.errstate(invalid="ignore"):

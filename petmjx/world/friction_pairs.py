@@ -1,9 +1,9 @@
-"""Tables of friction and landings for pairs of surfaces, and the surfaces of a plan's world.
+"""Tables with the friction and the landings (bounces after impacts) of pairs of surfaces.
 
-Usually, the friction between two shapes is the larger of their own coefficients. A table is used if other coefficients
-are given for pairs. Each shape has a surface, numbered from 1. The table holds the coefficient of sliding friction for
-each pair of surfaces. The floor, and all shapes without a surface of their own, have surface 0. Surfaces follow from
-the materials of boxes and boards, and from the friction that boards have of their own.
+Without a table, the friction between two shapes is the larger of their coefficients. A table of friction is needed if
+coefficients are given for pairs of materials, or for boards. Each shape then has a surface, numbered from 1. The table
+holds the coefficient of sliding friction for each pair of surfaces. Two boxes have the same surface if they have the
+same material. Two boards have the same surface if they have the same material and coefficient. The floor has surface 0.
 """
 
 from __future__ import annotations
@@ -23,36 +23,40 @@ from petmjx.plans.plan import Plan
 from petmjx.world.carrier_boards import carrier_surfaces
 
 MOST_SURFACES: Final = 16
-"""Number of rows of a world's table on devices, including surface 0."""
+"""Number of rows of a world's table on a GPU, and so the largest number of surfaces, including surface 0."""
 
 LARGER: Final = -1.0
-"""Marks an entry without a coefficient: the larger coefficient of the two shapes counts, as is usual in MuJoCo."""
+"""Marks an entry of a friction table without a coefficient. The contact then has the larger coefficient of the two
+shapes, as is usual in MuJoCo."""
 
 
 USUAL: Final = -1.0
-"""Marks an entry without a restitution, landing time or share of kinetic friction: the value of the physics counts."""
+"""Marks an entry of another table without a value. The value of ``Physics`` then applies: restitution, landing time, or
+kinetic friction as a share of static friction."""
 
 
 def no_landings(n_surfaces: int = MOST_SURFACES) -> FloatArray:
-    """(k, k, 2) a table of landings in which no entry has a value."""
+    """(k, k, 2) a table of restitutions and landing times in which no entry has a value."""
     return np.full((n_surfaces, n_surfaces, 2), USUAL)
 
 
 def no_pairs(n_surfaces: int = MOST_SURFACES) -> FloatArray:
-    """(k, k) a table of friction in which no entry has a coefficient."""
+    """(k, k) a table of friction coefficients in which no entry has a coefficient."""
     return np.full((n_surfaces, n_surfaces), LARGER)
 
 
 def scaled_pairs(
     table: FloatArray | None, of_boards: NDArray[np.intp] | None, box_factor: float, carrier_factor: float
 ) -> FloatArray | None:
-    """(k, k) the table, with the friction of boxes and carrier multiplied by factors.
+    """(k, k) the table of friction, multiplied by a factor for boxes and a factor for the carrier.
 
-    For a pair of surfaces the larger of the two factors counts, just as the larger coefficient counts for a pair
-    without an entry.
+    An entry for a box and the carrier is multiplied by the larger of the two factors, since a contact without an entry
+    has the larger of two coefficients.
 
     Args:
-        of_boards: the surfaces of the carrier's boards; None: the boards have no surface of their own.
+        table: (k, k) the table of friction, or None. Then the result is None, too.
+        of_boards: surface numbers of the carrier's boards. If None, boards have no surface numbers.
+        box_factor, carrier_factor: the two factors.
     """
     if table is None:
         return None
@@ -63,7 +67,7 @@ def scaled_pairs(
 
 
 def filled_up(table: FloatArray | None) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's friction table, padded with rows without entries.
+    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's table of friction, filled up with ``LARGER``.
 
     Raises:
         ValueError: the table has too many rows.
@@ -77,7 +81,8 @@ def filled_up(table: FloatArray | None) -> FloatArray:
 
 
 def filled_up_shares(table: FloatArray | None) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's kinetic shares, padded with rows without entries."""
+    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's table of kinetic friction as a share of static friction, filled
+    up with ``USUAL``."""
     filled = np.full((MOST_SURFACES, MOST_SURFACES), USUAL)
     if table is not None:
         filled[: len(table), : len(table)] = table
@@ -85,7 +90,8 @@ def filled_up_shares(table: FloatArray | None) -> FloatArray:
 
 
 def filled_up_landings(table: FloatArray | None) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``, 2) a world's table of landings, padded with rows without entries."""
+    """(``MOST_SURFACES``, ``MOST_SURFACES``, 2) a world's table of restitutions and landing times, filled up with
+    ``USUAL``."""
     filled = no_landings()
     if table is not None:
         filled[: len(table), : len(table)] = table
@@ -93,19 +99,19 @@ def filled_up_landings(table: FloatArray | None) -> FloatArray:
 
 
 _NOT_SAID: Final = ""
-"""Stands for the material of a box if the plan does not give one."""
+"""Stands for the material of a box if the plan gives no material."""
 
 
 class Surfaces(NamedTuple):
     """The surfaces of a world.
 
     Attributes:
-        of_boxes: (n,) surface of each box.
-        of_boards: (s,) surface of each board and wall of the carrier.
-        friction: (k, k) coefficients between surfaces, or ``LARGER``.
-        landing: (k, k, 2) restitution and landing time, s, between surfaces.
-        kinetic: (k, k) friction of sliding surfaces, as a share of friction at rest, or ``USUAL``; None: no pair has a
-            share of its own.
+        of_boxes: (n,) surface number of each box.
+        of_boards: (s,) surface number of each board and wall of the carrier.
+        friction: (k, k) coefficient of sliding friction between two surfaces, or ``LARGER``.
+        landing: (k, k, 2) coefficient of restitution and landing time, s, between two surfaces, or ``USUAL``.
+        kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or ``USUAL``. If
+            None, no pair has a share of its own.
     """
 
     of_boxes: NDArray[np.intp]
@@ -118,10 +124,10 @@ class Surfaces(NamedTuple):
 def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
     """The surfaces of a plan's boxes and of its carrier's boards and walls.
 
-    The result is None if neither boxes have materials nor boards have friction of their own. The result is also None
-    with pyramidal cones, which have no friction by pairs. Between a box and a board, the friction of the board counts
-    if it has one, otherwise the friction of the two materials. If a box has no material, the larger coefficient of the
-    two shapes counts.
+    The result is None if no box has a material and no board has a coefficient of its own. The result is also None if
+    the physics uses pyramidal friction cones, since these allow no friction of pairs. Between a box and a board, the
+    coefficient of the board is used if it has one, otherwise that of the two materials. If a box has no material, the
+    larger coefficient of the two shapes is used.
 
     Raises:
         InputError: the friction between two of the materials is unknown, or there are too many surfaces.
@@ -166,11 +172,11 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
 
 
 def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
-    """Check that friction is known between all materials of all plans. Returns a line if materials or stiffness have
-    no effect.
+    """Check that friction is known between all materials of each plan. Returns notes for the user if materials or
+    stiffness have no effect.
 
     Raises:
-        InputError: see ``find_surfaces``.
+        InputError: for one of the plans, ``find_surfaces`` raises an error.
     """
     plans = list(plans)
     with_materials = [plan for plan in plans if plan.materials]
@@ -187,19 +193,22 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
 
 
 def _pair_friction(one: str, other: str, sim: Simulation) -> float:
-    """A pair's entry in the table of friction. Bodies of an unknown pair never touch (``check_pairs``)."""
+    """The entry of two materials in the table of friction.
+
+    A pair without known friction also gets ``LARGER``: ``check_pairs`` has made sure that its bodies never touch.
+    """
     friction = friction_between(one, other, sim.friction_pairs) if one and other else None
     return LARGER if friction is None else friction
 
 
 def _kinetic(one: str, other: str, sim: Simulation) -> float:
-    """A pair's entry in the table of shares of kinetic friction. A pair is two materials."""
+    """The entry of two materials in the table of kinetic friction as a share of static friction."""
     share = kinetic_share_between(one, other, sim.friction_pairs) if one and other else None
     return USUAL if share is None else share
 
 
 def _landing(one: str, other: str, sim: Simulation) -> tuple[float, float]:
-    """A pair's entry in the table of landings. A pair is two materials."""
+    """The entry of two materials in the table of restitutions and landing times."""
     if not (one and other):
         return USUAL, USUAL
     restitution, landing_s = landing_between(one, other, sim.landing_pairs)

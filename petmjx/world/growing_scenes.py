@@ -1,7 +1,7 @@
 """Scenes of worlds to which boxes are added one by one, and arrays with the next box of each world.
 
-A packer adds thousands of boxes at a time and reads few scenes. So boxes are kept in arrays, and a scene is made only
-when it is read.
+A packer adds thousands of boxes at a time, but needs the scenes of few worlds. So boxes are kept in arrays. A scene is
+made from the arrays only when it is requested.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ class OpenScenes:
 
     Args:
         scenes: the scenes at the start.
-        blank: the values that all added boxes share.
+        blank: the empty carrier, with the values that all added boxes share.
     """
 
     def __init__(self, scenes: Sequence[Scene], blank: EmptyCarrier) -> None:
         n = len(scenes)
         self._blank, self._carrier = blank, scenes[0].carrier
         self._scenes = list(scenes)
-        """For each world, a scene with its first boxes or with all of them."""
+        """The scene of each world when the scene was last requested. Boxes added since then are only in the arrays."""
         self._count = np.zeros(n, np.int64)
         self._half_size, self._target = (np.full((n, _FIRST_ROOM, 3), np.nan) for _ in range(2))
         self._mass: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
@@ -52,7 +52,7 @@ class OpenScenes:
         return scene
 
     def set(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """Replace the scenes of these worlds."""
+        """Replace the scenes of ``worlds`` by ``scenes``."""
         for world, scene in zip(worlds, scenes, strict=True):
             self._make_room(scene.n_boxes)
             self._scenes[world], self._count[world] = scene, scene.n_boxes
@@ -60,7 +60,7 @@ class OpenScenes:
                 table[world, : scene.n_boxes], table[world, scene.n_boxes :] = values, np.nan
 
     def add(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
-        """Add one box to each of these worlds."""
+        """Add one box to each of the given worlds."""
         rows, at = np.asarray(worlds, np.intp), self._count[worlds]
         self._make_room(int(at.max(initial=0)) + 1)
         for table, values in zip(self._columns, (boxes.half_size, boxes.target, boxes.mass), strict=True):
@@ -75,7 +75,8 @@ class OpenScenes:
             table[np.asarray(into, np.intp)] = table[np.asarray(sources, np.intp)]
 
     def stacks(self, worlds: Sequence[int]) -> Stacks:
-        """The boxes of these worlds, in arrays as wide as the fullest world. A world may occur several times."""
+        """The boxes of the given worlds, in arrays with as many columns as the fullest world has boxes. A world may
+        occur several times."""
         rows = np.asarray(worlds, np.intp)
         width = int(self._count[rows].max(initial=0))
         half_size, target, mass = (table[rows, :width] for table in self._columns)
@@ -108,7 +109,7 @@ class NextBoxes:
     """One box for each of m worlds. Units are those of ``Scene``.
 
     Attributes:
-        half_size: (m, 3) half extents, m.
+        half_size: (m, 3) half extents of the boxes, m.
         target: (m, 3) planned middles, at which boxes are also released, m.
         mass: (m,) masses, kg.
     """
@@ -119,11 +120,12 @@ class NextBoxes:
 
     @classmethod
     def of(cls, size_mm: FloatArray, corner_mm: FloatArray, mass_kg: FloatArray, sim: Simulation) -> NextBoxes:
-        """Boxes from extents and corners, bit-identical to those of ``build_scene``.
+        """The next boxes, bit-identical to the boxes of ``build_scene``.
 
         Args:
-            size_mm, corner_mm: (m, 3) extents of the boxes in their planned orientation, and their corners.
-            mass_kg: (m,) masses.
+            size_mm: (m, 3) extents of the boxes along x, y and z in their planned orientation.
+            corner_mm: (m, 3) planned corners (front left bottom) of the boxes.
+            mass_kg: (m,) masses of the boxes.
         """
         return cls(*half_size_and_target(size_mm, corner_mm, sim), mass_kg)
 
@@ -137,13 +139,15 @@ class NextBoxes:
 
 @dataclass(frozen=True, eq=False)
 class Stacks:
-    """The planned boxes of m worlds that have the same carrier, in k columns; NaN if a world has fewer boxes.
+    """The planned boxes of m worlds that have the same carrier. The fullest world has k boxes.
+
+    If a world has fewer boxes, the values in its last columns are NaN.
 
     Attributes:
-        half_size, target: (m, k, 3) half extents and planned middles, m.
+        half_size, target: (m, k, 3) half extents and planned middles of the boxes, m.
         mass: (m, k) masses of the boxes, kg.
         carrier_mass: mass of the carrier, kg.
-        carrier_friction, box_friction: coefficients of sliding friction.
+        carrier_friction, box_friction: coefficients of sliding friction of the carrier and of every box.
     """
 
     half_size: FloatArray
@@ -154,7 +158,7 @@ class Stacks:
     box_friction: float
 
     def with_next(self, boxes: NextBoxes) -> tuple[FloatArray, FloatArray]:
-        """(m, k + 1, 3) half extents and (m, k + 1, 3) planned middles after adding one box to each world, m."""
+        """(m, k + 1, 3) half extents and (m, k + 1, 3) planned middles, m, after one box was added to each world."""
         m = len(boxes)
         tables = []
         count = np.isfinite(self.mass).sum(axis=1)
@@ -166,7 +170,7 @@ class Stacks:
 
 
 class EmptyCarrier:
-    """A carrier without boxes, and the values that all boxes added to it share."""
+    """A carrier without boxes, and the properties (such as friction) that are equal for all boxes added later."""
 
     def __init__(self, sim: Simulation) -> None:
         plan = Plan("", "", _ONE_MM, np.zeros((1, 3)), np.ones(1), ("",), ("",), np.ones(1, np.int64))
@@ -176,8 +180,8 @@ class EmptyCarrier:
         self.surface = 0 if self._one.surface is None else int(self._one.surface[0])
 
     def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
-        """The scene with one more box: row ``row`` of ``boxes``. The box has no values of its own except extents, place
-        and mass."""
+        """The scene with one more box: the box ``row`` of ``boxes``. The box's extents, place and mass are those in
+        ``boxes``. Its other properties are those of all added boxes."""
         place = boxes.target[row]
         box_values = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
         grown: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""History of a world: the frames that an engine records for a job with ``record``."""
+"""History of a world: the frames (states at certain times) that an engine records for a job with ``record``."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from petmjx.common.units import FloatArray
 
 CARRIER = -1
 FLOOR = -2
-"""Numbers by which contacts name the bodies that are not boxes. Boxes are numbered from 0, in packing order."""
+"""Numbers of the carrier and the floor in lists of contacts. Boxes are numbered from 0, in packing order."""
 
 
 @dataclass(frozen=True)
 class Record:
-    """The frames of a world that an engine should record.
+    """A request to an engine to record frames of a world.
 
     Attributes:
-        interval_s: time between frames, s, rounded to whole steps. The moments of placements and the last state are
-            additional frames.
-        details: True: also record accelerations, penetrations and contacts; engine ``mujoco`` only.
+        interval_s: time between frames, s, rounded to whole steps. In addition, a frame is recorded whenever a box is
+            placed, and at the end.
+        details: whether to also record accelerations, penetrations and contacts; only the engine ``mujoco`` can.
     """
 
     interval_s: float
@@ -32,15 +32,15 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Contacts of all frames, as c rows in order of frames.
+    """The contacts of all frames of a history: c contacts, in order of frames.
 
     Attributes:
-        frame: (c,) number of the frame.
-        body: (c, 2) the two bodies: boxes from 0, ``CARRIER``, ``FLOOR``.
+        frame: (c,) number of the frame in which each contact occurs.
+        body: (c, 2) the two bodies that touch: numbers of boxes, ``CARRIER`` or ``FLOOR``.
         point: (c, 3) position of the contact in world axes, m.
-        normal: (c, 3) unit vector from the first body to the second.
+        normal: (c, 3) unit vector that points from the first body to the second.
         force: (c, 3) force of the first body on the second in world axes, N.
-        distance: (c,) distance of the bodies, m; negative if they penetrate.
+        distance: (c,) distance between the bodies' surfaces, m; negative if the bodies penetrate one another.
     """
 
     frame: NDArray[np.int32]
@@ -57,7 +57,11 @@ class Contacts:
         return cls(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), vectors, vectors, vectors, np.zeros(0))
 
     def of_frames(self, kept: NDArray[np.bool_], shift: int) -> Contacts:
-        """The contacts of the kept frames, with ``shift`` added to the frame numbers."""
+        """The contacts in some of the f frames, with ``shift`` added to their frame numbers.
+
+        Args:
+            kept: (f,) whether each frame is kept.
+        """
         rows = kept[self.frame]
         field_rows = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
         return Contacts(**field_rows | {"frame": field_rows["frame"] + np.int32(shift)})
@@ -75,23 +79,25 @@ class Contacts:
 class History:
     """The history of one world: f frames of n boxes, in packing order. The values of a box are NaN until it is placed.
 
-    A frame is taken after a step. Its poses are those after the step. Its forces, accelerations, contacts and drive are
-    those during the step; MuJoCo evaluates them at the beginning of the step. For a box that was placed after the step,
-    forces and accelerations are 0.
+    A frame is taken after a step. The poses are those after the step. The forces, accelerations, contacts and drive
+    (what shakes the carrier) are those during the step; MuJoCo evaluates them at the beginning of the step. If a box
+    was placed directly after the step, its forces and accelerations in this frame are 0.
 
     Attributes:
-        time_s: (f,) time since the soft start; the first frame is the first placement or, with check ``static``, 0.
-        n_placed: (f,) number of boxes in the world.
-        pos: (f, n, 3) centres, m.
-        quat: (f, n, 4) orientations, (w, x, y, z).
-        top_force_n: (f, n) force on top of each box, N.
+        time_s: (f,) time since the soft start (the phase in which gravity grows), s. The first frame is that of the
+            first placement or, with check ``static``, that at time 0.
+        n_placed: (f,) number of boxes placed so far.
+        pos: (f, n, 3) centres of the boxes, m.
+        quat: (f, n, 4) orientations of the boxes as quaternions (w, x, y, z).
+        top_force_n: (f, n) sum of the vertical forces on each box from above, N.
         carrier_pos: (f, 3) centre of the carrier, m.
-        carrier_quat: (f, 4) orientation of the carrier, (w, x, y, z).
-        drive: (f, 3) the drive: force on the carrier, N, or its acceleration, m/s²; zero without a drive.
+        carrier_quat: (f, 4) orientation of the carrier as a quaternion (w, x, y, z).
+        drive: (f, 3) force on the carrier, N, or acceleration of the carrier, m/s²; zero without a drive.
         drive_kind: "force" or "acceleration"; "" without a drive.
-        lin_acc, ang_acc: (f, n, 3) accelerations, m/s² and rad/s²; None if details were not recorded.
-        penetration_m: (f, n) greatest depth of any contact of the box; None if details were not recorded.
-        contacts: all contacts; None if details were not recorded.
+        lin_acc, ang_acc: (f, n, 3) linear accelerations, m/s², and angular accelerations, rad/s², of the boxes; None if
+            details were not recorded.
+        penetration_m: (f, n) depth of the deepest contact of each box, m; None if details were not recorded.
+        contacts: the contacts in all frames; None if details were not recorded.
     """
 
     time_s: FloatArray
@@ -114,10 +120,10 @@ class History:
         return f"History({count_text(frames, 'frame')} of {count_text(boxes, 'box', 'boxes')}, {span})"
 
     def then(self, later: History) -> History:
-        """This history up to the first frame of a later one, followed by the later one.
+        """This history up to the first frame of ``later``, followed by the history ``later``.
 
-        If both have a frame at the same moment, the frame of this history is kept: the later world started at that
-        moment and does not know the forces before it.
+        If both histories have a frame at the same time, the frame of this history is kept: the later simulation started
+        at that time, so its first frame lacks the forces of the step before.
         """
         is_before, is_after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]
         joined: dict[str, Any] = {}

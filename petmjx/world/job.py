@@ -1,4 +1,4 @@
-"""Jobs for engines: one world to simulate, and the drive that shakes it."""
+"""Jobs for engines. A job is one world to simulate: a scene, and the drive (the motion or force) that shakes it."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from petmjx.world.scene import Scene
 
 FORCE: Final = "force"
 ACCELERATION: Final = "acceleration"
-"""The two kinds of excitations and of profiles, by what the samples are: forces or accelerations."""
+"""The two kinds of excitations and of profiles: their samples are forces, or accelerations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """A force or acceleration profile as an array: one vector per step, in the profile's own axes.
+    """A force or acceleration profile as an array: one vector per timestep, in the profile's own axes.
 
     Attributes:
-        name: name for messages.
-        kind: "force" (on the carrier, samples in units of total mass × 9.81 m/s²) or "acceleration"
-            (of the carrier, samples in m/s²; simulated as gravity − a with the carrier clamped).
-        samples: (n_steps, 3) vectors; row i acts during step i + 1 of the profile. After the last row, nothing acts.
+        name: name of the profile, for messages.
+        kind: "force" or "acceleration". A force acts on the carrier; the unit of its samples is total mass × 9.81 m/s².
+            An acceleration is that of the carrier; the unit of its samples is m/s². The engine clamps the carrier and
+            subtracts the acceleration from gravity.
+        samples: (n_steps, 3) vectors. Row i acts during step i + 1 of the profile. Nothing acts after the last row.
     """
 
     name: str
@@ -41,28 +42,28 @@ class Excitation:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """An excitation as it acts on one world: scaled, and rotated about the vertical by ``yaw_rad``."""
+    """An excitation as it acts on one world: multiplied by ``scale``, and rotated about the vertical by ``yaw_rad``."""
 
     excitation: Excitation
     scale: float = 1.0
     yaw_rad: float = 0.0
     rest_s: float = 1.0
-    """Time to come to rest after the last sample of the excitation, s."""
+    """Time that the boxes have to come to rest after the last sample of the excitation, s."""
     allowed_sway_m: float = 0.0
-    """A culprit that tilts too far counts as lost only once it has swayed by this distance, m. Until then, the pallet
-    may still pass the test."""
+    """Distance, m, by which a culprit (the box that failed first) must have swayed before it counts as lost because it
+    tilts too far. Until then, the pallet may still pass the test."""
 
     def unit(self, total_mass: float) -> float:
-        """Size of one unit of the excitation's samples: in N for forces (see below), 1 m/s² for accelerations.
+        """Factor that converts the excitation's samples to N (forces) or to m/s² (accelerations; the factor is 1).
 
-        The unit of forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s². This unit is the same on all engines,
-        and it does not depend on the gravity of the physics. The reference implementation uses the total weight as the
-        unit, too. A push must not become weaker because boxes weigh less.
+        The factor for forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s², even if the simulation uses another
+        gravity: a push must not become weaker because boxes weigh less. The factor is the same on all engines. The
+        reference implementation also uses the total weight on earth.
         """
         return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
 
     def rows(self, total_mass: float) -> FloatArray:
-        """(n_steps, 3) force, N, or acceleration, m/s², during each step of the drive, in world axes.
+        """(n_steps, 3) force, N, or acceleration, m/s², during each step of the drive, along the world's axes.
 
         Args:
             total_mass: mass of boxes and carrier, kg.
@@ -79,13 +80,13 @@ class EngineState(Protocol):
 
     @property
     def step(self) -> SupportsInt:
-        """Number of steps since the soft start."""
+        """Number of steps since the soft start (the first 200 steps, in which gravity grows to its full value)."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class KeptState:
-    """A settled state and the name of the engine that made it. Only this engine can start from the state."""
+    """A settled state and the name of the engine that made the state. Only this engine can start from the state."""
 
     engine: str
     state: EngineState
@@ -95,23 +96,26 @@ class KeptState:
 class Job:
     """One world to simulate.
 
-    ``start`` is the ``state`` of an earlier outcome: the world skips soft start and placement, and begins with its
-    drive. The engine gets a state of its own type; outside the engine, the state is wrapped in a ``KeptState``.
-    ``keep_state`` requests a state, taken when the placement has settled. A job with ``keep_state`` and no drive may
-    end once the placement has settled, without a rest window. ``record`` requests the world's history; no other result
-    changes. ``has_errors``: boxes are not exactly at their planned places, and may stand on a neighbour that is a
-    little higher (``petmjx.engines.contact_tilt``).
-
     With early stop, a world with errors ends not only when a box has dropped, but also when a box is *lost*: tilted by
-    more than the threshold. Since the largest tilt counts, the verdict is known once a box is lost. The remaining time
-    would be the most expensive part of the simulation. A large shift does not end the world: a board that tips under
-    one load is level again under the next one. A world with a drive ends when its culprit is lost, since only then is
-    it known how the first box failed.
+    more than the threshold. The verdict depends on the largest tilt, so it is known once a box is lost. The rest of the
+    simulation would be its most expensive part. A large shift does not end a world: a board that tips under one box is
+    level again under the next box. A world with a drive ends when the culprit (the box that failed first) is lost,
+    since only then is it known how the culprit failed.
 
-    ``poses``, (n, 7): middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
-    rest at these poses. So a drive can continue from the poses that another drive left, on any engine. The carrier is
-    where the placement left it, since drives of accelerations clamp it. None: the boxes, too, are where the placement
-    left them.
+    Attributes:
+        scene: the world.
+        drive: the drive that shakes the world. If None, nothing shakes the world.
+        start: the ``state`` of an earlier outcome. The world then skips the soft start and the placement, and begins
+            with the drive. Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
+        poses: (n, 7) middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
+            rest at these poses. So a drive can continue from the poses that another drive left, on any engine. The
+            carrier is where the placement left it, since accelerations clamp it. If None, the boxes, too, are where
+            the placement left them.
+        keep_state: whether the outcome must have the state in which the placement has settled. A job with
+            ``keep_state`` and no drive may end once the placement has settled, without the time to come to rest.
+        record: which history of the world to record; no other result changes.
+        has_errors: whether the boxes' places differ from the planned places. Then a box may stand on a neighbour that
+            is a little higher (``petmjx.engines.contact_tilt``).
     """
 
     scene: Scene
@@ -124,5 +128,5 @@ class Job:
 
     @property
     def settles(self) -> bool:
-        """Whether the placement ends in a settled state, from which a drive starts or which is kept."""
+        """Whether the placement must end in a settled state, because a drive starts from it or because it is kept."""
         return self.drive is not None or self.keep_state

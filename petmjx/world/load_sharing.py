@@ -1,10 +1,10 @@
-"""Load sharing: the forces with which supports carry a box, given that supports can only push.
+"""Load sharing: the forces with which several supports carry a box, if supports can push but not pull.
 
-The pressure of a box on a bed of equal springs is a plane (petmjx.world.supports). If a load is far from the middle of
-the supports, part of this plane pulls: springs on the opposite side would be stretched. Real supports only push. The
-solution is the set of pushing forces, each within its own contact area, that balances the load with the least energy of
-the springs (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the
-plane pulls nowhere, it is the solution.
+The pressure of a box on a bed of equal springs is a linear function of the place (petmjx.world.supports), here called a
+plane. If a load is far from the middle of the supports, this pressure is negative at the opposite end: springs would
+pull there. Real supports only push. So the forces are those pushing forces, each within its contact area, that balance
+the load with the least energy of the springs (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans
+les systèmes élastiques"). If the plane pulls nowhere, these are the forces of the plane.
 
 A contact has the force F and the moments Mx, My about the middle of its area A, whose half lengths are a and b. The
 energy is
@@ -12,8 +12,9 @@ energy is
     (F² + 3 Mx²/a² + 3 My²/b²) / 2A,   with F ≥ 0, |Mx| ≤ a F and |My| ≤ b F
 
 In the coordinates z = (F, √3 Mx/a, √3 My/b) / √A, the energy is half the squared length of z, and the constraints form
-a square cone. So the dual problem has one pressure plane for each box, that is, three numbers. The forces are the
-projections of the planes onto the cones. The dual is piecewise quadratic, and Newton's method finds its minimum.
+a square cone. The dual problem has three unknowns for each box: the coefficients of a pressure plane. The force at a
+contact is the projection of this plane onto the contact's cone. The dual function is piecewise quadratic, and Newton's
+method finds its minimum.
 """
 
 from __future__ import annotations
@@ -30,32 +31,34 @@ from petmjx.world.rectangle_hulls import HullTable
 IntArray = NDArray[np.intp]
 
 PULL: Final = 1e-9
-"""A support counts as pulling if its force is below minus this share of the load, or if the force acts farther than
-this length, m, outside the support's area. Smaller values are rounding errors."""
+"""Largest pulling force of a support, as a share of the load, and largest distance of a force outside the support's
+area, m, that count as rounding errors. Beyond these values, the support counts as pulling."""
 
 ON_EDGE_M: Final = 1e-6
-"""A load closer to the hull's edge than this counts as on the edge, m: the planes become infinitely steep there."""
+"""Distance from the hull's edge, m, within which a load counts as on the edge. At an edge, planes would be infinitely
+steep."""
 
 _ROOT: Final = math.sqrt(3.0)
 _MOST_STEPS: Final = 60
 _MOST_HALVINGS: Final = 30
 _EXACT: Final = 1e-11
 _ENOUGH: Final = 1e-8
-"""Tolerances of force and moments, as shares of the load and its extent. Newton's steps end at ``_EXACT``. If the error
-stops shrinking, they end at ``_ENOUGH``: very near an edge, rounding prevents better results."""
+"""Tolerances of forces, as shares of the load, and of moments, as shares of load × half extent of the supports.
+Newton's method ends when errors are below ``_EXACT``. If errors stop shrinking, it ends below ``_ENOUGH``: very near an
+edge, rounding prevents better results."""
 
 _RIDGE: Final = 1e-13
-"""This factor times (1 + the trace) is added to the diagonal of the second derivatives. Otherwise, their matrix is
-singular if only one corner carries load."""
+"""Factor of a small term, (1 + the trace), that is added to the diagonal of the matrix of second derivatives. Without
+this term, the matrix would be singular if only one corner carries load."""
 
 
 def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray) -> NDArray[np.bool_]:
-    """(c,) whether each contact pulls, or pushes outside its area.
+    """(c,) whether the force at each contact pulls, or acts outside the contact's area.
 
     Args:
-        force: (c, 3) force of each contact, and its first moments along x and y.
-        low, high: (c, 2) corners of the areas, m.
-        load: (c,) load of the box above each contact: its own weight plus the weight that rests on it.
+        force: (c, 3) force at each contact, and the force's first moments along x and y (force × coordinate).
+        low, high: (c, 2) lowest and highest corners (x, y) of the contacts' areas, m.
+        load: (c,) load of the box above each contact: the box's own weight plus the weight that rests on it.
     """
     slack = -PULL * np.abs(load)
     least = np.minimum(force[:, 1:] - low * force[:, :1], high * force[:, :1] - force[:, 1:])
@@ -64,13 +67,13 @@ def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray
 
 
 def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """(c, 3) forces of contacts and their first moments along x and y. All forces push, and together they balance the
-    loads. Each load must be within the hull of its contacts.
+    """(c, 3) pushing forces at contacts, and their first moments along x and y, that balance p loads with the least
+    energy. Each load must be within the convex hull of its contacts.
 
     Args:
-        load: (p, 3) loads of boxes: force and first moments along x and y.
-        owner: (c,) the box that rests on each contact, in the order of boxes; each box has at least one contact.
-        low, high: (c, 2) corners of the contacts' areas.
+        load: (p, 3) load of each box: force, and first moments along x and y (force × coordinate).
+        owner: (c,) number of the load on each contact, rising. Each load has at least one contact.
+        low, high: (c, 2) lowest and highest corners (x, y) of the contacts' areas, m.
     """
     begins = np.flatnonzero(np.diff(owner, prepend=-1))
     around_low, around_high = np.minimum.reduceat(low, begins), np.maximum.reduceat(high, begins)
@@ -91,8 +94,10 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
 
 
 def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
-    """(c, 3) forces of contacts in the coordinates z. They are the projections of pressure planes onto the cones. The
-    planes are those whose projections balance the unit loads.
+    """(c, 3) forces at contacts in the coordinates z of this module's docstring.
+
+    For each box, the pressure plane is searched whose projections onto the cones of the box's contacts balance the
+    box's load. The forces are these projections.
     """
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -107,7 +112,7 @@ def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, un
     for _ in range(_MOST_STEPS):
         residual = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
         off = np.abs(residual).max(axis=1)
-        # the iteration of each box ends by itself, so that its forces do not depend on other boxes
+        # the iteration for a box ends independently of other boxes, so that the forces do not depend on other boxes
         goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))
         if not goes_on.any():
             break
@@ -129,7 +134,8 @@ def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, un
 
 
 def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(c, 3) the points of the cone |z₁|, |z₂| ≤ √3 z₀ nearest to each point, and (c, 3, 3) their derivatives."""
+    """(c, 3) the point of the cone |z₁|, |z₂| ≤ √3 z₀ nearest to each given point, and (c, 3, 3) the derivative of the
+    nearest point with respect to the given point."""
     size, height = np.abs(point[:, 1:]), point[:, 0]
     first_is_large = size[:, 0] >= size[:, 1]
     large, small = np.maximum(size[:, 0], size[:, 1]), np.minimum(size[:, 0], size[:, 1])
@@ -138,8 +144,8 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
     inside = _ROOT * height >= large
     face = ~inside & (_ROOT * on_face >= small)
     ridge = ~(inside | face) & (on_ridge > 0)
-    # which coordinates the projection leaves unchanged: all of them for a point inside the cone, and for a point that
-    # is projected onto a face only the smaller one
+    # which coordinates the projection leaves unchanged: all coordinates of a point inside the cone, and only the
+    # smaller one of z₁ and z₂ if a point is projected onto a face
     stays = np.stack([inside, inside | (face & ~first_is_large), inside | (face & first_is_large)], axis=1)
     towards = np.where(point < 0, -_ROOT, _ROOT)
     towards[:, 0] = 1.0
@@ -155,13 +161,14 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
 def on_edges(
     load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray, hulls: HullTable, hull: IntArray
 ) -> FloatArray:
-    """(c, 3) forces at the contacts of boxes whose loads are on the edge of their hull, or beyond it.
+    """(c, 3) forces at contacts, and their first moments along x and y, for loads on or beyond an edge of their hull.
 
-    Only the two outermost corners on the nearest edge carry the load, as for a box that begins to tip over.
+    Only the two outermost corners on the nearest edge carry the load, as if the box begins to tip over.
 
     Args:
-        load, owner, low, high: see ``pushes``.
-        hull: (p,) number of the hull of each box's contacts.
+        load, owner, low, high: as in ``pushes``.
+        hulls: the convex hulls of the boxes' contacts.
+        hull: (p,) number in ``hulls`` of each load's hull.
     """
     point = load[:, 1:] / load[:, :1]
     nearest = hulls.distances_m(hull, point).argmin(axis=1)

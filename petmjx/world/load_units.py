@@ -1,8 +1,8 @@
 """Load units: pallets among the boxes of a plan, with boxes on them.
 
-A pallet that stands on a trailer's floor, on a rack or on another load is an item of its own. The kind of such an item
-is the name of a pallet, as for a carrier. The body of such an item has one shape per board, so that it slides, tips and
-carries load as the real pallet does. The mass is that of the item, shared among the boards by volume.
+A pallet that stands on a trailer's floor, on a rack or on another load is an item of the plan, like a box. The item's
+kind is the name of a pallet type, as for a carrier. Its body has one shape per board, so that it slides, tips and
+carries load as the real pallet does. The mass that the plan gives for the item is divided among the boards by volume.
 """
 
 from __future__ import annotations
@@ -22,11 +22,13 @@ from petmjx.world.carrier_boards import pallet
 def with_pallets(
     plan: Plan, half_size: FloatArray, mass_center: FloatArray | None
 ) -> tuple[tuple[Pieces, ...], FloatArray | None, FloatArray | None]:
-    """The pieces of a plan's pallets, (n, 3) centres of mass and (n, 3) inertia boxes of all boxes; see ``Scene``.
+    """The boards of the pallets in a plan, and (n, 3) centres of mass and (n, 3) inertia boxes of all its boxes.
+
+    ``Scene`` describes these three fields.
 
     Args:
-        half_size: (n, 3) half extents of the boxes, m. Boards are scaled with their item.
-        mass_center: (n, 3) centres of mass given by the plan; None: in the middles.
+        half_size: (n, 3) half extents of the boxes, m. Boards are scaled to the size of their pallet.
+        mass_center: (n, 3) centres of mass that the plan gives, m. If None, they are in the boxes' middles.
     """
     if not plan.pallets:
         return (), mass_center, None
@@ -51,8 +53,10 @@ def with_pallets(
 
 
 def _boards(kind: str, half_size: FloatArray) -> Body:
-    """The boards of a kind of pallet, scaled to a pallet of this half size. Places are relative to the middle of the
-    pallet, m; the pallet is not rotated."""
+    """The boards of a type of pallet, scaled to a pallet with (3,) half extents ``half_size``, m.
+
+    The places of boards are relative to the middle of the pallet, m. The pallet is not rotated.
+    """
     boards = pallet(Carrier(kind))
     assert boards is not None
     corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*boards.boards, strict=True))

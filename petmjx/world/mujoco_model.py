@@ -1,7 +1,7 @@
-"""The MuJoCo model of a scene. The engine ``mujoco`` steps it, ``petmjx export`` writes it, and MJX uses a padded
-version of it.
+"""The MuJoCo model of a scene. The engine ``mujoco`` simulates this model, and ``petmjx export`` writes it as text. The
+MJX engines use a version with additional, unused bodies.
 
-Boxes are rigid bodies or flex bodies. ``to_mjcf`` writes the model as text.
+Boxes are rigid bodies, or flex bodies (soft bodies of MuJoCo).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ CARRIER_NAME = "carrier"
 _CONE = {Cone.PYRAMIDAL: mujoco.mjtCone.mjCONE_PYRAMIDAL, Cone.ELLIPTIC: mujoco.mjtCone.mjCONE_ELLIPTIC}
 
 _SOLIMP_TAIL = (0.5, 2.0)
-"""MuJoCo's defaults for the last two numbers of solimp. The reference implementation does not change them."""
+"""The last two numbers of ``solimp``: MuJoCo's defaults, which the reference implementation uses, too."""
 
 BOX_COLOURS = ((0.80, 0.65, 0.45, 1.0), (0.70, 0.52, 0.35, 1.0), (0.88, 0.76, 0.58, 1.0))
-"""Three shades of cardboard, so that a viewer shows where one box ends and the next begins."""
+"""Three shades of cardboard for boxes, so that neighbours can be told apart in a viewer."""
 
 _WALL_OPACITY = 0.1
-"""Walls of a carrier are drawn nearly transparent, so that boxes behind them are visible."""
+"""Opacity of a carrier's walls, so low that boxes behind them are visible."""
 
 _CARRIER_COLOUR = (0.45, 0.32, 0.20, 1.0)
 _FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
@@ -42,10 +42,13 @@ _FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class HeldCarrier:
-    """The pose in which a carrier is clamped: pos (3,), m, and quat (4,), (w, x, y, z).
+    """The pose in which a carrier is clamped.
 
-    The carrier is a static body. With ``mocap``, the carrier is a mocap body, whose pose is stored in a world's data,
-    so that worlds can share a model.
+    Attributes:
+        pos: (3,) centre of mass of the carrier, m.
+        quat: (4,) orientation of the carrier as a quaternion (w, x, y, z).
+        mocap: whether the carrier is a mocap body of MuJoCo instead of a static body. The pose of a mocap body is part
+            of a world's data, not of the model, so that worlds with different poses can share a model.
     """
 
     pos: FloatArray
@@ -54,25 +57,28 @@ class HeldCarrier:
 
 
 def box_name(box: int) -> str:
-    """Name of the body of a box, and of its shape. ``box`` is the packing order, from 0."""
+    """Name of a box's body and of its geom. ``box`` is the number of the box in packing order, from 0."""
     return f"box_{box}"
 
 
 def build_spec(
     scene: Scene, physics: Physics, held_carrier: HeldCarrier | None = None, n_boxes: int | None = None
 ) -> mujoco.MjSpec:
-    """The exact, unpadded model of a scene (docs/rules.md, section 1).
+    """The exact model of a scene, without unused bodies (docs/rules.md, section 1).
 
-    Bodies are in this order: world (with the floor), carrier, box_0, box_1, … A free carrier has the first free joint
-    (qpos 0…6, qvel 0…5); the boxes' joints follow in the same order. Initial positions are the release poses. The geoms
-    are the floor and then the scene's shapes, body after body; ``geom_bodies`` returns the body of each geom.
+    Bodies are in this order: world (with the floor), carrier, box_0, box_1, … A carrier that is not clamped has the
+    first free joint (qpos 0…6, qvel 0…5). The boxes' free joints follow in the order of boxes. The initial poses are
+    those of the boxes at release. The geoms are the floor, and then the scene's shapes, body after body;
+    ``geom_bodies`` returns the body of each geom.
 
     Args:
-        held_carrier: clamp the carrier at this pose instead of giving it a free joint.
-        n_boxes: build only this number of boxes, the first in packing order; None: build all.
+        scene: the scene.
+        physics: the physics.
+        held_carrier: pose in which the carrier is clamped. If None, the carrier has a free joint.
+        n_boxes: number of boxes in the model, the first ones in packing order. If None, the model has all boxes.
 
     Raises:
-        ValueError: ``n_boxes`` is not in 0…scene.n_boxes.
+        ValueError: ``n_boxes`` is not between 0 and the number of the scene's boxes.
     """
     count = scene.n_boxes if n_boxes is None else n_boxes
     if not 0 <= count <= scene.n_boxes:
@@ -115,8 +121,7 @@ def add_boxes(
 ) -> None:
     """Add the bodies of ``boxes``, in this order, to a spec that already has the boxes ``before``.
 
-    Args:
-        held: True: the carrier is clamped.
+    ``held`` is True if the carrier is clamped.
     """
     frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics, held)
     partner_shapes = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
@@ -131,10 +136,11 @@ def add_boxes(
 
 
 def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer]) -> NDArray[np.intp]:
-    """(ngeom,) the body to which each geom belongs: a box, ``CARRIER`` or ``FLOOR``.
+    """(ngeom,) the body to which each geom belongs: the number of a box, ``CARRIER`` or ``FLOOR``.
 
     Args:
-        boxes: the boxes, in the order of their bodies. These bodies are the last ones of the model.
+        model: the compiled model.
+        boxes: the numbers of the boxes, in the order of their bodies, which are the last bodies of the model.
     """
     of_body = np.full(model.nbody, CARRIER, np.intp)
     of_body[0] = FLOOR
@@ -144,7 +150,8 @@ def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer
 
 
 def geom_surfaces(scene: Scene, bodies: NDArray[np.integer]) -> NDArray[np.intp]:
-    """(ngeom,) the surface of each geom. ``bodies``: the result of ``geom_bodies``."""
+    """(ngeom,) surface number of each geom (petmjx/world/friction_pairs.py). ``bodies`` is the result of
+    ``geom_bodies``."""
     surface = np.zeros(len(bodies), np.intp)
     if scene.surface is not None:
         surface[bodies >= 0] = scene.surface[bodies[bodies >= 0]]
@@ -155,16 +162,15 @@ def geom_surfaces(scene: Scene, bodies: NDArray[np.integer]) -> NDArray[np.intp]
 
 @dataclass(frozen=True)
 class _Partner:
-    """The values of a geom from which its contact pairs are declared."""
+    """The properties of a geom that determine its contacts with other geoms."""
 
     name: str
     friction: Triple
     skin_m: float
     surface: int = 0
     face: Face | None = None
-    """The geom's face, if the scene has compliant boxes (petmjx/world/compliance.py). None for the floor, and in all
-    other scenes.
-    """
+    """Properties of the geom's shape that determine how stiff its contacts are (petmjx/world/compliance.py). None for
+    the floor, and if the scene has no compliant boxes."""
 
 
 def _declare_pairs(
@@ -174,11 +180,11 @@ def _declare_pairs(
     these: Sequence[_Partner],
     other_partners: Sequence[_Partner],
 ) -> None:
-    """Declare a contact pair between each geom of ``these`` and each of ``other_partners``.
+    """Declare a contact pair between each geom of ``these`` and each geom of ``other_partners``.
 
-    Pairs are declared if friction has a time constant of its own: MuJoCo allows this only for declared pairs. Apart
-    from this, contacts are the same as without a declaration. The larger friction of two geoms counts, unless the table
-    of their surfaces has an entry.
+    MuJoCo allows friction with a time constant of its own only in declared pairs. If friction has no time constant of
+    its own, no pairs are declared. A pair has the larger friction coefficient of its two geoms, unless the table of
+    surfaces has an entry for the pair.
     """
     if not physics.has_own_friction:
         return
@@ -203,7 +209,7 @@ def _declare_pairs(
 
 @lru_cache(maxsize=256)
 def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, list[_Partner]]:
-    """The geoms of each body and of the floor. ``held``: whether the carrier is clamped."""
+    """The geoms of each body and of the floor. ``held`` is True if the carrier is clamped."""
     partners = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)], CARRIER: []}
     shapes = scene.shapes
     faces = _faces(scene, held)
@@ -221,7 +227,8 @@ def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, l
 
 
 def _faces(scene: Scene, held: bool) -> list[Face | None]:
-    """The face of each shape, which determines the laws of its contacts. None if the scene has no compliant boxes."""
+    """The ``Face`` of each shape, which determines how stiff the shape's contacts are. A list of None if the scene has
+    no compliant boxes."""
     if scene.stiffness is None:
         return [None] * len(scene.shapes.body)
     carrier, shapes = scene.carrier, scene.shapes
@@ -246,15 +253,15 @@ def _set_options(spec: mujoco.MjSpec, physics: Physics) -> None:
 def _add_shapes(
     body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int, rgba: tuple[float, float, float, float]
 ) -> None:
-    """Add a body's shapes. Each shape is larger on all sides by its skin.
+    """Add a body's shapes as geoms. Each geom is larger than its shape on all sides, by a thickness called skin.
 
-    A contact begins once the enlarged shapes overlap by the skins of both partners. For faces, this is the moment at
-    which the boxes themselves touch. For edges and corners, contacts begin up to √2 − 1 and √3 − 1 skins earlier.
+    A contact begins when the enlarged geoms overlap by the skins of both partners. For two faces, this is the moment at
+    which the shapes themselves touch. Contacts of edges begin up to √2 − 1 skins earlier, those of corners √3 − 1.
 
-    For two crossing edges, MuJoCo's collider returns their single point instead of the contact of the faces if that
-    point is less deep by 5 % (3.17: ``engine_collision_box.c``). At the usual depth, a tenth of a millimetre, the
-    collider alternates between the two results, and pallets tremble. A skin makes faces and edges deeper by the same
-    amount (docs/validation.md).
+    If two edges cross, MuJoCo's collider returns either the contact of the faces, or the single point at which the
+    edges cross. It chooses the point if its depth is smaller by 5 % (MuJoCo 3.17, ``engine_collision_box.c``). At the
+    usual depth of a tenth of a millimetre, the collider's choice changes from step to step, and pallets tremble. With
+    skins, both depths are larger by the same amount, so the difference is below 5 % (docs/validation.md).
     """
     shapes = scene.shapes
     walls = range(scene.carrier.n_boards, len(scene.carrier.half_size))
@@ -277,12 +284,15 @@ def _add_shapes(
 
 
 def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int) -> None:
-    """Set mass and moments of inertia. For a solid box without a skin, MuJoCo computes the moments: its results differ
-    in the last digits, and the reference implementation uses them."""
+    """Set the mass and the moments of inertia of a body.
+
+    For a solid box without a skin, MuJoCo computes the moments, as in the reference implementation. MuJoCo's moments
+    differ from those of petmjx in the last digits.
+    """
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier
-    # A carrier keeps the mass of a wall that is opened. If only one shape remains, it is not at the carrier's centre of
-    # mass.
+    # The mass and centre of mass of a carrier include walls that are open. So even if a carrier has a single shape, the
+    # shape may not be at the centre of mass.
     of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()
     solid = scene.inertia_box is None and of_one and not scene.pieces
     if solid and scene.mass_center is None and not physics.skin_m:
@@ -311,22 +321,22 @@ def _add_geom(
     geom.solref = np.array(physics.solref)
     geom.solimp = np.array(physics.solimp + _SOLIMP_TAIL)
     if physics.has_own_friction:
-        geom.contype = geom.conaffinity = 0  # only declared pairs collide (_declare_pairs), each only once
+        geom.contype = geom.conaffinity = 0  # only declared pairs collide (_declare_pairs)
     return geom
 
 
 _MEMORY_BYTES = 1 << 24
-"""Memory that MuJoCo reserves for each box, bytes. Faces of soft boxes have up to a hundred contacts each. The
-operating system allocates only the used part."""
+"""Memory that MuJoCo reserves for each box, bytes. A face of a soft box can have a hundred contacts. The operating
+system allocates only the used part of the memory."""
 
 
 def soft_spec(
     scene: Scene, physics: Physics, held_carrier: HeldCarrier | None = None, n_boxes: int | None = None
 ) -> mujoco.MjSpec:
-    """Like ``build_spec``, but soft boxes are flex bodies: 27 bodies for each soft box instead of one.
+    """The model of ``build_spec``, in which each soft box is a flex body: 27 bodies instead of one.
 
     Raises:
-        InputError: see ``check_soft``.
+        InputError: MuJoCo cannot simulate the soft boxes.
     """
     check_soft(scene)
     count = scene.n_boxes if n_boxes is None else n_boxes
@@ -347,7 +357,7 @@ def soft_spec(
 
 
 def to_mjcf(scene: Scene, physics: Physics) -> str:
-    """The scene as MJCF text for MuJoCo's viewer, with every box at its release pose."""
+    """The model of a scene as MJCF text for MuJoCo's viewer, with every box at its pose of release."""
     spec = build_spec(scene, physics) if scene.soft is None else soft_spec(scene, physics)
     spec.modelname = "petmjx"
     spec.worldbody.add_light(pos=[0.0, 0.0, 4.0], dir=[0.0, 0.0, -1.0])

@@ -1,4 +1,4 @@
-"""Notes on options that have no effect, and on options and plans that are probably wrong."""
+"""Notes for the user on options that have no effect, and on options and plans that are probably wrong."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _USES: Final = {
     Way.HAND: ("height_mm", "side_mm", "speed_m_s", "force_n"),
     Way.TINES: ("height_mm", "side_mm", "speed_m_s", "force_n", "tines_mm"),
 }
-"""Way of placing → the fields of ``Placing`` that it uses."""
+"""Way of placing boxes → the fields of ``Placing`` that have an effect on this way."""
 
 _AXES: Final = {
     "placing_height_mm": "height_mm",
@@ -45,13 +45,15 @@ def notes_about(
     """All notes about a run, one line each.
 
     Args:
+        sim: the options.
+        plans: the plans.
         axes: names of the axes of a sweep.
-        errors: whether places or sizes have errors in some worlds.
-        driven: whether worlds are shaken.
+        errors: whether places or sizes of boxes have errors in some worlds.
+        driven: whether some worlds are shaken.
 
     Raises:
-        InputError: see ``check_surfaces``; or MuJoCo cannot simulate the soft boxes; or film is around a plan that has
-            pallets among its boxes.
+        InputError: materials are wrong (see ``check_surfaces``), MuJoCo cannot simulate the soft boxes, or film is
+            wrapped around a plan that has pallets among its boxes.
     """
     return [
         *carrier_notes(sim),
@@ -101,7 +103,7 @@ def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool, plans: Sequence
 
 
 def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
-    """Notes on boxes that stand on a carrier of boards, with their middle outside the hull of their supports."""
+    """Notes on boxes that stand on a carrier of boards and whose middle is beside the boards that carry them."""
     board_pallet = pallet(sim.carrier)
     if board_pallet is None:
         return
@@ -119,7 +121,7 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
 
 
 def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
-    """Notes on wall options for a carrier without walls, and on boxes that are planned through a wall."""
+    """Notes on options of walls for a carrier without walls, and on boxes that overlap a wall in the plan."""
     if not has_walls(sim):
         idle = [name for name in Walls.model_fields if getattr(sim.walls, name) not in (None, ())]
         if idle:
@@ -143,8 +145,8 @@ def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
 
 
 def _through_walls(plan: Plan, sim: Simulation) -> Iterator[tuple[int, Side, float]]:
-    """(box, side of the wall, depth in mm) for each box that is planned through a wall. If a box reaches through
-    several walls, the deepest one counts."""
+    """(box, side of the wall, depth of the overlap in mm) for each box that overlaps a wall in the plan. If a box
+    overlaps several walls, only the deepest overlap is listed."""
     place, half = (mm_to_m(values) for values in (plan.corner_mm + plan.size_mm / 2, plan.size_mm / 2))
     depth = carrier_of(plan, sim).room.depths(place, half, DEFAULT_TOLERANCE_MM / MM_PER_M)
     depth_mm = np.stack([MM_PER_M * depth[:, int(side.is_far), side.axis] for side in Side], axis=1)
@@ -154,7 +156,7 @@ def _through_walls(plan: Plan, sim: Simulation) -> Iterator[tuple[int, Side, flo
 
 
 def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> Iterator[str]:
-    """Notes on boxes too soft for their loads, and on soft-box options that are set though no box is soft."""
+    """Notes on boxes that are too soft for their loads, and on options of soft boxes that have no effect."""
     if sim.has_soft and errors and sim.placing.name is Way.AUTO:
         raise InputError(
             "soft: a hand would place boxes with errors, but soft boxes appear at their places; pass placing exact"
@@ -189,7 +191,7 @@ def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
 
 
 def _static_notes(sim: Simulation) -> Iterator[str]:
-    """A note if ``duration_s`` is set but does not fix the duration: a static check ends when the pallet rests."""
+    """A note if ``duration_s`` is set but does not determine the duration, or has no effect."""
     duration_set = sim.duration_s != Simulation.model_fields["duration_s"].default
     if duration_set and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
         yield (
@@ -224,7 +226,7 @@ def _over_gaps(plan: Plan, deck_mm: FloatArray) -> list[int]:
     low, high = plan.corner_mm[lying, :2], (plan.corner_mm + plan.size_mm)[lying, :2]
     begin, end = np.maximum(low[:, None], deck_mm[None, :, 0]), np.minimum(high[:, None], deck_mm[None, :, 1])
     borne = (end > begin).all(axis=2, keepdims=True)
-    # the hull of a box's supports lies within the rectangle around the supports
+    # the middle is compared with the rectangle around the supports, which contains the supports' convex hull
     least, most = np.where(borne, begin, np.inf).min(axis=1), np.where(borne, end, -np.inf).max(axis=1)
     middle = (low + high) / 2
     boxes: list[int] = lying[((middle < least) | (middle > most)).any(axis=1)].tolist()

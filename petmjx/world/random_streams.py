@@ -1,5 +1,5 @@
-"""Random streams of worlds. A stream depends only on the identity of its world, never on when or where the world is
-simulated."""
+"""Streams of random numbers for worlds. A stream depends only on the identity of its world, never on when or where the
+world is simulated."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ import numpy as np
 class WorldKey:
     """The identity of a world. The world's random numbers depend on nothing else.
 
-    ``replicate`` counts repetitions of the same parameters. Worlds that differ only in their profile, its level or its
-    direction have the same replicate number. So they also have the same placement, and can be compared in pairs.
+    ``replicate`` numbers the repetitions with the same parameters. Worlds that differ only in their profile, or in its
+    level or direction, have the same replicate number. Therefore these worlds have the same placement, and can be
+    compared in pairs.
     """
 
     seed: int
@@ -23,11 +24,12 @@ class WorldKey:
     replicate: int = 0
 
     def rng(self, purpose: str) -> np.random.Generator:
-        """A separate generator for each purpose ("size", "yaw", …), so that a new axis in a sweep does not change the
-        numbers of other axes.
+        """The generator for a purpose, such as "size" or "yaw". Each purpose has a generator of its own, so that a new
+        axis in a sweep does not change the random numbers of other axes.
 
-        Philox (Salmon et al., SC'11) is counter-based: its 128-bit key is the BLAKE2b hash of the world's identity. The
-        key is the same on every platform and engine, and in every batch and order.
+        The generator is Philox (Salmon et al., SC'11), which is counter-based. Its 128-bit key is the BLAKE2b hash of
+        the world's identity and the purpose. So the random numbers are the same on every platform and engine, and in
+        every batch and order.
         """
         return np.random.Generator(np.random.Philox(key=int.from_bytes(self._digest(purpose), "little")))
 
@@ -37,8 +39,8 @@ class WorldKey:
 
 
 def rngs(keys: Iterable[WorldKey], purpose: str) -> Iterator[np.random.Generator]:
-    """For each key, its generator for a purpose, valid until the next one is requested. A single generator is reset for
-    each key, which takes a quarter of the time of making a new one."""
+    """The generator of each key for a purpose. A generator is valid until the next generator is requested: a single
+    generator is reset for each key, which takes a quarter of the time of making a new generator."""
     bits = np.random.Philox(key=0)
     generator, fresh = np.random.Generator(bits), bits.state
     for key in keys:

@@ -16,13 +16,14 @@ from petmjx.common.units import FloatArray
 IntArray = NDArray[np.intp]
 
 Edge = tuple[float, float, float]
-"""An edge of a hull: the x and y components of its inward normal, and the normal's product with points of the edge."""
+"""An edge of a hull: the x and y components of the edge's inward normal, and the scalar product of this normal with any
+point of the edge."""
 
 LEAST_EDGE_M: Final = 1e-9
 """Shortest edge, m. Shorter edges are left out, since rounding determines their direction."""
 
 _STRAIGHT_M: Final = 1e-12
-"""A corner that is outside a line by less than this counts as on the line, m: the difference is rounding."""
+"""Distance of a corner from a line, m, below which the corner counts as on the line: such a distance is rounding."""
 
 _Point = Sequence[float]
 
@@ -41,24 +42,28 @@ def hull_edges(low: Sequence[_Point], high: Sequence[_Point]) -> list[Edge]:
 
 
 class HullTable(NamedTuple):
-    """The edges of many hulls. Each hull is padded to e edges with edges that are infinitely far away.
+    """The edges of s hulls. Hulls with fewer than e edges are filled up with edges that are infinitely far away.
 
     Attributes:
-        normal: (s, e, 2) inward normals.
-        offset: (s, e) products of the normals with points of their edges.
+        normal: (s, e, 2) inward normals of the edges.
+        offset: (s, e) scalar product of each normal with any point of its edge.
     """
 
     normal: FloatArray
     offset: FloatArray
 
     def inside_m(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """(p,) distance of (p, 2) points from the nearest edge of their hulls, inwards, m. ``hull``: (p,) number of
-        each point's hull."""
+        """(p,) distance of (p, 2) points from the nearest edge of their hulls, m: positive inside, negative outside.
+
+        Args:
+            hull: (p,) number of the hull with which each point is compared.
+        """
         nearest: FloatArray = self.distances_m(hull, point).min(axis=1, initial=np.inf)
         return nearest
 
     def distances_m(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """(p, e) distance of (p, 2) points from each edge of their hulls, inwards, m."""
+        """(p, e) distance of (p, 2) points from the line through each edge of their hulls, m: positive on the inner
+        side of the line."""
         normal = self.normal.take(hull, axis=0)
         inside: FloatArray = normal[..., 0] * point[:, :1] + normal[..., 1] * point[:, 1:]
         inside -= self.offset.take(hull, axis=0)
@@ -66,14 +71,14 @@ class HullTable(NamedTuple):
 
 
 def hull_table(low: FloatArray, high: FloatArray, count: IntArray) -> HullTable:
-    """The hulls of many sets of rectangles together, with the same edges as from ``hull_edges``.
+    """The hulls of s sets of rectangles, computed together. The edges are those that ``hull_edges`` finds for each set.
 
     Each edge of a hull is parallel to an axis, or joins the same corner (such as the lower left) of two rectangles. All
     other rectangles are on the inner side of the edge.
 
     Args:
-        low, high: (c, 2) corners of the rectangles, set after set.
-        count: (s,) number of rectangles of each set.
+        low, high: (c, 2) lowest and highest corners of the rectangles of all sets, set after set.
+        count: (s,) number of rectangles in each set.
     """
     begins, size = np.cumsum(count) - count, len(count)
     parts: list[tuple[IntArray, FloatArray, FloatArray]] = []
@@ -90,12 +95,13 @@ def hull_table(low: FloatArray, high: FloatArray, count: IntArray) -> HullTable:
 
 
 def _stacked_hulls(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(s, e, 2) normals and (s, e) offsets of the hulls of (s, k, 2) rectangles."""
+    """(s, e, 2) normals and (s, e) offsets, as in ``HullTable``, of the hulls of s sets of k rectangles."""
     along = np.stack([low[..., 0].min(1), -high[..., 0].max(1), low[..., 1].min(1), -high[..., 1].max(1)], axis=1)
     normals = [np.broadcast_to(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), (len(low), 4, 2))]
     offsets = [along]
     one, other = np.triu_indices(low.shape[1], 1)
-    # a positive component of a normal selects the low end of each rectangle, a negative component the high end
+    # if a component of an edge's normal is positive, the low end of each rectangle is nearest to the edge; if negative,
+    # the high end
     for sign_x, sign_y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         x, y = (low if sign_x > 0 else high)[..., 0], (low if sign_y > 0 else high)[..., 1]
         step_x, step_y = x[:, other] - x[:, one], y[:, other] - y[:, one]

@@ -1,14 +1,14 @@
-"""Release places of boxes: at rest on their supports, without overlaps.
+"""Places at which boxes are released, so that they are at rest on their supports and overlap no other box.
 
-Contacts are soft. Under its present loads, a pile has sunk by up to some tenths of a millimetre. A box's own contacts
-are a tenth of a millimetre deep once they carry the box. A box released at its planned place would fall by the sum of
-both lengths, land at centimetres per second, and might rock on an edge below it. So a box is released as deep in its
-support as its weight will press it in. It is also released lower by the distance by which the support has sunk.
+Contacts are soft. Under its present loads, a pile has sunk by up to some tenths of a millimetre. The contacts below a
+box are a tenth of a millimetre deep once they carry the box. A box released at its planned place would fall by the sum
+of both lengths, land at centimetres per second, and might rock on an edge below it. So a box is released as deep in its
+support as its weight will press it. It is also released lower by the distance by which the support has sunk.
 
-If places and sizes have errors, boxes may overlap when they appear. Contacts of overlapping boxes would throw them
-apart, and faster the stiffer the contacts and the shorter the timestep. Whether the pallet stands would then depend on
-numbers that are not properties of boxes. So overlapping boxes are first moved apart horizontally, by the smallest
-possible translations.
+If places and sizes have errors, boxes may overlap when they appear. Contacts would throw overlapping boxes apart. The
+stiffer the contacts and the shorter the timestep, the faster these boxes would move. Whether the pallet stands would
+then depend on numbers that are not properties of boxes. So overlapping boxes are first moved apart horizontally, by the
+smallest possible translations.
 """
 
 from __future__ import annotations
@@ -31,21 +31,23 @@ from petmjx.world.stackable_scenes import stacked_values
 from petmjx.world.supports import TOUCH_M
 
 NOTHING: Final = -2
-"""Stands for a support if a box has none, because it hangs in the air or falls into its place."""
+"""Number that stands for the support of a box without support: a box that hangs in the air or falls into its place."""
 
 MOST_FOLLOWED_M: Final = 0.002
-"""Largest distance by which a box follows its support, m. A pile that has moved farther no longer carries the box as
-planned."""
+"""Largest distance by which a box is released higher or lower because its support has moved vertically, m. A pile that
+has moved farther no longer carries the box as planned."""
 
 
 class Release(NamedTuple):
-    """How n boxes are released. For several stackable scenes, every array has a leading axis, one entry per scene.
+    """The places at which n boxes are released.
+
+    For several stackable scenes, every array has an additional first axis, with one entry per scene.
 
     Attributes:
-        support: (n,) the support that each box follows, that is, the body with which it shares the largest area; or
-            ``CARRIER`` or ``NOTHING``.
-        pos: (n, 3) centres of the released boxes if each support is at its planned place, m.
-        most_followed_m: largest distance by which a box follows its support, m; it is larger if supports are compliant.
+        support: (n,) number of the box under the largest part of each box's base, or ``CARRIER`` or ``NOTHING``. If
+            this support has moved vertically, the box is released higher or lower by the same distance.
+        pos: (n, 3) middles of the boxes at release if their supports are at their planned places, m.
+        most_followed_m: largest such distance, m. It is larger than ``MOST_FOLLOWED_M`` if boxes are compliant.
     """
 
     support: NDArray[np.intp]
@@ -53,10 +55,11 @@ class Release(NamedTuple):
     most_followed_m: float = MOST_FOLLOWED_M
 
     def place_of(self, box: int, scene: Scene, boxes_z: FloatArray, carrier_z: float) -> FloatArray:
-        """(3,) middle of a box if it is released now, m.
+        """(3,) place of a box's middle if the box is released now, m.
 
         Args:
-            boxes_z, carrier_z: current heights of the centres of earlier boxes, and of the carrier's centre, m.
+            boxes_z: current heights of the middles of the boxes that are already placed, m.
+            carrier_z: current height of the carrier's centre of mass, m.
         """
         place: FloatArray = self.pos[box].copy()
         support = self.support[box]
@@ -68,8 +71,7 @@ class Release(NamedTuple):
 
 
 def release_of(scene: Scene, sim: Simulation) -> Release:
-    """The releases of a scene's boxes, which are placed one by one. In a static check, all boxes stand at their planned
-    places."""
+    """The places at which the boxes of a scene are released. In a static check, boxes are at their planned places."""
     if sim.physics.falls_into_place or sim.check is Check.STATIC or not scene.n_boxes:
         return Release(np.full(scene.n_boxes, NOTHING), scene.start_pos)
     support = _supports(scene.target, scene.half_size)
@@ -89,8 +91,11 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
 
 
 def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
-    """The releases of stackable scenes (petmjx.world.stackable_scenes), bit-identical to the result of ``release_of``
-    for each scene."""
+    """The places at which the boxes of stackable scenes are released. They are bit-identical to those of
+    ``release_of``.
+
+    Stackable scenes have arrays of equal shapes (petmjx.world.stackable_scenes).
+    """
     start = stacked_values(scenes, "start_pos")
     m, n = start.shape[:2]
     if sim.physics.falls_into_place or sim.check is Check.STATIC or not n:
@@ -113,7 +118,14 @@ def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
 
 
 def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Release:
-    """The release of one more box in each of m worlds, bit-identical to the last row of ``release_of``."""
+    """The place at which the next box of each of m worlds is released, bit-identical to the last row of
+    ``release_of``.
+
+    Args:
+        before: the boxes that are already placed in each world.
+        boxes: the next box of each world.
+        sim: the options.
+    """
     nothing = np.full(len(boxes), NOTHING)
     if sim.physics.falls_into_place or sim.check is Check.STATIC:
         return Release(nothing, boxes.target)
@@ -125,7 +137,8 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     box_below = np.where(area.any(axis=1), area.argmax(axis=1), nothing) if area.shape[1] else nothing
     support = np.where(low[:, 2] <= TOUCH_M, CARRIER, box_below)
     on_carrier, rows = support == CARRIER, np.arange(len(boxes))
-    # if a box has no support, the support's mass and friction are filled with its own, without effect
+    # for a box without a support, the mass and friction of the box itself are used in place of the support's; the
+    # result is not used
     masses = np.column_stack([before.mass, boxes.mass])
     below = np.where(support >= 0, support, masses.shape[1] - 1)
     share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])
@@ -138,7 +151,8 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
 
 
 def _supports(target: FloatArray, half_size: FloatArray) -> NDArray[np.intp]:
-    """(…, n) the support of each box, from planned places: the body under the largest part of its base."""
+    """(…, n) the support of each box at its planned place: number of the box under the largest part of its base,
+    ``CARRIER`` or ``NOTHING``."""
     low, high = target - half_size, target + half_size
     length, width = (np.maximum(shared_length(low[..., axis], high[..., axis]), 0.0) for axis in range(2))
     area = length * width * np.triu(meets(low[..., 2], high[..., 2], TOUCH_M), k=1)
@@ -147,15 +161,16 @@ def _supports(target: FloatArray, half_size: FloatArray) -> NDArray[np.intp]:
 
 
 CLEAR_M: Final = 0.0002
-"""Distance to which overlapping boxes are moved apart, m. Contacts of edges begin up to 0.14 mm before the edges touch:
-0.7 times the skins of two boxes (docs/rules.md, section 1)."""
+"""Gap between two boxes after they are moved apart, m. It must exceed 0.14 mm, since contacts of edges may begin before
+the edges touch: at up to 0.7 × the skins of both boxes. A skin is the thickness by which the collider enlarges a box
+(docs/rules.md, section 1)."""
 
 _KNOWN_TO_M: Final = 1e-6
-"""Tolerance of ``CLEAR_M``, m: a hundredth of the depth of contacts at rest."""
+"""Tolerance of ``CLEAR_M``, m. It is a hundredth of the depth of contacts at rest."""
 
 _MOST_ROUNDS: Final = 500
-"""Largest number of rounds of Hildreth's method (``make_room``). A row of 12 boxes needs 200 rounds. Any overlap that
-remains is left to the contacts."""
+"""Largest number of rounds of Hildreth's method (see ``make_room``). A row of 12 boxes needs 200 rounds. If boxes still
+overlap after the last round, contacts push them apart in the simulation."""
 
 
 def make_room(
@@ -168,23 +183,25 @@ def make_room(
     movable: NDArray[np.bool_],
     reach_m: float,
 ) -> FloatArray:
-    """For m worlds, (m, n, 2) the horizontal places of boxes, m, at which no box overlaps a box beside it, as near as
-    possible to the original places.
+    """(m, n, 2) horizontal places of the boxes of m worlds, m, at which no box overlaps a box beside it. The places are
+    as near as possible to the given places.
 
-    Nearest means that the sum of the squares of all translations is smallest. Two boxes are kept apart along one axis,
-    which is that axis of either box along which they overlap least. Two boxes are kept ``CLEAR_M`` apart, or as in the
-    plan if they are nearer or overlap in the plan. So each pair gives one linear inequality for the translations.
-    Hildreth's method (Hildreth 1957, "A quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85)
-    finds the smallest translations, pair by pair. The places in a world do not depend on other worlds.
+    As near as possible means that the sum of the squares of all translations is smallest. Two boxes are kept apart
+    along one axis: that axis of either box along which they overlap least. The gap between them must be at least
+    ``CLEAR_M``, or the planned gap if that is smaller; a planned overlap is a negative gap. So each pair gives one
+    linear inequality for the translations. Hildreth's method (Hildreth 1957, "A quadratic programming procedure", Naval
+    Research Logistics Quarterly 4, 79-85) finds the smallest translations, pair by pair. The places in a world do not
+    depend on other worlds.
 
     Args:
-        place: (m, n, 2) horizontal places of the boxes' middles, m.
-        half_size: (m or 1, n, 3) half extents, m.
-        yaw: (m or 1, n) rotation about the vertical, rad.
-        planned, planned_half: (n, 2) planned places and (n, 3) planned half extents, m. Planned boxes are not rotated.
-        beside: (n, n) symmetric: whether two boxes are beside one another, neither above the other.
+        place: (m, n, 2) given horizontal places of the boxes' middles, m.
+        half_size: (m or 1, n, 3) half extents of the boxes, m.
+        yaw: (m or 1, n) rotations of the boxes about the vertical, rad.
+        planned, planned_half: (n, 2) planned places and (n, 3) planned half extents of the boxes, m. In the plan, boxes
+            are not rotated.
+        beside: (n, n) whether two boxes are side by side, so that neither is above the other; a symmetric matrix.
         movable: (n,) whether each box may be moved.
-        reach_m: pairs that are farther apart than this in the plan are ignored, m.
+        reach_m: pairs of boxes whose planned gap is larger than this are ignored, m.
     """
     apart = _separation(planned, planned_half)
     first, second = np.nonzero(np.triu(beside & (apart < reach_m) & (movable[:, None] | movable), k=1))
@@ -225,7 +242,8 @@ def make_room(
 
 
 def _separation(place: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(n, n) gaps between unrotated boxes, m: the larger one of the gaps along x and y; negative: they overlap."""
+    """(n, n) gap between each two unrotated boxes, m: the gap along x or y, whichever is larger; negative if the boxes
+    overlap."""
     along = [
         np.abs(place[:, None, axis] - place[:, axis]) - (half_size[:, None, axis] + half_size[:, axis])
         for axis in range(2)
@@ -236,8 +254,12 @@ def _separation(place: FloatArray, half_size: FloatArray) -> FloatArray:
 def _widest(
     place: FloatArray, half_size: FloatArray, yaw: FloatArray, first: NDArray[np.intp], second: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
-    """(m, p, 2) the axis along which the boxes of each pair are farthest apart, from the first box to the second, and
-    (m, p) the gap along this axis, m. Two rectangles are apart if one of their four axes separates them."""
+    """(m, p, 2) unit vector along which the gap between the two boxes of each pair is largest, from the first box to
+    the second, and (m, p) this gap, m; negative if the boxes overlap.
+
+    The vector is along one of the four axes of the two boxes: if two rectangles do not overlap, one of these axes
+    separates them.
+    """
     cos, sin = np.cos(yaw), np.sin(yaw)
     between = place[:, second] - place[:, first]
     widest = np.full(between.shape[:2], -np.inf)
@@ -259,7 +281,7 @@ def _widest(
 
 
 def _independent(first: NDArray[np.intp], second: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Groups of pairs. No box occurs twice in a group, so all pairs of a group can be computed together."""
+    """Groups of pairs of boxes. No box occurs twice in a group, so all pairs of a group can be computed together."""
     groups: list[list[int]] = []
     boxes: list[set[int]] = []
     for pair, pair_boxes in enumerate(zip(first.tolist(), second.tolist(), strict=True)):

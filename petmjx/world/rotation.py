@@ -8,8 +8,8 @@ from petmjx.common.units import FloatArray
 
 
 def rotations(quat: FloatArray) -> FloatArray:
-    """(k, 3, 3) rotation matrices of (k, 4) quaternions (w, x, y, z), whose length need not be 1. The columns are the
-    axes of the rotated boxes."""
+    """(k, 3, 3) rotation matrices of (k, 4) quaternions (w, x, y, z). The quaternions' length need not be 1. The
+    columns of a matrix are the axes of the rotated box."""
     w, x, y, z = quat.T / np.linalg.norm(quat, axis=1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -28,7 +28,7 @@ def rotated_vectors(quat: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 def corners(pos: FloatArray, turns: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(k, 8, 3) corners of boxes, m, from (k, 3) centres, (k, 3, 3) rotations and (k, 3) half sizes. Corners are
-    ordered by the signs of the half sizes: −1 before 1, and x varies slowest."""
+    """(k, 8, 3) corners of boxes, m, from (k, 3) centres, (k, 3, 3) rotation matrices and (k, 3) half sizes. The order
+    of corners is (−, −, −), (−, −, +), (−, +, −), … (signs along x, y, z)."""
     signs = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), axis=-1).reshape(8, 3)
     return np.asarray(pos[:, None] + np.einsum("kij,kcj->kci", turns, signs * half_size[:, None]))

@@ -1,7 +1,7 @@
-"""Scenes. A scene describes one world physically, in SI units: its bodies, their shapes and their places.
+"""Scenes. A scene describes one world in SI units: its bodies, and their shapes, places, masses and friction.
 
-A scene is made from a plan; in sweeps, a variant changes it. Engines see scenes, never plans. Only the scene assigns
-numbers to shapes and bodies; all other code uses these numbers.
+A scene is made from a plan. In sweeps, a variant (a set of changes) is applied to the scene. Engines get scenes, never
+plans. Only scenes assign numbers to bodies and shapes; all other code uses these numbers.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 UNWRAPPED: Final = Wrap()
 
 AT_A_TIME: Final = 512
-"""Number of plans whose scenes share arrays. These scenes stay in memory together."""
+"""Number of plans whose scenes are slices of the same arrays, so that they stay in memory together."""
 
 OF_BOXES: Final = (
     "half_size",
@@ -52,7 +52,7 @@ OF_BOXES: Final = (
     "stiffness",
     "soft",
 )
-"""Fields of a scene that have one row per box, or are None."""
+"""Fields of a scene that have one row per box, unless they are None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,32 +62,36 @@ class Scene:
     The place of a box is the place of its middle, even if its centre of mass is elsewhere.
 
     Attributes:
-        half_size: (n, 3) half extents, m.
-        mass: (n,) masses, kg.
-        target: (n, 3) planned places, m. Shifts are measured from these places.
-        start_pos: (n, 3) release places, m; equal to ``target`` in the nominal variant.
-        start_quat: (n, 4) orientations (w, x, y, z) at release.
-        friction: (n, 3) sliding, torsional and rolling coefficients.
-        carrier: the carrier before the soft start; its top is at z = 0.
+        half_size: (n, 3) half extents of the boxes, m.
+        mass: (n,) masses of the boxes, kg.
+        target: (n, 3) planned places of the boxes, m. A box's shift is measured from its planned place.
+        start_pos: (n, 3) places at which the boxes are released, m. Without errors, they equal ``target``.
+        start_quat: (n, 4) orientations of the boxes at release, as quaternions (w, x, y, z).
+        friction: (n, 3) sliding, torsional and rolling coefficients of the boxes.
+        carrier: the carrier before gravity acts. Its top is at z = 0.
         floor_friction: sliding, torsional and rolling coefficients of the floor.
         floor_z: height of the floor, m.
-        mass_center: (n, 3) centres of mass relative to the middles, along the boxes' axes, m; None: in the middles.
-        inertia_box: (n, 3) as in ``Body``; None: the boxes are solid.
-        surface: (n,) surface number of each box; None: all 0.
-        pair_friction: (k, k) sliding coefficient between surfaces, or ``petmjx.world.friction_pairs.LARGER``; None: the
-            larger coefficient of the two shapes counts everywhere.
-        pair_landing: (k, k, 2) restitution and time, s, of landings between surfaces, or
-            ``petmjx.world.friction_pairs.USUAL``; None: the values of the physics count everywhere.
-        pair_kinetic: (k, k) friction of sliding surfaces as a share of friction at rest, or
-            ``petmjx.world.friction_pairs.USUAL``; None: the value of the physics counts everywhere.
+        mass_center: (n, 3) vectors from the boxes' middles to their centres of mass, along the boxes' axes, m. If None,
+            the centres of mass are in the middles.
+        inertia_box: (n, 3) half extents of solid boxes with the same inertia (see ``Body``), m. If None, the boxes are
+            solid.
+        surface: (n,) surface number of each box. If None, every box has the number 0.
+        pair_friction: (k, k) coefficient of sliding friction between two surfaces, or
+            ``petmjx.world.friction_pairs.LARGER``. If None, the larger coefficient of the two shapes is used for every
+            pair.
+        pair_landing: (k, k, 2) coefficient of restitution and landing time, s, between two surfaces, or
+            ``petmjx.world.friction_pairs.USUAL``. If None, the values of ``Physics`` are used for every pair.
+        pair_kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or
+            ``petmjx.world.friction_pairs.USUAL``. If None, the value of ``Physics`` is used for every pair.
         placing: how boxes are placed.
-        approach: (n, 2) horizontal directions from which boxes approach, of length 1. A row of 0, or None for all rows:
-            the direction follows from the neighbours.
-        stiffness: (n,) force on a box's top per compression, N/m; inf: the box is rigid. None: all boxes are rigid.
-        soft: (n,) whether each box is a flex body (petmjx/world/soft_boxes.py); None: no box is soft.
-        wrap: film around the pallet when it is shaken (petmjx/world/film.py).
-        pieces: pieces of interlayer sheets, which bear only above other bodies (petmjx/world/sheets.py), and boards of
-            pallets that are among the boxes (petmjx/world/load_units.py).
+        approach: (n, 2) horizontal unit vectors along which carried boxes move to their places. If a row is 0, the
+            box's direction follows from its neighbours. If None, the directions of all boxes do.
+        stiffness: (n,) force on a box's top per compression of the box, N/m; inf if the box is rigid. If None, all
+            boxes are rigid.
+        soft: (n,) whether each box is a flex body of MuJoCo (petmjx/world/soft_boxes.py). If None, no box is soft.
+        wrap: the film around the pallet while the pallet is shaken (petmjx/world/film.py).
+        pieces: shapes of the bodies that consist of several shapes: interlayer sheets, which carry load only above
+            other bodies (petmjx/world/sheets.py), and pallets among the boxes (petmjx/world/load_units.py).
     """
 
     half_size: NDArray[np.float64]
@@ -122,8 +126,10 @@ class Scene:
         return replace(self, **cut, pieces=tuple(piece for piece in self.pieces if piece.box < count))
 
     def with_open_walls(self, sides: Collection[Side]) -> Scene:
-        """The scene with these walls of the carrier open, like doors. Nothing else changes, not even the carrier's
-        frame and mass. So this scene and the result can use each other's states.
+        """The scene in which the carrier's walls on these sides are open, like doors.
+
+        Nothing else changes: open walls still contribute to the carrier's mass. So a simulation of one of the two
+        scenes can continue from a state of the other.
 
         Raises:
             ValueError: the carrier has no wall on one of the sides.
@@ -132,35 +138,37 @@ class Scene:
 
     @property
     def all_soft(self) -> Scene:
-        """The scene in which all boxes are flex bodies. Sheets stay rigid."""
+        """The scene in which all boxes are flex bodies (soft bodies of MuJoCo). Bodies of several shapes, such as
+        sheets, stay rigid."""
         soft = np.ones(self.n_boxes, bool)
         soft[[piece.box for piece in self.pieces]] = False
         return replace(self, soft=soft)
 
     @cached_property
     def total_mass(self) -> float:
-        """Mass of boxes and carrier, kg. The unit of force profiles follows from this mass."""
+        """Mass of all boxes and the carrier, kg. The unit of force profiles is this mass × 9.81 m/s²."""
         return float(self.mass.sum() + self.carrier.mass)
 
     @cached_property
     def middle(self) -> NDArray[np.float64]:
-        """(n, 3) middles of the boxes in the boxes' frames, whose origins are the centres of mass, m."""
+        """(n, 3) vectors from the boxes' centres of mass to their middles, along the boxes' axes, m. The centre of mass
+        is the origin of a box's frame."""
         return np.zeros_like(self.half_size) if self.mass_center is None else -self.mass_center
 
     def middles(self, frame: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(…, k, 3) middles of the first k boxes, given the origins of their frames, m."""
+        """(…, k, 3) middles of the first k boxes, m, given their centres of mass and orientations."""
         if self.mass_center is None:
             return frame
         return frame + rotated_vectors(quat, self.middle[: frame.shape[-2]])
 
     def frames(self, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(…, k, 3) origins of the frames of the first k boxes, given their middles, m."""
+        """(…, k, 3) centres of mass of the first k boxes, m, given their middles and orientations."""
         if self.mass_center is None:
             return middle
         return middle - rotated_vectors(quat, self.middle[: middle.shape[-2]])
 
     def frame(self, box: int, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3,) origin of a box's frame, given the box's middle and orientation, m."""
+        """(3,) centre of mass of one box, m, given the box's middle and orientation."""
         if self.mass_center is None:
             return middle
         origin: NDArray[np.float64] = middle - rotated_vectors(quat, self.middle[box])
@@ -168,7 +176,7 @@ class Scene:
 
     @cached_property
     def shapes(self) -> Shapes:
-        """The shapes of all bodies. A box has one shape, a sheet has one per piece."""
+        """The shapes of all bodies. A box has one shape. A sheet has one shape per piece, a pallet one per board."""
         carrier = self.carrier
         counts = np.ones(self.n_boxes, np.intp)
         for piece in self.pieces:
@@ -193,17 +201,17 @@ class Scene:
 
     @cached_property
     def inertia_boxes(self) -> NDArray[np.float64]:
-        """(n + 1, 3) equivalent inertia boxes (see ``Body``) of the carrier and of the boxes, m."""
+        """(n + 1, 3) half extents of solid boxes with the inertia of the carrier and of each box (see ``Body``), m."""
         boxes = self.half_size if self.inertia_box is None else self.inertia_box
         return np.concatenate([self.carrier.inertia_box[None], boxes])
 
 
 def build_scene(plan: Plan, sim: Simulation) -> Scene:
-    """The nominal scene of a plan.
+    """The scene of a plan, without errors of places or sizes.
 
-    Length and width are reduced by ``sim.size_reduction_mm``. The height is reduced, too, if boxes fall into their
-    places. The front-left-bottom corner stays where it is. Half sizes and centres are rounded half up to 1 µm, as the
-    reference implementation writes them.
+    Length and width of the boxes are reduced by ``sim.size_reduction_mm``. The height is also reduced if boxes fall
+    into their places. The front-left-bottom corner of a box does not move. Half sizes and centres are rounded half up
+    to 1 µm, as in the reference implementation.
     """
     stiffness = _stiffness(plan) if sim.physics.has_own_friction else None
     carrier, surfaces = carrier_of(plan, sim), find_surfaces(plan, sim)
@@ -229,7 +237,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
 
 
 def carrier_of(plan: Plan, sim: Simulation) -> Body:
-    """The carrier of a plan, with its walls but without surfaces."""
+    """The carrier of a plan, with its walls but without numbers of surfaces."""
     boards = pallet(sim.carrier)
     if boards is not None:
         return with_walls(body_of(boards, sim.physics), sim)
@@ -237,7 +245,7 @@ def carrier_of(plan: Plan, sim: Simulation) -> Body:
 
 
 def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
-    """The nominal scenes of plans, in order. The arrays of many plans are computed together, with results
+    """The result of ``build_scene`` for each plan, in order. Many plans are computed together; the scenes are
     bit-identical to those of ``build_scene``."""
     slabs, source = pallet(sim.carrier) is None and not has_walls(sim), iter(plans)
     while batch := list(islice(source, AT_A_TIME)):
@@ -248,7 +256,7 @@ def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
 
 
 def _is_plain(plan: Plan) -> bool:
-    """Whether the scene of a plan depends only on sizes, places and masses."""
+    """Whether a plan gives only the sizes, places and masses of its boxes, and no other properties of them."""
     more = plan.mass_center_mm, plan.approach_deg, plan.stiffness_n_mm
     return not plan.kinds and not plan.materials and all(array is None for array in more)
 
@@ -267,7 +275,7 @@ def _stacked_scenes(plans: Sequence[Plan], sim: Simulation) -> Iterator[Scene]:
 def _of_boxes(
     size_mm: NDArray[np.float64], corner_mm: NDArray[np.float64], mass_kg: NDArray[np.float64], sim: Simulation
 ) -> dict[str, Any]:
-    """Fields of scenes that have one row per box, for one or several plans."""
+    """The fields of scenes with one row per box, for the boxes of one or several plans."""
     half_size, target = half_size_and_target(size_mm, corner_mm, sim)
     return {
         "half_size": half_size,
@@ -280,7 +288,7 @@ def _of_boxes(
 
 
 def _of_all(sim: Simulation) -> dict[str, Any]:
-    """Fields that are the same for all plans."""
+    """The fields of scenes that are the same for all plans."""
     return {
         "floor_friction": sim.physics.floor_friction,
         "floor_z": floor_z_m(sim),
@@ -292,8 +300,14 @@ def _of_all(sim: Simulation) -> dict[str, Any]:
 def _slabs(
     corner_mm: NDArray[np.float64], size_mm: NDArray[np.float64], begins: NDArray[np.intp], sim: Simulation
 ) -> Iterator[Body]:
-    """The slabs that carry plans. The boxes of each plan begin at a row in ``begins``. A slab is one box: as large as
-    the plan's bounding box, or of a fixed size with its front-left corner at the origin."""
+    """The carriers of plans, if the carrier is a slab, that is, a single box.
+
+    A slab is as long and wide as the plan's bounding box, or has a fixed size with its front-left corner at the origin.
+
+    Args:
+        corner_mm, size_mm: (n, 3) corners and extents of the boxes of all plans, plan after plan.
+        begins: (p,) row of the first box of each plan.
+    """
     extent, physics, n = extent_m(sim.carrier), sim.physics, len(begins)
     if extent is None:
         low_mm = np.minimum.reduceat(corner_mm[:, :2], begins)
@@ -310,20 +324,21 @@ def _slabs(
 def half_size_and_target(
     size_mm: NDArray[np.float64], corner_mm: NDArray[np.float64], sim: Simulation
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n, 3) half extents and (n, 3) planned middles of boxes, m, from (n, 3) extents and (n, 3) corners, mm."""
+    """(n, 3) half extents and (n, 3) planned middles of boxes, m, given (n, 3) extents and (n, 3) corners, mm."""
     size = size_mm - sim.size_reduction_mm * np.array([1.0, 1.0, float(sim.physics.falls_into_place)])
     return round_to_micrometre(mm_to_m(size / 2)), round_to_micrometre(mm_to_m(corner_mm + size / 2))
 
 
 def _stiffness(plan: Plan) -> NDArray[np.float64] | None:
-    """(n,) stiffness of each box, N/m; inf if the plan gives none for it."""
+    """(n,) stiffness of each box, N/m; inf if the plan gives no stiffness for the box. None if it gives none at all."""
     if plan.stiffness_n_mm is None:
         return None
     return np.where(np.isnan(plan.stiffness_n_mm), np.inf, plan.stiffness_n_mm * MM_PER_M)
 
 
 def _directions(plan: Plan) -> NDArray[np.float64] | None:
-    """(n, 2) directions of approach that the plan gives; None if it gives none."""
+    """(n, 2) unit vectors of the horizontal directions in which the plan lets boxes approach their places. A row is 0
+    if the plan gives no direction for the box. The result is None if the plan gives no directions."""
     if plan.approach_deg is None:
         return None
     angle = np.radians(plan.approach_deg)

@@ -1,10 +1,11 @@
-"""Interlayer sheets: thin items that do not bridge gaps.
+"""Interlayer sheets: thin items that carry nothing over gaps.
 
-A sheet of cardboard or paper between two layers is an item of its own. A rigid plate would carry a box over a hole in
-the layer below, which no sheet does. So a sheet bears only above the bodies that lie under it in the plan. The body of
-a sheet has one shape for each area that lies on a box or a board, or up to a centimetre above one. A sheet has no shape
-over gaps. The body holds these pieces together: like a real sheet, it ties the boxes of a layer by friction. Unlike a
-real sheet, it does not sag or tear. A sheet that lies on nothing is not divided.
+A sheet of cardboard or paper between two layers is an item of the plan, like a box. A rigid plate would carry a box
+over a hole in the layer below, but a real sheet does not. So a sheet carries load only above the bodies that lie under
+it in the plan. The sheet's body has one shape for each area that lies on a box or a board, or up to a centimetre above
+one. The body has no shape over gaps. All shapes of a body move together: like a real sheet, the body ties the boxes of
+a layer together by friction. Unlike a real sheet, the body does not sag or tear. A sheet under which nothing lies has a
+single shape.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from petmjx.world.body_shapes import Body, Pieces
 _TOUCH_M = DEFAULT_TOLERANCE_MM / MM_PER_M
 
 FOLLOWED_M: Final = 0.01
-"""A sheet counts as lying on a top if it is at most this far above the top, m: layers of cartons are not level to a
-millimetre."""
+"""Largest height of a sheet above a box's top at which the sheet still counts as lying on the box, m. Layers of cartons
+are not level to a millimetre."""
 
 _LEAST_OVERLAP_M = 1e-6
 
@@ -35,7 +36,7 @@ def pieces_of(
     Args:
         sheets: (n,) whether each box is a sheet.
         target, half_size: (n, 3) planned middles and half extents of all boxes, m.
-        carrier: the carrier. Its boards with tops at z = 0 bear sheets, too.
+        carrier: the carrier. Sheets can also lie on its boards whose tops are at z = 0.
     """
     pieces = []
     board, half = (carrier.pos + carrier.shape_pos)[: carrier.n_boards], carrier.half_size[: carrier.n_boards]

@@ -1,17 +1,19 @@
-"""Soft boxes: boxes as MuJoCo flex bodies of 3 × 3 × 3 points, with equality constraints along the edges.
+"""Soft boxes: boxes as MuJoCo flex bodies of 3 × 3 × 3 points. Tetrahedra (elements) fill the space between the points.
+Equality constraints keep the lengths of the tetrahedra's edges.
 
-MuJoCo 3.17 does not allow elasticity in addition to these constraints, so the constraints are the springs. At rest, a
-constraint of impedance d and stiffness k (solref −k, −b) is a spring of stiffness κ·μ. Here κ = d²k / (1 − d), and μ is
-the harmonic mass 1 / (1/m₁ + 1/m₂) of its two points. The stiffness of the whole network between two plates is then
-κ·c, where c follows from places and masses of the points (``_network_kg``). So a box of stiffness S has κ = S / c.
+MuJoCo 3.17 does not allow elasticity in addition to these constraints, so the constraints act as springs. At rest, a
+constraint of impedance d and stiffness k (``solref`` −k, −b) is a spring of stiffness κ·μ. Here κ = d²k / (1 − d), and
+μ = 1 / (1/m₁ + 1/m₂) is the reduced mass of the edge's two points. The stiffness of the whole box between two plates is
+then κ·c, where c follows from the places and masses of the points (``_network_kg``). So a box of stiffness S needs
+κ = S / c.
 
-The points' masses are 1 : 4 : 1 along each axis: Simpson's weights, with which three points have the moments of inertia
-of a solid box. The stiffness of an edge is proportional to the mass of its points. So a box also resists tilting as a
-bed of springs does, with S·L²/12, and its own weight compresses all its columns alike.
+Along each axis, the points' masses are in the proportion 1 : 4 : 1. With these weights of Simpson's rule, three points
+have the moments of inertia of a solid box. The stiffness of an edge is proportional to the mass of its points. So a box
+also resists tilting like a bed of springs, with S·L²/12, and its own weight compresses it evenly.
 
-MuJoCo gives each element one contact point. On a flat face this point jumps from step to step, and boxes tremble. So
-each point of a box also has a ball, and elements touch a little later than balls. Flat faces therefore rest on balls,
-and elements bear only where edges cross.
+MuJoCo gives each element one contact point. On a flat face, this point jumps from step to step, and boxes tremble. So
+each point of a box also has a ball, and elements touch a little later than balls. Flat faces therefore rest on balls.
+Elements only carry load at edges that cross.
 """
 
 from __future__ import annotations
@@ -39,42 +41,44 @@ POINTS: Final = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
 """(27, 3) the points of a box whose half sizes are 1."""
 
 ROUNDING_M: Final = 0.001
-"""Radius of the rounded edges and corners, m. The balls at the points have the same radius. Without rounding, the
-collider would meet overlapping faces, for which it finds no good normals."""
+"""Radius of a box's rounded edges and corners, and of the balls at its points, m. Without rounding, faces would
+overlap, and MuJoCo's collider finds no good normals for overlapping faces."""
 
 BALL_M: Final = 0.0002
-"""How much deeper than a ball an element must be before it touches, m. This length is larger than the depth of
-contacts. The margin of elements and rigid shapes is minus half of this, and the margin of balls is plus half of it;
-margins add up."""
+"""Depth of an element in another body, m, at which a contact begins. A contact of a ball begins at depth 0. This length
+is larger than the depth of contacts at rest. MuJoCo adds the margins of two partners: the margin of elements and rigid
+shapes is minus half of this length, and that of balls is plus half of this length."""
 
 MOST_ROUNDING: Final = 0.1
-"""Largest rounding, as a share of the shortest half size."""
+"""Largest radius of rounded edges, as a share of the box's shortest half size."""
 
 IMPEDANCE: Final = 0.99
-"""Impedance of the edges. With 0.95, a box of the same stiffness trembles four times as much; with 0.999, it takes
-0.1 s to give way."""
+"""Impedance of the constraints along edges. With 0.95, a box of the same stiffness trembles four times as much. With
+0.999, it takes 0.1 s to give way."""
 
 MOST_RATE: Final = 0.05
-"""Largest k·dt² of an edge; edges are integrated explicitly. Stiffer boxes have edges of larger impedance instead."""
+"""Largest k·dt² of an edge, where k is the constraint's stiffness and dt the timestep. The limit is needed since MuJoCo
+integrates edges explicitly. If a box is stiffer, the impedance of its edges is increased instead."""
 
 CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
-"""solimp of contacts of soft boxes. These contacts are as stiff as the timestep allows, since a point has a 216th of
-the mass of a box, or more. Under 1,000 times the box's own weight, its contacts are 0.1 mm deep."""
+"""``solref`` and ``solimp`` of contacts of soft boxes. These contacts are as stiff as the timestep allows, since the
+lightest points have only a 216th of the mass of a box. Under 1,000 times the box's own weight, its contacts are 0.1 mm
+deep."""
 
 _ALONE: Final = 1e9
-"""MuJoCo's weight for mixing the laws of two partners. The weight is so large that the law of the soft box prevails:
-rigid shapes have the weight 1."""
+"""Weight (``solmix``) of soft boxes when MuJoCo mixes the contact laws of two partners. Rigid shapes have the weight 1,
+so the law of the soft box prevails."""
 
 _ELEMENTS: Final = 2
 _BALLS: Final = 4
-"""Bits of MuJoCo's collision filter. Elements touch elements, balls and rigid shapes; balls do not touch balls."""
+"""Bits of MuJoCo's collision filter. Elements can touch elements, balls and rigid shapes. Balls cannot touch balls."""
 
 
 @lru_cache(maxsize=1)
 def tetrahedra() -> NDArray[np.intp]:
-    """(40, 4) points of the elements. Each of the eight cells has five elements, mirrored from cell to cell, so that a
-    box does not twist when it is compressed."""
+    """(40, 4) numbers of the points of each element. The points form eight cells of five elements each. The elements of
+    neighbouring cells are mirror images, so that a box does not twist when it is compressed."""
     elements = []
     for cell in product(range(2), repeat=3):
         corners = [tuple(np.add(cell, offset)) for offset in product(range(2), repeat=3)]
@@ -95,7 +99,7 @@ def tetrahedra() -> NDArray[np.intp]:
 
 @lru_cache(maxsize=1)
 def _edges() -> NDArray[np.intp]:
-    """(e, 2) the pairs of points that are joined by an edge."""
+    """(e, 2) numbers of the two points of each edge."""
     return np.unique(np.sort(np.concatenate([tetrahedra()[:, pair] for pair in combinations(range(4), 2)])), axis=0)
 
 
@@ -105,13 +109,13 @@ def rounding_m(half_size: FloatArray) -> float:
 
 
 def points_of(half_size: FloatArray) -> FloatArray:
-    """(27, 3) places of a box's points, relative to its middle, m."""
+    """(27, 3) places of a box's points, relative to the box's middle, m."""
     points_m: FloatArray = POINTS * (half_size - rounding_m(half_size))
     return points_m
 
 
 def shares() -> FloatArray:
-    """(27,) share of a box's mass at each point: Simpson's weights."""
+    """(27,) share of a box's mass at each point: weights of Simpson's rule."""
     along = np.array([1.0, 4.0, 1.0]) / 6.0
     return np.asarray(np.einsum("i,j,k->ijk", along, along, along).ravel())
 
@@ -134,15 +138,15 @@ def check_soft(scene: Scene) -> None:
 
 @dataclass(frozen=True)
 class EdgeLaw:
-    """solref and solimp of the edges of a box."""
+    """``solref`` and ``solimp`` of the constraints along a box's edges."""
 
     solref: tuple[float, float]
     solimp: Triple
 
 
 def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_s: float) -> EdgeLaw:
-    """The law with which a box between plates acts as a spring of this stiffness; inf: as stiff as the timestep
-    allows."""
+    """The law with which a box between two plates acts like a spring of the given stiffness. If the stiffness is
+    infinite, the box is as stiff as the timestep allows."""
     most = MOST_RATE / timestep_s**2
     kappa = _mujocos_share() * stiffness_n_m / (mass * _network_kg(*half_size.tolist()))
     impedance, rate = IMPEDANCE, min(kappa * (1 - IMPEDANCE) / IMPEDANCE**2, most)
@@ -153,9 +157,11 @@ def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_
 
 @lru_cache(maxsize=1)
 def _mujocos_share() -> float:
-    """MuJoCo's inverse mass of an edge, as a share of the true one. If bodies of points have only slide joints, this
-    share is 1/2 (3.17), so that edges are twice as stiff as documented. The share is read from a compiled model, since
-    a new version of MuJoCo may change it."""
+    """Inverse mass that MuJoCo assigns to an edge, as a share of the summed inverse masses of the edge's two points.
+
+    In MuJoCo 3.17, the share is 1/2 if the bodies of points have only slide joints, so that edges are twice as stiff as
+    documented. The share is read from a compiled model, since a new version of MuJoCo may change it.
+    """
     spec = mujoco.MjSpec()
     mass = shares()
     _add_points(spec, "probe", POINTS, mass)
@@ -169,7 +175,11 @@ def _mujocos_share() -> float:
 
 @lru_cache(maxsize=4096)
 def _network_kg(length: float, width: float, height: float) -> float:
-    """Stiffness / κ of a box of mass 1 kg between two plates with perfect grip, kg. Arguments: half sizes, m."""
+    """The ratio c of a box's stiffness to κ, in kg, for a box of mass 1 kg between two plates that do not slip.
+
+    Args:
+        length, width, height: half sizes of the box, m.
+    """
     points, mass, edges = points_of(np.array([length, width, height])), shares(), _edges()
     along = points[edges[:, 1]] - points[edges[:, 0]]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -189,19 +199,19 @@ def _network_kg(length: float, width: float, height: float) -> float:
 
 
 def point_name(box: str, point: int) -> str:
-    """Name of the body that is a point of a box."""
+    """Name of the MuJoCo body for one point of a box."""
     return f"{box}_point_{point}"
 
 
 def _add_points(spec: mujoco.MjSpec, box: str, places: FloatArray, mass: FloatArray) -> list[mujoco.MjsBody]:
-    """Add the points of a box as the last bodies of a spec, each with three slide joints."""
+    """Add a body for each point of a box at the end of a spec. Each body has three slide joints."""
     bodies = []
     for number, place in enumerate(places):
         body = spec.worldbody.add_body(name=point_name(box, number), pos=place)
         body.explicitinertial = True
         body.mass = mass[number]
         body.ipos, body.iquat = np.zeros(3), np.array(IDENTITY_QUAT)
-        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # without effect: the body cannot rotate
+        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # has no effect, since the body cannot rotate
         for axis in np.eye(3):
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         bodies.append(body)
@@ -220,7 +230,7 @@ def _add_flex(spec: mujoco.MjSpec, box: str) -> mujoco.MjsFlex:
 def add_soft_box(
     spec: mujoco.MjSpec, scene: Scene, physics: Physics, box: int, friction: Triple, rgba: Sequence[float]
 ) -> None:
-    """Add a soft box at its place: 27 bodies at the end of a spec, with three slide joints each."""
+    """Add a soft box to a spec, at its release place: 27 bodies at the end, with three slide joints each."""
     half, name = scene.half_size[box], f"box_{box}"
     (turn,) = rotations(scene.start_quat[box, None])
     places = scene.start_pos[box] + points_of(half) @ turn.T
@@ -245,7 +255,8 @@ def add_soft_box(
 
 
 def _set_contact(shape: mujoco.MjsGeom | mujoco.MjsFlex, friction: Triple) -> None:
-    """Set the law of contacts of soft boxes in any physics. MuJoCo mixes the laws of both partners by weights."""
+    """Set the contact law of soft boxes, which does not depend on the physics. MuJoCo mixes the laws of two partners by
+    weights."""
     shape.condim = 3
     shape.friction = np.array(friction)
     shape.solref, shape.solmix = np.array(CONTACT_SOLREF), _ALONE
@@ -253,13 +264,14 @@ def _set_contact(shape: mujoco.MjsGeom | mujoco.MjsFlex, friction: Triple) -> No
 
 
 def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions: SoftFriction) -> None:
-    """Set the values of rigid shapes in a world with soft boxes. Call this after all boxes are added."""
+    """Set margin, friction and collision filter of the rigid shapes in a world with soft boxes, after all boxes are
+    added."""
     for geom in spec.geoms:
         if geom.contype == _BALLS:
             continue
         geom.conaffinity |= _ELEMENTS | _BALLS
         sliding = frictions.of_geom(geom.parent.name)
-        # rigid shapes touch one another in declared pairs, which have their own values
+        # these values do not act between two rigid shapes: rigid shapes touch only as declared pairs with own values
         if physics.has_own_friction:
             geom.margin -= BALL_M / 2
             geom.friction[0] = geom.friction[0] if sliding is None else sliding
@@ -267,28 +279,29 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
 
 @dataclass(frozen=True, eq=False)
 class SoftFriction:
-    """Sliding friction of shapes in contacts with soft boxes. MuJoCo uses the larger friction of the two partners.
+    """Coefficients of sliding friction for contacts with soft boxes. MuJoCo uses the larger coefficient of the two
+    partners.
 
     Attributes:
-        of_boxes: (n,) friction of the boxes.
-        of_carrier: friction of the carrier; None: the carrier's own.
+        of_boxes: (n,) coefficients of the boxes.
+        of_carrier: coefficient of the carrier. If None, each board keeps its own coefficient.
     """
 
     of_boxes: FloatArray
     of_carrier: float | None
 
     def of_geom(self, body: str) -> float | None:
-        """Friction of the geoms of a body, given the name of the body."""
+        """Coefficient for the geoms of a body, given the body's name. None if the geoms keep their own coefficients."""
         if body == "carrier":
             return self.of_carrier
         return float(self.of_boxes[int(body.removeprefix("box_"))]) if body.startswith("box_") else None
 
 
 def soft_friction(scene: Scene) -> SoftFriction:
-    """Friction of soft boxes according to the table of their surfaces.
+    """Coefficients with which contacts of soft boxes have the friction in the scene's table of pairs of surfaces.
 
     Raises:
-        InputError: the table has pairs that cannot be expressed as "the larger of both coefficients".
+        InputError: for some pairs, the table's coefficient cannot be the larger one of two coefficients.
     """
     box_friction = scene.friction[:, 0].copy()
     if scene.pair_friction is None or scene.surface is None or scene.soft is None:

@@ -1,6 +1,6 @@
-"""Stackable scenes: groups of scenes whose arrays can be stacked.
+"""Stackable scenes: groups of scenes whose arrays have equal shapes, so that the arrays can be stacked.
 
-Stacked worlds are computed together. The result is bit-identical to that of each world alone.
+The worlds of stacked scenes are computed together. The results are bit-identical to those of each world alone.
 """
 
 from __future__ import annotations
@@ -15,12 +15,16 @@ from numpy.typing import NDArray
 from petmjx.world.scene import Scene
 
 AT_A_TIME: Final = 64
-"""Largest number of scenes in a group. With 43 boxes, arrays of all pairs then take 1 MB."""
+"""Largest number of scenes in a group. With 43 boxes per scene, an array with one value per pair of boxes then takes
+1 MB."""
 
 
 def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
-    """Groups of scenes that can be stacked: their numbers, and whether the group is plain (``is_plain``). A scene that
-    is not plain forms its own group. Plain worlds of one plan can be stacked."""
+    """Groups of scenes that can be stacked. A group is given as the numbers of its scenes, and whether these are plain.
+
+    ``is_plain`` defines plain scenes. A scene that is not plain is a group of its own. All plain scenes of the same
+    plan can be stacked.
+    """
     numbers_by_key: dict[Any, list[int]] = {}
     for number, scene in enumerate(scenes):
         if not is_plain(scene):
@@ -36,7 +40,8 @@ def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]
 
 
 def is_plain(scene: Scene) -> bool:
-    """Whether the scene's boxes have no values of their own except places, sizes, masses and friction."""
+    """Whether boxes of this scene differ only in places, sizes, masses and friction, but not in other properties, such
+    as stiffness."""
     optional_fields = (
         scene.mass_center,
         scene.inertia_box,
@@ -49,5 +54,5 @@ def is_plain(scene: Scene) -> bool:
 
 
 def stacked_values(scenes: Sequence[Scene], name: str) -> NDArray[Any]:
-    """(m, …) the values of one field of all scenes. ``name`` is the name of the field, such as ``carrier.mass``."""
+    """(m, …) the values that m scenes have in one field. ``name`` is the field's name, such as ``carrier.mass``."""
     return np.array([*map(attrgetter(name), scenes)])

@@ -1,10 +1,11 @@
-"""Supports of boxes by the plan, their loads, and the distances of loads from the edges of the supports.
+"""Supports of boxes in a plan, the loads on these supports, and the distances of loads from the supports' edges.
 
-The load of a box is its own weight plus the weight that rests on it. The load acts at a point of the box's base, the
-centre of pressure. The box is in balance if that point lies within the convex hull of its supports. Statics does not
-determine how several supports share a load. Here they share it as a bed of equal springs does (Winkler 1867, "Die Lehre
-von der Elasticität und Festigkeit"): the pressure varies linearly over all areas that touch, and the balance of force
-and moments determines it. If springs would pull somewhere, supports push with the least energy instead
+A support of a box is a body below the box that touches its base. The load of a box is its own weight plus the weight
+that rests on it. The load acts at a point of the box's base, the centre of pressure. The box is in balance if that
+point lies within the convex hull of its supports. Statics does not determine how several supports share a load. This
+module assumes that supports share a load like a bed of equal springs (Winkler 1867, "Die Lehre von der Elasticität und
+Festigkeit"): the pressure varies linearly over all areas that touch. The balance of force and moments determines this
+pressure. If springs would have to pull somewhere, the module computes the pushing forces with the least energy instead
 (petmjx.world.load_sharing).
 """
 
@@ -32,28 +33,28 @@ from petmjx.world.stackable_scenes import is_plain
 IntArray = NDArray[np.intp]
 
 TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
-"""Faces touch if they are no further apart than this, as in the warnings about a plan."""
+"""Largest distance between two faces that count as touching, m. The warnings about plans use the same distance."""
 
 LEANS_M: Final = Thresholds().shift_m
-"""Largest gap between a box that tips and the wall that stops it, m. With this gap, the box's middle moves by less than
-a verdict allows."""
+"""Largest gap between a box and a wall that can stop the box from tipping, m. A box that tips over this gap moves by
+less than the shift threshold."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """The boxes of scenes, one scene after the other, n in all.
+    """The n boxes of s scenes, scene after scene.
 
     Attributes:
-        first: (s + 1,) first box of each scene; the last entry is n.
-        target: (n, 3) planned middles, m.
-        half_size: (n, 3) m.
-        mass: (n,) kg.
-        mass_center: (n, 3) vector from a box's middle to its centre of mass, m.
-        carrier_mass: (n,) mass of the carrier of each box's scene, kg.
-        held: (n, 2, 2) largest distance beyond the supports at which a wall still holds a load, at the low and the high
-            end of x and y, m.
+        first: (s + 1,) number of each scene's first box; the last entry is n.
+        target: (n, 3) planned middles of the boxes, m.
+        half_size: (n, 3) half extents of the boxes, m.
+        mass: (n,) masses of the boxes, kg.
+        mass_center: (n, 3) vector from each box's middle to its centre of mass, m.
+        carrier_mass: (n,) mass of the carrier in each box's scene, kg.
+        held: (n, 2, 2) largest distance of a box's load beyond its supports at which a wall still keeps the box from
+            tipping, m. Axis 1 is the low and the high end, axis 2 is x and y.
     """
 
     first: IntArray
@@ -66,7 +67,7 @@ class Boxes:
 
     @classmethod
     def of(cls, scenes: Sequence[Scene], targets: Sequence[FloatArray]) -> Boxes:
-        """The boxes of scenes, with their middles at these (n, 3) places, m."""
+        """The boxes of scenes. ``targets`` has the (n, 3) planned middles of each scene's boxes, m."""
         mass = [scene.mass for scene in scenes]
         counts = [*map(len, mass)]
         first = np.concatenate([[0], np.cumsum(counts)])
@@ -87,7 +88,7 @@ class Boxes:
         )
 
     def of_scenes(self, numbers: IntArray) -> tuple[Boxes, IntArray]:
-        """The boxes of some of the scenes, in this order, and (k,) their numbers among all boxes."""
+        """The boxes of the scenes ``numbers``, in this order, and (k,) the numbers of these boxes in this object."""
         counts = np.diff(self.first)
         rows = spans(counts, numbers)
         first = np.concatenate([[0], np.cumsum(counts[numbers])])
@@ -96,17 +97,17 @@ class Boxes:
 
     @cached_property
     def bottom(self) -> FloatArray:
-        """(n,) heights of the planned bottoms, m."""
+        """(n,) heights of the boxes' planned bottoms, m."""
         low: FloatArray = (self.target - self.half_size)[:, 2]
         return low
 
     @cached_property
     def is_held(self) -> bool:
-        """Whether walls hold any of the boxes."""
+        """Whether a wall keeps any of the boxes from tipping."""
         return bool(self.held.any())
 
     def among(self, placed: int | Sequence[int]) -> NDArray[np.bool_]:
-        """(n,) which boxes are among the first ``placed`` boxes of their scene."""
+        """(n,) whether each box is one of the first ``placed`` boxes of its scene."""
         counts = np.diff(self.first)
         number = np.arange(self.first[-1]) - np.repeat(self.first[:-1], counts)
         among: NDArray[np.bool_] = number < np.repeat(np.broadcast_to(placed, len(counts)), counts)
@@ -114,12 +115,12 @@ class Boxes:
 
 
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
-    """(n, 2, 2) as ``Boxes.held`` of a scene with walls, with the boxes at these (n, 3) places, m.
+    """(n, 2, 2) ``Boxes.held`` of a scene with walls. ``target`` has the (n, 3) middles of the boxes, m.
 
-    A box whose load W acts at a distance e beyond an edge tips until it touches the wall on that side. The box touches
-    the wall at its own top or at the wall's top, whichever is lower. This point is a height h above the box's bottom.
-    The wall then presses with W·e/h, and the edge must bear this force by friction: so the wall holds the box up to e =
-    µ·h. The wall counts as smooth, and the support of the box as fixed.
+    If the load W of a box acts at a distance e beyond an edge of the supports, the box tips until it touches the wall
+    on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. This point is a
+    height h above the box's bottom. The wall then presses on the box with the force W·e/h, which friction at the edge
+    must balance. So the wall holds the box up to e = µ·h. This assumes a smooth wall and a support that does not move.
     """
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
@@ -128,7 +129,7 @@ def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
 
 
 def _least_friction(scene: Scene) -> FloatArray:
-    """(n,) the smallest coefficient of friction between each box and its possible supports."""
+    """(n,) smallest coefficient of sliding friction between each box and any body on which it may stand."""
     friction = scene.friction[:, 0]
     if scene.surface is None or scene.pair_friction is None:
         return friction
@@ -138,13 +139,15 @@ def _least_friction(scene: Scene) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Bearing:
-    """The contacts between boxes and their supports in scenes with n boxes: c rectangles, sorted by the upper box.
+    """The contacts between boxes and their supports, in one or several scenes with n boxes in all.
+
+    A contact is the rectangle in which a box touches a body below it. The c contacts are sorted by their upper boxes.
 
     Attributes:
-        boxes: the boxes. The planned places count, not the release places.
-        upper: (c,) the box above.
-        lower: (c,) the box below, even if placed later, or ``CARRIER``.
-        low, high: (c, 2) corners of the rectangles along x and y, m.
+        boxes: the boxes at their planned places, not at the places of their release.
+        upper: (c,) number of the box above each contact.
+        lower: (c,) number of the box below each contact, even if it is placed later, or ``CARRIER``.
+        low, high: (c, 2) lowest and highest corner (x, y) of each rectangle, m.
     """
 
     boxes: Boxes
@@ -154,8 +157,11 @@ class Bearing:
     high: FloatArray
 
     def loads(self, placed: int | Sequence[int]) -> FloatArray:
-        """(n, 4) loads once the first ``placed`` boxes of each scene are placed: mass, kg, and its first moments along
-        x, y and z, kg·m. 0 for the other boxes."""
+        """(n, 4) loads of the boxes when the first ``placed`` boxes of each scene are in place.
+
+        A load is a mass, kg, and the mass's first moments along x, y and z, kg·m: mass × coordinates of the point at
+        which the load acts. The loads of boxes that are not in place are 0.
+        """
         load = self.weights
         load[~self.boxes.among(placed)] = 0.0
         for between, together in zip(self.levels, self.borne_together, strict=True):
@@ -171,20 +177,19 @@ class Bearing:
 
     @property
     def weights(self) -> FloatArray:
-        """(n, 4) the boxes' own weights, in the form of ``loads``."""
+        """(n, 4) the boxes' own masses, kg, and their first moments along x, y and z, kg·m, as in ``loads``."""
         boxes = self.boxes
         centre = boxes.target + boxes.mass_center
         weights: FloatArray = boxes.mass[:, None] * np.concatenate([np.ones((len(centre), 1)), centre], axis=1)
         return weights
 
     def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
-        """(k, 3) force, and first moments along x and y, with which boxes with several supports press on each support.
-
-        The units are those of ``load``.
+        """(k, 3) the part of its box's load that each of the contacts ``together`` carries: mass, kg, and first moments
+        along x and y, kg·m.
 
         Args:
-            load: (n, 3) or more columns.
-            together: (k,) all contacts of these boxes, in order.
+            load: (n, 3 or 4) loads of all boxes, as in ``loads``.
+            together: (k,) all contacts of some boxes, in order. Each of these boxes has several supports.
         """
         upper, low, high = self.upper[together], self.low.take(together, axis=0), self.high.take(together, axis=0)
         under = load.take(upper, axis=0)[:, :3]
@@ -198,10 +203,10 @@ class Bearing:
         return force
 
     def shared(self, contact: IntArray, load: FloatArray) -> FloatArray:
-        """(k, 3) the parts of loads that reach these (k,) contacts of boxes with several supports, if supports share
-        loads like equal springs.
+        """(k, 3) the part of its box's load that each contact carries if supports share loads like equal springs.
 
         Args:
+            contact: (k,) numbers of the contacts. The upper box of each contact has several supports.
             load: (k, 3) load of the upper box of each contact.
         """
         number = np.searchsorted(self.together, contact)
@@ -211,12 +216,13 @@ class Bearing:
     def pushed(
         self, load: FloatArray, boxes: IntArray, owner: IntArray, low: FloatArray, high: FloatArray
     ) -> FloatArray:
-        """(k, 3) the forces at contacts of boxes with several supports, if supports can only push.
+        """(k, 3) the part of its box's load that each contact carries if supports can push but not pull.
 
         Args:
-            load: (p, 3) one load of each of these ``boxes``.
-            owner: (k,) number of the load that presses at each contact. Contacts are sorted by this number.
-            low, high: (k, 2) corners of the contacts' rectangles.
+            load: (p, 3) load of each box in ``boxes``.
+            boxes: (p,) numbers of boxes that have several supports.
+            owner: (k,) index in ``boxes`` of the box above each contact. Contacts are sorted by this index.
+            low, high: (k, 2) lowest and highest corner (x, y) of each contact's rectangle, m.
         """
         force, hull = np.zeros((len(owner), 3)), self.number_of_hull[boxes]
         within = self.hulls.inside_m(hull, load[:, 1:] / load[:, :1]) > ON_EDGE_M
@@ -231,15 +237,19 @@ class Bearing:
         return force
 
     def edges_m(self, load: FloatArray) -> FloatArray:
-        """(n,) distance of each box's load from the nearest edge of its supports, m: positive inside, negative beyond.
-        NaN for a box without support or load."""
+        """(n,) distance of each box's load from the nearest edge of the box's supports, m: positive inside, negative
+        outside. The distance is NaN for a box without supports or load."""
         with np.errstate(divide="ignore", invalid="ignore"):
             point = load[:, 1:3] / load[:, :1]
         return self.inside_m(np.arange(len(load)), point)
 
     def inside_m(self, box: IntArray, point: FloatArray) -> FloatArray:
-        """(p,) distance of (p, 2) points from the nearest edge of the supports of (p,) boxes, m, with the signs of
-        ``edges_m``.
+        """(p,) distance of each of p points from the nearest edge of a box's supports, m: positive inside, negative
+        outside.
+
+        Args:
+            box: (p,) number of the box for each point.
+            point: (p, 2) points (x, y), m.
         """
         low, high = self.rectangles
         nearer = np.minimum(point - low.take(box, axis=0), high.take(box, axis=0) - point)
@@ -260,8 +270,11 @@ class Bearing:
 
     @cached_property
     def rectangles(self) -> tuple[FloatArray, FloatArray]:
-        """Two arrays (n, 2): for boxes with one support, the low and the high corner of the rectangle in which a load
-        is borne by the support or held by walls, m; NaN for other boxes."""
+        """(n, 2) lowest and (n, 2) highest corner (x, y) of the rectangle in which the load of a box must act, m.
+
+        Within the rectangle, the support or a wall keeps the box from tipping. Boxes with no support or several
+        supports have NaN.
+        """
         low, high = np.full((len(self.boxes.mass), 2), np.nan), np.full((len(self.boxes.mass), 2), np.nan)
         alone = np.flatnonzero(self.n_supports == 1)
         contact = self.ends[alone]
@@ -272,17 +285,17 @@ class Bearing:
 
     @cached_property
     def hulls(self) -> HullTable:
-        """Hulls of the supports of boxes that have several supports, in the order of boxes."""
+        """The convex hulls of the supports, one for each box with several supports, in the order of boxes."""
         low, high = self.low.take(self.together, axis=0), self.high.take(self.together, axis=0)
         return hull_table(low, high, self.n_supports[self.n_supports > 1])
 
     def of_scene(self, number: int) -> Bearing:
-        """The bearing of one scene alone, as ``of_range``."""
+        """The contacts of one scene alone; see ``of_range``."""
         return self.of_range(number, number + 1)
 
     def of_range(self, begin: int, end: int) -> Bearing:
-        """The bearing of the scenes ``begin`` to ``end`` alone. The new bearing takes hulls, shares and levels from
-        this one, so that they need not be computed again."""
+        """The contacts of the scenes ``begin`` to ``end`` − 1 alone. Values that this object has already computed, such
+        as hulls, are copied."""
         first, last = int(self.boxes.first[begin]), int(self.boxes.first[end])
         rows, contacts = slice(first, last), slice(int(self.ends[first]), int(self.ends[last]))
         values = (getattr(self.boxes, field.name)[rows] for field in fields(self.boxes) if field.name != "first")
@@ -306,7 +319,8 @@ class Bearing:
         return some
 
     def of_scenes(self, numbers: IntArray) -> tuple[Bearing, IntArray]:
-        """The bearing of some of the scenes, in this order, and (k,) their boxes' numbers among all boxes."""
+        """The contacts of the scenes ``numbers``, in this order, and (k,) the numbers of these scenes' boxes in this
+        object."""
         boxes, rows = self.boxes.of_scenes(numbers)
         counts = self.n_supports[rows]
         contacts = spans(self.n_supports, rows)
@@ -324,12 +338,12 @@ class Bearing:
 
     @cached_property
     def number_of_hull(self) -> IntArray:
-        """(n,) number of each box's hull in ``hulls``, if it has several supports."""
+        """(n,) index in ``hulls`` of each box's hull. The index is meaningless for boxes without several supports."""
         return np.cumsum(self.n_supports > 1) - 1
 
     @cached_property
     def widths_m(self) -> FloatArray:
-        """(n,) extent of each box's supports along x or y, whichever is shorter, m; NaN without support."""
+        """(n,) extent of each box's supports along x or y, whichever is shorter, m; NaN for a box without support."""
         low, high = np.full((len(self.boxes.mass), 2), np.inf), np.full((len(self.boxes.mass), 2), -np.inf)
         for axis in range(2):
             np.minimum.at(low[:, axis], self.upper, self.low[:, axis])
@@ -339,12 +353,12 @@ class Bearing:
 
     @cached_property
     def n_supports(self) -> IntArray:
-        """(n,) number of rectangles that bear each box."""
+        """(n,) number of contacts that carry each box."""
         return np.bincount(self.upper, minlength=len(self.boxes.mass))
 
     @cached_property
     def ends(self) -> IntArray:
-        """(n + 1,) first contact of each box; the last entry is the number of contacts."""
+        """(n + 1,) number of each box's first contact; the last entry is the number of all contacts."""
         return np.concatenate([[0], np.cumsum(self.n_supports)])
 
     @cached_property
@@ -359,8 +373,8 @@ class Bearing:
 
     @cached_property
     def levels(self) -> list[IntArray]:
-        """The contacts between boxes, in groups. Once all earlier groups are done, the loads of a group's upper boxes
-        are complete."""
+        """The contacts between boxes, in groups from the top of the pile downwards. Once the loads at the contacts of
+        all earlier groups are known, the loads of a group's upper boxes are known."""
         between = np.flatnonzero(self.lower != CARRIER)
         between = between[np.argsort(-self.boxes.bottom[self.upper[between]], kind="stable")]
         level = self.level[self.upper[between]]
@@ -368,7 +382,11 @@ class Bearing:
         return np.split(between[order], np.flatnonzero(np.diff(level[order])) + 1) if len(order) else []
 
     def all_below(self, boxes: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n,) which boxes bear any of the chosen boxes (an (n,) mask), directly or through others."""
+        """(n,) whether each box carries any of the chosen boxes, directly or through other boxes.
+
+        Args:
+            boxes: (n,) whether each box is chosen.
+        """
         below = np.zeros(len(boxes), bool)
         new = np.flatnonzero(boxes)
         while len(new):
@@ -381,8 +399,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels``: the contacts of those of its boxes that have several supports, including
-        contacts with the carrier."""
+        """For each group of ``levels``, all contacts of those upper boxes that have several supports. Contacts with the
+        carrier are included."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:
@@ -393,15 +411,15 @@ class Bearing:
 
     @cached_property
     def together(self) -> IntArray:
-        """(k,) the contacts of boxes with several supports, in order."""
+        """(k,) numbers of the contacts of boxes with several supports, in order."""
         return np.flatnonzero((self.n_supports > 1)[self.upper])
 
     @cached_property
     def shares(self) -> FloatArray:
-        """(k, 3, 3) matrix for each of the contacts ``together``. The matrix maps the load of the upper box (mass and
-        moments) to the part that reaches the lower body at this contact."""
+        """(k, 3, 3) a matrix for each of the k contacts ``together``. The matrix maps the load of the upper box (mass
+        and first moments) to the part of the load that the contact carries."""
         boxes, upper = self.boxes, self.upper[self.together]
-        # Places are relative to the upper box's centre and in units of its lengths. This keeps the 3 × 3 systems well
+        # Places are relative to the upper box's middle, in units of its half extents. This keeps the 3 × 3 systems well
         # conditioned.
         origin, scale = boxes.target.take(upper, axis=0)[:, :2], boxes.half_size.take(upper, axis=0)[:, :2]
         low = (self.low.take(self.together, axis=0) - origin) / scale
@@ -423,26 +441,33 @@ class Bearing:
 
 
 def add_rows(sums: FloatArray, row: IntArray, values: FloatArray) -> None:
-    """Add (k, m) values to these rows of (n, m) sums, one after the other. ``numpy.add.at`` takes six times as long for
-    rows as for columns."""
+    """Add (k, m) ``values`` to the rows ``row`` of (n, m) ``sums``; a row may occur several times.
+
+    The columns are added one by one, since ``numpy.add.at`` takes six times as long for whole rows.
+    """
     for column in range(sums.shape[1]):
         np.add.at(sums[:, column], row, values[:, column])
 
 
 def spans(count: IntArray, chosen: IntArray) -> IntArray:
-    """The numbers of all members of the chosen groups. ``count`` has the number of members of each group."""
+    """The numbers of all members of the chosen groups.
+
+    Args:
+        count: number of members of each group. Members are numbered group after group.
+        chosen: numbers of the chosen groups.
+    """
     return ranges((np.cumsum(count) - count)[chosen], count[chosen])
 
 
 def ranges(first: IntArray, count: IntArray) -> IntArray:
-    """The numbers first, first + 1, … of several ranges, range after range. ``count`` has the length of each range."""
+    """The numbers first, first + 1, … of several ranges, range after range. ``count`` is the length of each range."""
     numbers: IntArray = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
     return numbers
 
 
 @lru_cache(maxsize=256)
 def bearing_of(scene: Scene) -> Bearing:
-    """``find_bearing``, cached: in a sweep many worlds have the same scene."""
+    """The result of ``find_bearing``, cached, since many worlds of a sweep have the same scene."""
     return find_bearing(scene)
 
 
@@ -452,12 +477,13 @@ def bearings_of(
     pos: Sequence[FloatArray] = (),
     most_gap_m: Sequence[float] = (),
 ) -> Bearing:
-    """The joined bearings of several scenes, scene after scene, computed together. First come ``scenes``, with boxes at
-    their planned places, then the scenes ``elsewhere``.
+    """The contacts of several scenes in one ``Bearing``, scene after scene.
 
     Args:
-        pos: (n, 3) places of the boxes of each scene ``elsewhere``, m.
-        most_gap_m: as in ``find_bearing``, of each scene ``elsewhere``; empty: as for planned places.
+        scenes: scenes whose boxes are at their planned places. They come first.
+        elsewhere: scenes whose boxes are at other places. They come after ``scenes``.
+        pos: (n, 3) places of the boxes in each scene of ``elsewhere``, m.
+        most_gap_m: ``most_gap_m`` of ``find_bearing`` for each scene of ``elsewhere``. If empty, it is ``TOUCH_M``.
     """
     if len({id(scene) for scene in scenes}) == 1 and not elsewhere:
         one = bearing_of(scenes[0])
@@ -467,24 +493,23 @@ def bearings_of(
 
 
 _SORTED_M: Final = 1e-4
-"""Boxes are candidates for a contact if their gap exceeds the allowed gap by at most this, m, since sums of the heights
-of many scenes are rounded.
-"""
+"""Tolerance of a first, rough search for contacts, m. The search compares sums of heights of many scenes, which are
+rounded."""
 
 
 def find_bearings(
     scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float | FloatArray = TOUCH_M
 ) -> Bearing:
-    """The joined result of ``find_bearing`` for each scene, with its boxes at (n, 3) places, m. Plain scenes are
-    computed together.
+    """The contacts of several scenes in one ``Bearing``, scene after scene. Plain scenes are computed together.
 
     Args:
-        most_gap_m: as in ``find_bearing``, of all scenes or (s,) of each scene.
+        targets: (n, 3) middles of the boxes in each scene, m.
+        most_gap_m: ``most_gap_m`` of ``find_bearing``: one value for all scenes, or (s,) one for each scene.
     """
     boxes, most_gap_m = Boxes.of(scenes, targets), np.broadcast_to(most_gap_m, len(scenes))
     first, counts = boxes.first, np.diff(boxes.first)
     plain = np.array([is_plain(scene) for scene in scenes], bool)
-    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # scenes may have no contacts at all
+    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # empty arrays, since scenes may have no contacts
     for k in np.flatnonzero(~plain).tolist():
         one = find_bearing(replace(scenes[k], target=targets[k]), float(most_gap_m[k]))
         lower = np.where(one.lower == CARRIER, CARRIER, one.lower + first[k])
@@ -493,14 +518,15 @@ def find_bearings(
     if len(chosen):
         parts.append(_plain_contacts(boxes, scenes, chosen, most_gap_m))
     upper, lower, low, high = (np.concatenate(values) for values in zip(*parts, strict=True))
-    order = np.lexsort((lower, upper))  # lexsort is stable, so boards of a deck keep their order
+    order = np.lexsort((lower, upper))  # lexsort is stable: contacts of a box with several boards keep their order
     return Bearing(boxes, upper[order], lower[order], low.take(order, axis=0), high.take(order, axis=0))
 
 
 def _plain_contacts(
     boxes: Boxes, scenes: Sequence[Scene], chosen: IntArray, most_gap_m: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """The contacts of the chosen scenes, which are plain, as fields of ``Bearing``. They are not sorted."""
+    """Unsorted contacts of the chosen scenes, which are plain: ``upper``, ``lower``, ``low`` and ``high`` as in
+    ``Bearing``."""
     low, high = boxes.target - boxes.half_size, boxes.target + boxes.half_size
     counts = np.diff(boxes.first)
     carriers = [scenes[k].carrier for k in chosen.tolist()]
@@ -531,21 +557,20 @@ def _plain_contacts(
 def _touching(
     rows: IntArray, scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Pairs of boxes of the same scene, (p,) the lower and (p,) the upper one, between which the gap is at most the
-    allowed one.
+    """(p,) lower and (p,) upper boxes of pairs in the same scene whose vertical gap is small enough for a contact.
 
-    Sorting the heights leaves few pairs to examine.
+    Heights are sorted first, so that few pairs must be compared.
 
     Args:
-        rows: (r,) the boxes.
-        scene: (r,) the scene of each box.
-        low, high: (n,) heights of all boxes' bottoms and tops, m.
-        most_gap_m: (r,) as in ``find_bearing``.
+        rows: (r,) numbers of the boxes among which pairs are searched.
+        scene: (r,) number of the scene of each of these boxes.
+        low, high: (n,) heights of the bottoms and tops of all boxes, m.
+        most_gap_m: (r,) ``most_gap_m`` of ``find_bearing`` for each of these boxes.
     """
     is_somewhere = np.isfinite(low[rows]) & np.isfinite(high[rows])
     rows, scene, most_gap_m = rows[is_somewhere], scene[is_somewhere], most_gap_m[is_somewhere]
     bottom, top, reach = low[rows], high[rows], TOUCH_M + most_gap_m.max(initial=0.0)
-    # The scenes are stacked on each other, with gaps so large that boxes of different scenes do not touch.
+    # Heights are raised by a different amount for each scene, so that boxes of different scenes are far apart.
     rise = scene * (np.maximum(bottom, top).max(initial=0.0) - np.minimum(bottom, top).min(initial=0.0) + 2 * reach)
     least_m, most_m = bottom + rise - most_gap_m - _SORTED_M, bottom + rise + TOUCH_M + _SORTED_M
     tops, bottoms = np.argsort(top + rise), np.argsort(least_m)
@@ -561,15 +586,15 @@ def _touching(
 
 
 def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
-    """The supports of boxes by the planned places.
+    """The contacts between boxes and their supports, computed from the planned places.
 
-    A box lies on a board of the carrier's deck if its bottom is not above the deck. A box also lies on another box that
-    begins lower if the other's top is at the height of its own bottom. Both rules hold within ``TOUCH_M``, and only if
-    the two boxes overlap along x and y.
+    A box lies on a board of the carrier's deck if the box's bottom is not above the deck. A box lies on another box if
+    the other box's bottom is lower, and its top is at the height of the first box's bottom. Both rules have the
+    tolerance ``TOUCH_M``. They require that the two bodies overlap along x and y.
 
     Args:
-        most_gap_m: a box also counts as lying on bodies that are up to this far below its bottom, since it may lean
-            onto them.
+        most_gap_m: largest gap below a box's bottom across which the box still counts as lying on a body, m. It can
+            exceed ``TOUCH_M``, since a box may lean onto a lower body.
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
     deck_low, deck_high = _deck(scene.carrier)
@@ -577,7 +602,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
     cut_below, cut_low, cut_high = _cut(scene, low, high)
-    # A box above a sheet lies on the sheet's pieces. A box above another box lies on that box's whole top.
+    # a box above a sheet lies on the sheet's pieces; a box above another box lies on the other box's whole top
     row, pieces = np.nonzero(below[:, None] == cut_below)
     below, above, piece_low, piece_high = below[row], above[row], cut_low[pieces], cut_high[pieces]
     on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))
@@ -594,11 +619,13 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
 
 
 def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """(t,) boxes to which the tops of a scene belong, and (t, 2) low and high corners of the tops: a box has one top, a
-    sheet one for each piece, a pallet one for each board of its deck.
+    """The t top faces in a scene: (t,) number of the box to which each face belongs, and (t, 2) lowest and (t, 2)
+    highest corner of each face, m.
+
+    A box has one top face, a sheet has one per piece, and a pallet among the boxes has one per board of its deck.
 
     Args:
-        low, high: (n, 3) corners of the boxes, m.
+        low, high: (n, 3) lowest and highest corners of the boxes, m.
     """
     if not scene.pieces:
         return np.arange(scene.n_boxes), low[:, :2], high[:, :2]
@@ -613,7 +640,7 @@ def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, Flo
 
 
 def _deck(carrier: Body) -> tuple[FloatArray, FloatArray]:
-    """(b, 2) lowest and (b, 2) highest corners of the boards whose tops are the carrier's top, m."""
+    """(b, 2) lowest and (b, 2) highest corners (x, y) of the boards that form the carrier's deck, m."""
     center, half = (carrier.pos + carrier.shape_pos)[: carrier.n_boards], carrier.half_size[: carrier.n_boards]
     deck = (center + half)[:, 2] >= -TOUCH_M
     return (center - half)[deck, :2], (center + half)[deck, :2]

@@ -1,12 +1,12 @@
-"""Variants: how a world differs from its plan's nominal world.
+"""Variants: how a world differs from its plan's nominal (unchanged) world.
 
-A variant has two halves. Its *placement* holds the changes that act while boxes are placed, or before (friction, mass,
-sizes, placement errors). Its *drive* shakes the finished pallet (profile, strength, direction). Worlds of a plan with
-the same ``placement_key`` share one placement: each starts from its settled state.
+A variant has two halves. Its *placement* is the changes that act while boxes are placed, or before (friction, mass,
+sizes, placement errors). Its *drive* is what shakes the finished pallet (profile, strength, direction). Worlds of a
+plan with the same ``placement_key`` have the same placement. It is simulated once, and each of these worlds starts from
+the settled state.
 
-The scenes of many variants of a plan are made together (``apply_all``). Making a scene then takes a twentieth of a
-millisecond. If scenes are made one by one, it takes ten times as long: as long as a GPU needs to simulate a small
-world.
+The scenes of many variants of a plan are made together (``apply_all``). It takes 0.05 ms per scene. If scenes were made
+one by one, it would take ten times as long: as long as a GPU needs to simulate a small world.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from petmjx.world.scene import Scene
 
 
 class DistributionShape(StrEnum):
-    """Family of distributions."""
+    """The family of a distribution of errors."""
 
     FIXED = "fixed"
     NORMAL = "normal"
@@ -42,10 +42,10 @@ class DistributionShape(StrEnum):
 
 @dataclass(frozen=True)
 class Distribution:
-    """The distribution of one error, in the unit of its axis.
+    """The distribution of an error, in the unit of the sweep's axis that sets the error.
 
-    ``fixed``: always ``centre``; ``normal``: mean ``centre`` and standard deviation ``spread``;
-    ``uniform``: from ``centre − spread`` to ``centre + spread``.
+    A ``fixed`` error is always ``centre``. A ``normal`` error has the mean ``centre`` and the standard deviation
+    ``spread``. A ``uniform`` error is between ``centre − spread`` and ``centre + spread``.
     """
 
     shape: DistributionShape = DistributionShape.FIXED
@@ -61,10 +61,11 @@ class Distribution:
         return self.centre == 0 and not self.random
 
     def draw(self, rngs: Iterable[np.random.Generator], shape: tuple[int, ...]) -> FloatArray:
-        """(m, …) one sample from each of m generators; (1, …), without use of a generator, if nothing is random.
+        """(m, …) an array of errors for each of m generators. If the error is not random, the result is a single array,
+        (1, …), and no generator is used.
 
-        Standard numbers are drawn and then scaled. So with the same generator, twice the spread gives each box twice
-        the error, and levels of a sweep can be compared pair by pair.
+        Standard random numbers are drawn and then scaled. So with the same generator, twice the spread gives each box
+        twice the error, and levels of a sweep can be compared pair by pair.
         """
         if self.random and self.shape is DistributionShape.NORMAL:
             return self.centre + self.spread * np.array([rng.standard_normal(shape) for rng in rngs])
@@ -73,7 +74,7 @@ class Distribution:
         return np.full((1, *shape), self.centre)
 
     def label(self) -> str:
-        """The distribution as text in the results, for axes with distributions of several shapes."""
+        """Text that stands for the distribution in results, if an axis has distributions of several families."""
         if self.zero:
             return "0"
         if self.shape is DistributionShape.FIXED:
@@ -88,24 +89,28 @@ ZERO = Distribution()
 
 @dataclass(frozen=True)
 class PlacementChange:
-    """The changes that a variant makes while boxes are placed. Factors multiply; errors are drawn for each box.
+    """The changes of a variant that act while boxes are placed, or before.
+
+    For an attribute that is a ``Distribution``, a separate error is drawn for each box, except for ``friction_rel``.
 
     Attributes:
-        box_friction_factor, carrier_friction_factor: factors on all three friction coefficients. MuJoCo uses the larger
-            coefficient of two touching geoms, so a lower value on only one side changes little.
-        mass_factor: factor on the mass of every box; the carrier's mass does not change.
-        friction_rel: relative change of the friction of boxes and carrier, after the factors (0.1 = 10 % more). One
-            error is drawn for the whole world, since all cartons are of the same board, on a day of the same humidity.
-        mass_rel: relative change of each box's mass, after the factor.
-        size_mm: change of each dimension of each box, mm.
-        size_rel: relative change of each dimension (0.01 = 1 % larger).
-        x_mm, y_mm, yaw_deg: placement error of each box.
-        drop_height_mm: height of a box's release above its place; negative draws count as 0.
-        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``; None: as in the options.
-        placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: replace the fields of
-            ``petmjx.options.placing.Placing``; None: as in the options.
-        wrap_turns: replaces the turns of film of ``petmjx.options.wrap.Wrap``; None: as in the options.
-        shifts_from_release: True: shifts are measured from the place of release instead of from the plan.
+        box_friction_factor, carrier_friction_factor: factors on the three friction coefficients of boxes, and of the
+            carrier. MuJoCo uses the larger coefficient of two touching geoms, so reducing only one changes little.
+        mass_factor: factor on the mass of every box. The carrier's mass does not change.
+        friction_rel: relative change of the friction of boxes and carrier, in addition to the factors (0.1 = 10 %
+            more). One error is drawn for the whole world, since all cartons of a pallet are of the same board and in
+            air of the same humidity.
+        mass_rel: relative change of a box's mass, in addition to the factor.
+        size_mm: change of each dimension of a box, mm.
+        size_rel: relative change of each dimension of a box (0.01 = 1 % larger).
+        x_mm, y_mm, yaw_deg: errors of a box's place along x and y, mm, and of its rotation about the vertical, degrees.
+        drop_height_mm: height above its place at which a box is released, mm. Negative random heights count as 0.
+        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``. If None, the options apply.
+        placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: values that replace
+            fields of ``petmjx.options.placing.Placing``. If one is None, the options apply.
+        wrap_turns: number of turns of film that replaces that of ``petmjx.options.wrap.Wrap``. If None, the
+            options apply.
+        shifts_from_release: whether a box's shift is measured from its place of release, not from its planned place.
     """
 
     box_friction_factor: float = 1.0
@@ -129,8 +134,8 @@ class PlacementChange:
     shifts_from_release: bool = False
 
     def placing(self, placing: Placing, *, errors: bool) -> Placing:
-        """How boxes are placed if this change is applied to ``placing``. ``errors``: whether places or sizes have
-        errors."""
+        """How boxes are placed if these changes are applied to ``placing``. ``errors`` is True if places or sizes of
+        boxes have errors."""
         other = {
             "name": Way(self.placing_name) if self.placing_name is not None else None,
             "height_mm": self.placing_height_mm,
@@ -145,7 +150,7 @@ class PlacementChange:
 
     @cached_property
     def random(self) -> bool:
-        """Whether two replicates would differ in their placements."""
+        """Whether anything is random, so that repetitions of the placement differ."""
         values = (getattr(self, entry.name) for entry in fields(self))
         return any(isinstance(value, Distribution) and value.random for value in values)
 
@@ -157,11 +162,14 @@ PlacementKey = tuple[PlacementChange, int]
 
 @dataclass(frozen=True)
 class DriveSpec:
-    """The drive of the finished pallet: the name of a profile, its scale or level, and its direction.
+    """What shakes the finished pallet: a profile, its scale or level, and its direction.
 
     Attributes:
-        scale_to: for each world, one scale is drawn uniformly between ``scale`` and this value; None: the scale is
-            always ``scale``.
+        profile: name of the profile.
+        scale: factor on the profile: its scale or level.
+        direction_deg: angle by which the profile is rotated about the vertical, degrees.
+        scale_to: if given, each world gets a random factor that is uniformly distributed between ``scale`` and
+            ``scale_to``. If None, the factor is ``scale``.
     """
 
     profile: str
@@ -172,13 +180,15 @@ class DriveSpec:
 
 @dataclass(frozen=True)
 class LegSpec:
-    """A leg of a chain: the drives that shake the pallet on a part of its journey.
+    """A leg of a chain: a part of the pallet's journey, such as a transport by lorry.
 
     Attributes:
-        drives: drives in order, with a pause of ``pause_s`` between two drives. Without drives, the pallet rests for
-            ``pause_s``.
-        wrap_turns: turns of film around the pallet during the leg; None: as in the options.
-        open_walls: walls of the carrier that are open during the leg, in addition to those open by the options.
+        name: name of the leg.
+        drives: what shakes the pallet, in order, with a pause of ``pause_s`` between two drives. If there are no
+            drives, the pallet rests for ``pause_s``.
+        pause_s: duration of a pause, s.
+        wrap_turns: turns of film around the pallet during the leg. If None, the options apply.
+        open_walls: walls of the carrier that are open during the leg, in addition to those that the options open.
     """
 
     name: str
@@ -193,11 +203,12 @@ class Variant:
     """One set of changes to a plan's nominal world.
 
     Attributes:
-        index: column ``variant`` in the results; 0 is the nominal world.
-        placement, drive: the two halves of the variant. A world without a drive ends when the placement is at rest.
-        replicate: number of the repetition; random numbers depend only on (seed, plan id, replicate).
-        parameters: result column → value.
-        legs: legs of a chain, instead of a drive. Each leg begins with the boxes where the previous leg left them.
+        index: number of the variant, in the column ``variant`` of results; 0 is the nominal world.
+        placement, drive: the two halves of the variant. A world without a drive ends when the boxes are at rest.
+        replicate: number of the repetition. Random numbers depend only on the seed, the plan id and this number.
+        parameters: column of the results → value in this column.
+        legs: the legs of a chain, which replace the drive. A leg begins with the boxes where the previous leg left
+            them.
     """
 
     index: int
@@ -209,56 +220,61 @@ class Variant:
 
     @property
     def placement_key(self) -> PlacementKey:
-        """A key that is equal for all variants of a plan that share a placement. Replicates share a placement unless
-        something random happens while boxes are placed."""
+        """A key that is equal for all variants of a plan with the same placement. Repetitions have the same placement
+        unless something in the placement is random."""
         return (self.placement, self.replicate if self.placement.random else 0)
 
 
 MIN_SIZE_FRACTION = 0.1
-"""Smallest size that can be drawn, as a share of the planned size: every extent of a box must stay positive."""
+"""Smallest random extent of a box, as a share of its planned extent. Extents must stay positive."""
 
 LARGEST_SIZE_M = 7.0
-"""Largest size that can be drawn, m. The limit is needed since boxes that are not yet placed hang 8 m apart."""
+"""Largest random extent of a box, m. The limit is needed since boxes that are not yet placed hang 8 m apart."""
 
 MIN_MASS_FRACTION = 0.1
-"""Smallest mass that can be drawn, as a share of the nominal mass: MuJoCo refuses bodies without mass."""
+"""Smallest random mass of a box, as a share of its mass without errors. MuJoCo refuses bodies without mass."""
 
 MIN_FRICTION_FRACTION = 0.1
-"""Smallest friction that can be drawn, as a share of the nominal friction: it must stay positive."""
+"""Smallest random friction coefficient, as a share of the coefficient without errors. Coefficients must stay
+positive."""
 
 STEP_TOLERANCE_M = 0.01
-"""A lower box carries an upper box that overlaps it horizontally if the planned top of the lower box is at most this
-far above the planned bottom of the upper one, m. The upper box is then set down on the lower one. If the top is higher,
-the lower box counts as a wall beside the upper one."""
+"""Largest height of one box's planned top above another box's planned bottom, m, at which the second box is set down on
+the first, if the two overlap horizontally. If the top is higher, the first box counts as a wall beside the second."""
 
 MOST_SPREADS: Final = 5.0
-"""Largest error that is assumed, in standard deviations from the mean. One normal error in 2 million is larger."""
+"""Largest distance of a random error from its mean that is considered, in standard deviations. One normal error in 2
+million is larger."""
 
 _SAME_HEIGHT_M = 1e-9
 
 AT_A_TIME: Final = 256
-"""Number of worlds that are made together. With 43 boxes per world, the largest arrays take 8 MB."""
+"""Number of worlds whose scenes are made together. With 43 boxes per world, the largest arrays take 8 MB."""
 
 
 def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: int = 0) -> Scene:
-    """The scene of a plan after a variant's placement change. The variant's drive is not used.
+    """The scene of a plan with the changes in a variant's placement. The variant's drive is not used.
 
-    When sizes change, boxes keep their horizontal centres, so neighbours that became larger overlap sideways. A hand
-    then moves each box to a place with room. If boxes are placed ``exact``, they appear at the nearest places without
-    overlaps (petmjx.world.release_places). Boxes are set down on the actual tops of the boxes below.
+    When sizes change, boxes keep their horizontal centres, so neighbours that became larger overlap sideways. During
+    the simulation, the hand moves each box to a place with room. If boxes are placed ``exact``, without a hand, they
+    appear at the nearest places without overlaps (petmjx.world.release_places). Boxes are set down on the actual tops
+    of the boxes below.
 
-    Placement errors in x, y and yaw change ``start_pos`` and ``start_quat``. A box that is moved over a slightly higher
-    neighbour is released above it. No box starts inside another one vertically. Shifts are measured from ``target``,
-    which keeps the planned x and y. The z of ``target`` is the height at which the box really stands, so that a
-    tolerance in height does not count as a shift. If places or sizes have errors, boxes are placed as
-    ``Placing.for_errors`` states.
+    Errors along x, along y and in yaw change ``start_pos`` and ``start_quat``. If an error moves a box over a slightly
+    higher neighbour, the box is released above that neighbour. Shifts are measured from ``target``, which keeps the
+    planned x and y. The z of ``target`` becomes the height at which the box really stands, so that errors of heights do
+    not count as shifts. If places or sizes have errors, boxes are placed as ``Placing.for_errors`` states.
 
     Args:
+        scene: the scene without changes.
+        plan_id: id of the plan, which the random numbers depend on.
+        variant: the variant.
+        seed: seed of the random numbers.
         standing: number of boxes, from the first on, that already stand. These boxes keep their sizes, places and
             masses.
 
     Returns:
-        ``scene`` itself if nothing changes.
+        The changed scene, or ``scene`` itself if nothing changes.
     """
     return next(apply_all(scene, plan_id, (variant,), seed, standing=standing))
 
@@ -266,7 +282,7 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: 
 def apply_all(
     scene: Scene, plan_id: str, variants: Iterable[Variant], seed: int, *, standing: int = 0
 ) -> Iterator[Scene]:
-    """The scene of each variant, bit-identical to the result of :func:`apply`, whatever the other variants are."""
+    """The scene of each variant, bit-identical to the result of :func:`apply` for this variant alone."""
     for change, group in itertools.groupby(variants, key=lambda variant: variant.placement):
         for batch in _variant_batches(group):
             if change == UNCHANGED:
@@ -283,8 +299,10 @@ def _variant_batches(variants: Iterable[Variant]) -> Iterator[tuple[Variant, ...
 
 
 def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], standing: int) -> Iterator[Scene]:
-    """The scenes of worlds that differ only in their random numbers. Each array has one row per world, or one row for
-    all worlds."""
+    """The scenes of worlds that differ only in their random numbers, one for each key.
+
+    In this function, each array has one row per world, or a single row if all worlds are equal.
+    """
     n = scene.n_boxes
 
     def drawn(error: Distribution, purpose: str, *shape: int) -> FloatArray:
@@ -328,7 +346,7 @@ def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldK
     wrap = scene.wrap if change.wrap_turns is None else scene.wrap.changed(turns=change.wrap_turns)
     slippery = [_with_friction(scene, change, float(factor)) for factor in friction]
     fields = (slippery, half_size, mass, target, start_pos, start_quat)
-    # worlds that do not differ share one object, so that pickles and tables hold it only once
+    # equal worlds share the same objects, so that pickles and tables contain these objects only once
     columns = (values if len(values) > 1 else itertools.repeat(values[0]) for values in fields)
     for _, base, half, kg, planned, place, turn in zip(keys, *columns, strict=False):
         yield replace(
@@ -344,7 +362,7 @@ def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldK
 
 
 def _with_friction(scene: Scene, change: PlacementChange, factor: float) -> Scene:
-    """The scene with the friction changed by ``change`` and then multiplied by ``factor``."""
+    """The scene with its friction coefficients multiplied by the factors of ``change`` and by ``factor``."""
     of_boxes, of_carrier = change.box_friction_factor * factor, change.carrier_friction_factor * factor
     if of_boxes == 1 and of_carrier == 1:
         return scene
@@ -364,21 +382,21 @@ def _changed_half_size(scene: Scene, relative: FloatArray, more_mm: FloatArray) 
 
 
 def _yawed_orientations(quat: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(m, n, 4) orientations (w, x, y, z), rotated about the world's z axis: the product q_z(yaw) · q."""
+    """(m, n, 4) quaternions (w, x, y, z) of boxes after a rotation by ``yaw``, rad, about the world's z axis."""
     cos, sin = np.cos(yaw / 2), np.sin(yaw / 2)
     w, x, y, z = quat.T
     return np.stack([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w], axis=-1)
 
 
 def _footprint_half(half_size: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(m, n, 2) half extents of the axis-aligned rectangle around each rotated footprint."""
+    """(m, n, 2) half extents along x and y, m, of the rectangle around each box, seen from above, after a rotation."""
     cos, sin = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
     x, y = half_size[..., 0], half_size[..., 1]
     return np.stack([cos * x + sin * y, sin * x + cos * y], axis=-1)
 
 
 def _overlap_mask(centre: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
-    """(…, n, n) whether the footprints of two boxes overlap."""
+    """(…, n, n) whether two boxes overlap, seen from above."""
 
     along: list[NDArray[np.bool_]] = []
     for axis in range(2):
@@ -391,7 +409,7 @@ def _overlap_mask(centre: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
 def _with_room(
     scene: Scene, change: PlacementChange, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray, standing: int
 ) -> FloatArray:
-    """(m, n, 2) horizontal places of boxes, moved apart until none overlap."""
+    """(m, n, 2) horizontal places of boxes, m, after overlapping boxes were moved apart."""
     above = _lower(scene)
     beside = ~(above | above.T)
     movable = np.arange(scene.n_boxes) >= standing
@@ -412,7 +430,7 @@ def _with_walls(
     movable: NDArray[np.bool_],
     reach_m: float,
 ) -> FloatArray:
-    """``make_room``, with the carrier's walls as additional boxes that do not move."""
+    """The result of ``make_room`` for the boxes, with the carrier's walls as additional boxes that do not move."""
     walls, n, sides = slice(carrier.n_boards, None), len(target), carrier.walls
     middle, half = (carrier.pos + carrier.shape_pos)[walls], carrier.half_size[walls]
     gap = carrier.room.gaps(target, planned[1], 0.0)
@@ -438,7 +456,7 @@ def _with_walls(
 
 
 def _farthest_m(scene: Scene, change: PlacementChange) -> float:
-    """Largest planned distance at which two boxes may still touch because of their errors, m."""
+    """Largest planned gap between two boxes that may touch because of their errors, m."""
     x, y, size, share, yaw = (
         abs(error.centre) + MOST_SPREADS * error.spread
         for error in (change.x_mm, change.y_mm, change.size_mm, change.size_rel, change.yaw_deg)
@@ -448,7 +466,8 @@ def _farthest_m(scene: Scene, change: PlacementChange) -> float:
 
 
 def _lower(scene: Scene) -> NDArray[np.bool_]:
-    """(n, n) whether the row's box could be set down on the column's box, by their planned heights."""
+    """(n, n) whether the box of the row could be set down on the box of the column, according to their planned
+    heights."""
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
     rank = np.argsort(np.argsort(planned_bottom, kind="stable"))
@@ -457,20 +476,20 @@ def _lower(scene: Scene) -> NDArray[np.bool_]:
 
 
 def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(m, n) heights of the centres of boxes after they are set down on the actual tops of the boxes below, m.
+    """(m, n) heights of the boxes' middles, m, after boxes are set down on the actual tops of the boxes below.
 
-    Boxes are processed from the bottom up. A box is below another one if two conditions hold: its planned top is not
-    above the other's planned bottom (with a tolerance of `STEP_TOLERANCE_M`), and their footprints overlap, as planned
-    or as placed. The planned gap to the highest box below is kept (0.1 mm from the size reduction; more for a box that
-    floats in the plan). A planned penetration is not kept.
+    Boxes are set down from the bottom up. Box A is below box B if A's planned top is not above B's planned bottom (with
+    a tolerance of ``STEP_TOLERANCE_M``), and the two overlap seen from above, at their planned or actual places. The
+    planned gap between a box and the highest box below is kept. This gap is 0.1 mm because of the reduction of sizes,
+    or more for a box that floats in the plan. If the two boxes overlap vertically in the plan, they do not overlap
+    afterwards.
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
     lower = _lower(scene)
     supports = lower & _overlap_mask(scene.target[:, :2], scene.half_size[:, :2])
     below = supports | (lower & _overlap_mask(start_pos[..., :2], _footprint_half(half_size, yaw)))
-    # A box with no lower box under it in the plan (seen from above, it overlaps none) stands on the carrier or floats
-    # above it.
+    # a box that, seen from above, overlaps no lower box in the plan stands on the carrier or floats above it
     support_top = np.where(supports, planned_top, -math.inf).max(axis=1, initial=-math.inf)
     stands = supports.any(axis=1)
     gap = np.where(stands, np.maximum(planned_bottom - support_top, 0.0), 0.0)
@@ -479,7 +498,7 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     centre_z = planned_bottom + half_z
     bears: NDArray[np.bool_] = np.any(below, axis=0)
     left: NDArray[np.bool_] = np.any(bears, axis=1)
-    while left.any():  # each pass takes all boxes whose boxes below are in place
+    while left.any():  # each pass sets down all boxes whose boxes below are in place
         boxes = np.flatnonzero(left & ~np.any(bears & left, axis=1))
         left[boxes] = False
         actual_top = np.where(below[:, boxes], (centre_z + half_z)[:, None], -math.inf).max(axis=2)

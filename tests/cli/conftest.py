@@ -1,4 +1,4 @@
-"""What tests of several commands begin with."""
+"""Fixtures for the tests of several commands."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ from support.command_line import OVERHANG, TOWER, write
 
 @pytest.fixture
 def plans(tmp_path: Path) -> Path:
-    """A tower that stands, and a box that overhangs by more than half and falls."""
+    """A file with two plans: a tower that stands, and a box that overhangs by more than half and falls."""
     return write(tmp_path / "plans.json", {"tower": TOWER, "overhang": OVERHANG})

@@ -1,4 +1,4 @@
-"""Other commands as a user meets them: compare, samples, export, doctor, and the help of all."""
+"""The output of the commands compare, samples, export and doctor, and the help of all commands."""
 
 from __future__ import annotations
 
@@ -79,7 +79,8 @@ def test_export_writes_the_model_of_a_plan(plans: Path, tmp_path: Path, capsys: 
 
 
 def test_doctor_knows_what_works_here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.show.doctor_report.examine", functools.cache(examine))  # some seconds
+    # examine is called only once, because it takes some seconds
+    monkeypatch.setattr("petmjx.show.doctor_report.examine", functools.cache(examine))
     assert run("doctor", "--json") == 0
     report = json.loads(capsys.readouterr().out)
     engines = {engine["name"]: engine for engine in report["engines"]}
@@ -107,7 +108,7 @@ def test_every_command_explains_itself(
     printed = capsys.readouterr().out
     assert printed.startswith("Usage:")
     assert max(map(len, printed.splitlines())) <= columns
-    assert "<" not in printed  # no Python types
+    assert "<" not in printed  # the help shows no Python types
     if command in ("score", "sweep"):
         more = (Confidence,) if command == "score" else ()
         for flag in (entry for record in (Simulation, Thresholds, *more) for entry in flags_of(record)):

@@ -1,4 +1,4 @@
-"""petmjx convert, and what samples are not written as."""
+"""``petmjx convert``, and names of files that ``petmjx samples`` refuses."""
 
 from __future__ import annotations
 

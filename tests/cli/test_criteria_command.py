@@ -1,4 +1,4 @@
-"""``petmjx criteria``: what is printed, what is written, and the one line of an error."""
+"""``petmjx criteria``: the printed tables, the written files, and errors of one line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ONE = ("--processes", "1")
 
 @pytest.fixture
 def physics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> str:
-    """Results of a few bundled plans."""
+    """The folder of a run with a few bundled plans."""
     monkeypatch.chdir(tmp_path)
     assert run("score", "--limit", "10", "--engine", "mujoco", "-o", "physics") == 0
     capsys.readouterr()

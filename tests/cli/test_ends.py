@@ -1,4 +1,4 @@
-"""How runs end that are told to, and how they go on: signals, --resume, --shard, merge."""
+"""How runs end after a signal, and how they are continued or joined: --resume, --shard and merge."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_signals_end_a_run_once_and_lose_nothing(signals: list[int], code: int, 
 def test_ctrl_c_in_the_end_is_put_off_until_the_last_part_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also from Python, where nobody but the writer guards it."""
+    """This also holds for runs from Python, where only the writer defers signals."""
     real = os.replace
 
     def replace(source: Path, target: Path) -> None:

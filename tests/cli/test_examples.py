@@ -1,4 +1,4 @@
-"""The scripts in examples/ run as their users start them."""
+"""The scripts in examples/ are run as users start them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIZE = {"length/mm": 400, "width/mm": 300, "height/mm": 200, "weight/kg": 5, "se
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """With two plans of two boxes, one of which falls, and orders of two boxes."""
+    """A folder with two plans of two boxes, one of which falls, and with orders of two boxes."""
     sizes, masses = [[600, 400, 250], [400, 300, 200]], [12, 5]
     plans = [
         petmjx.Plan.from_boxes(name, size_mm=sizes, corner_mm=[[0, 0, 0], [x, 50, 250]], mass_kg=masses)
@@ -56,7 +56,7 @@ def test_training_in_jax(tmp_path: Path, repository: Path) -> None:
     script = str(repository / "examples" / "train_in_jax.py")
     few = ["--updates", "2", "--pallets", "2", "--steps", "3", "--epochs", "1", "--boxes", "3", "--orders", "4"]
     command = [sys.executable, script, *few, "--held-out", "2", "--engine", "mujoco"]
-    # ranks as its users have them; programs that run twice need no optimisation
+    # Users have JAX's default for arrays of different ranks. Programs that run only twice need no optimisation.
     no_optimisation = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
     flags = {"JAX_NUMPY_RANK_PROMOTION": "allow", "XLA_FLAGS": no_optimisation}
     printed = run(tmp_path, repository, command, **flags)
@@ -94,7 +94,7 @@ def test_judge_packer(folder: Path, repository: Path) -> None:
 
 
 def test_slurm_array(folder: Path, repository: Path) -> None:
-    """Both jobs of an array of two, then merged."""
+    """Both jobs of a Slurm array of two jobs are run, and their results are merged."""
     petmjx_command = folder / "petmjx"
     petmjx_command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m petmjx "$@"\n')
     petmjx_command.chmod(0o755)
@@ -108,7 +108,8 @@ def test_slurm_array(folder: Path, repository: Path) -> None:
 
 
 def test_ray_cluster(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it asks for; that workers do it is for tests/unit/test_worker_pool.py, since Ray takes long to start."""
+    """This test checks only the options that the script passes. tests/unit/test_worker_pool.py tests the workers,
+    because Ray takes long to start."""
     arguments: dict[str, Any] = {}
     monkeypatch.setattr(petmjx, "score", lambda plans, **options: arguments.update(options, plans=plans))
     script = repository / "examples" / "ray_cluster.py"

@@ -1,4 +1,4 @@
-"""``--orders``: what is printed, in tables and JSON, and the one line of an unusable file."""
+"""The option ``--orders``: printed tables, JSON, and the error of one line for an unusable file."""
 
 from __future__ import annotations
 

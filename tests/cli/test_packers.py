@@ -1,4 +1,5 @@
-"""``score --name`` and ``compare --packers``: folders, tables, JSON, and the one line of what cannot be compared."""
+"""``score --name`` and ``compare --packers``: folders, tables, JSON, and errors of one line for runs that cannot be
+compared."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ FAST = ("--engine", "mujoco", "--threads", "1")
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two packers' plans, scored in one go: of ``x`` and ``y`` both stand with one, one with the other."""
+    """The plans of two packers for the orders ``x`` and ``y``, scored by one command. Both plans of one packer stand,
+    and one plan of the other packer."""
     folder = tmp_path_factory.mktemp("packers")
     good = write(folder / "good.json", {"x": TOWER, "y": TOWER})
     bad = write(folder / "bad.json", {"x": TOWER, "y": OVERHANG})
@@ -70,7 +72,7 @@ def test_compare_names_runs_and_writes_files(results: Path, tmp_path: Path, caps
 def test_kpis_stand_beside_shares(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each is that of ``petmjx.kpis``. A plan without an order has none, and is told."""
+    """Each KPI equals that of ``petmjx.kpis``. A plan without an order has no KPIs, and a note says so."""
     monkeypatch.setenv("COLUMNS", "80")
     orders = write(tmp_path / "orders.json", {"x": order_for(TOWER, more=2), "y": order_for(TOWER, more=6)})
     runs = [f"A={results / 'good'}", f"B={results / 'bad,one'}"]

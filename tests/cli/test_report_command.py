@@ -1,4 +1,4 @@
-"""``petmjx report``: a page is written, and unusable input takes one line."""
+"""``petmjx report``: the page is written, and unusable input gives an error of one line."""
 
 from __future__ import annotations
 

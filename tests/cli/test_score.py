@@ -1,4 +1,4 @@
-"""The command line as a user meets it: what it prints, what it leaves behind, and its exit codes."""
+"""``petmjx score`` from the user's view: its output, its files and its exit codes."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_a_folder_with_results_is_not_written_over_unasked(
 
 
 class _BrokenEngine(MujocoEngine):
-    """Scores two worlds, then raises what it is told to."""
+    """An engine that scores two worlds and then raises the given error."""
 
     error: BaseException = RuntimeError("the floor\ncaved in")
 
@@ -207,7 +207,7 @@ def test_ctrl_c_leaves_whole_parts(tmp_path: Path) -> None:
 @pytest.mark.parametrize("command", [["doctor"], ["--help"]])
 def test_a_reader_that_goes_ends_it_quietly(command: list[str]) -> None:
     reading, writing = os.pipe()
-    os.close(reading)  # as `petmjx … | true` leaves it
+    os.close(reading)  # nobody reads the output, as with `petmjx … | true`
     with os.fdopen(writing, "w") as gone:
         done = run_process(*command, stdout=gone)
     assert (done.returncode, done.stderr) == (0, "")
@@ -251,7 +251,7 @@ def test_terminals_without_unicode(encoding: str, tmp_path: Path) -> None:
     done = run_process(*command, env=environment, encoding=encoding)
     assert done.returncode == 0, done.stderr
     assert "Turm-?" in done.stdout
-    assert "~" in done.stdout  # where the id was shortened
+    assert "~" in done.stdout  # "~" marks a shortened id
     assert all(len(line) <= 80 for line in done.stdout.splitlines() if not line.startswith("results in "))
     done = run_process("score", plans, "--interval", "-1", env=environment, encoding=encoding)
     assert "--interval must be > 0" in only_line(done.stderr)

@@ -1,4 +1,4 @@
-"""``petmjx score --confidence`` as a user meets it."""
+"""The output of ``petmjx score --confidence``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from support.command_line import TOWER, only_line, placement, run, write
 def test_confidence_says_what_stands_and_what_is_a_coin_toss(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "100")  # at 80 the table leaves the margin out
+    monkeypatch.setenv("COLUMNS", "100")  # with 80 columns, the table leaves out the margin
     half = [placement((0, 0, 0)), placement((200, 0, 200))]
     plans = write(tmp_path / "plans.json", {"tower": TOWER, "half": half})
     out = tmp_path / "out"

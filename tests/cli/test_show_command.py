@@ -1,4 +1,4 @@
-"""``petmjx show``: the story in words, files, and one line where something is wrong."""
+"""``petmjx show``: the story in words, the written files, and errors of one line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def lines_of(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> str:
-    """What a command prints: its standard output, or its one line of error."""
+    """Run a command, and return its standard output, or the line that it prints on standard error if it fails."""
     assert main(["show", *arguments]) == code
     printed = capsys.readouterr()
     if code:
@@ -93,7 +93,7 @@ def test_several_files_from_one_simulation(capsys: pytest.CaptureFixture[str], m
 
 
 def test_the_page_of_a_run(capsys: pytest.CaptureFixture[str]) -> None:
-    """The options are the run's; of a sweep any of a plan's worlds is shown."""
+    """The page uses the options of the run. For a sweep, any world of a plan can be shown."""
     petmjx.score(petmjx.tell("hand-overhang-55").plan, engine="mujoco", out="run", thresholds={"tilt_deg": 5})
     Path("plans.json").write_text("{}", encoding="utf-8")
     printed = lines_of(capsys, "hand-overhang-55", "run", "--html", "x.html")
@@ -155,7 +155,8 @@ def test_words() -> None:
 
 
 def test_the_viewer_shows_the_story() -> None:
-    """Boxes that are placed later are out of sight; contact forces are MuJoCo's: the weight, once all is at rest."""
+    """Boxes that are placed later are out of sight. Contact forces are those of MuJoCo: at the end, when all boxes are
+    at rest, the forces on the floor add up to the total weight."""
     import mujoco
     import numpy as np
 
@@ -194,14 +195,14 @@ def test_the_keys_of_the_viewer() -> None:
 
 
 def test_the_viewer_plays_until_its_window_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a window that is none: what is told to MuJoCo's viewer, frame by frame."""
+    """A fake window replaces MuJoCo's viewer. The test checks the data that the viewer gets for each frame."""
     import mujoco.viewer
 
     story = falling_story()
     seen: list[float] = []
 
     class Window:
-        """What ``launch_passive`` returns, as far as it is used."""
+        """The part of the object returned by ``launch_passive`` that petmjx uses."""
 
         def __init__(self, model: Any, data: Any, key_callback: Any) -> None:
             self.opt, self.data, self.press = mujoco.MjvOption(), data, key_callback

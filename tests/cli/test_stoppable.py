@@ -1,4 +1,4 @@
-"""Signals to a command whose body can be stopped."""
+"""Signals to a command that runs inside ``stoppable``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from petmjx.loop.placement_labels import Labeller
 
 @pytest.fixture(autouse=True)
 def handlers() -> Iterator[None]:
-    """A body that was stopped keeps its handlers, since the process is about to end."""
+    """Restore the signal handlers after a test. ``stoppable`` leaves its handlers in place after a signal, because a
+    process is then about to end."""
     numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
     before = {number: signal.getsignal(number) for number in numbers}
     yield
@@ -31,7 +32,7 @@ def test_a_signal_that_comes_while_an_object_is_finalised_stops_the_body_after_t
     class Finalised:
         def __del__(self) -> None:
             signal.raise_signal(number)
-            time.sleep(0)  # where Python runs its handler
+            time.sleep(0)  # here Python runs the signal handler
             finalised.append(self.__class__)
 
     def wait_for_the_end() -> None:
@@ -52,7 +53,8 @@ def test_a_command_that_is_stopped_leaves_no_hidden_files(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Any command, also one without a run, such as ``label``, whose folder is locked by then."""
+    """This holds for any command, also for one without a run, such as ``label``, whose folder is locked at that
+    time."""
 
     def episodes(self: Labeller, *arguments: object) -> Iterator[object]:
         assert [*tmp_path.glob("labels/.*")]

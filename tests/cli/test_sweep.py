@@ -1,4 +1,4 @@
-"""``petmjx sweep`` as a user meets it."""
+"""``petmjx sweep`` from the user's view: its output, its files and its errors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ def test_a_grid_says_what_it_will_do_and_what_came_of_it(
     printed = capsys.readouterr()
     assert "6 worlds (2 plans × 3 variants) from 2 placements, about" in printed.err
     assert "engine mujoco (as asked for)" in printed.err
-    assert re.search(r"level_g\s+0.2\s+2\s+2\s+100.0 %\s+2\s+100.0 %\n", printed.out)  # the last two are EUMOS's
+    # the last two numbers are EUMOS's verdicts
+    assert re.search(r"level_g\s+0.2\s+2\s+2\s+100.0 %\s+2\s+100.0 %\n", printed.out)
     assert "95 %" not in printed.out
     assert "note: eumos-40509 reaches 0.8 g from level 0.8 on: with friction 0.5 no unsecured load" in printed.out
     assert re.search(r"level_g\s+0.8\s+2\s+0\s+0.0 %", printed.out)

@@ -1,4 +1,4 @@
-"""Shared by tests of the MJX engines."""
+"""Fixtures that tests of the MJX engines share."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from petmjx.engines.verdict import Outcome
 
 @pytest.fixture
 def ranks_may_differ() -> Iterator[None]:
-    """For MJX, which broadcasts as NumPy does."""
+    """Let JAX broadcast arrays of different rank as NumPy does, as MJX needs it."""
     with jax.numpy_rank_promotion("allow"):
         yield
 
 
 @pytest.fixture(scope="session")
 def crowd() -> dict[str, Outcome]:
-    """Tiny worlds, all in one time slice, on mjx-warp: for tests that have Warp."""
+    """Outcomes of the tiny worlds on mjx-warp, all simulated in one time slice (one launch of the kernel).
+
+    For tests that have Warp.
+    """
     from support.tiny_worlds import in_one_slice
 
     return in_one_slice()

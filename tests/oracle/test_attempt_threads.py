@@ -1,4 +1,7 @@
-"""A run on mjx-warp-cpu makes attempts that few worlds need on further threads, while its own go on."""
+"""Further attempts (simulations of a world again, with other options) of a run on mjx-warp-cpu.
+
+Few worlds need them. The run makes them on further threads, while it simulates the other worlds.
+"""
 
 from __future__ import annotations
 

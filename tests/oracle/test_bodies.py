@@ -1,5 +1,8 @@
-"""Worlds of bodies that no option makes yet, on all engines: a carrier of two boards, boxes of two frictions, centres
-of mass aside. What they do statics says."""
+"""Worlds with bodies that no option makes yet, on all engines, against what statics says.
+
+The bodies are a carrier of two boards, boxes of two coefficients of friction, and boxes whose centre of mass is not in
+the middle.
+"""
 
 from __future__ import annotations
 
@@ -34,23 +37,28 @@ SIM = Simulation(interval_s=0.2, rest_window_s=0.1, settle_s=0.2, size_reduction
 SIDE_MM, GAP_M = 200.0, 0.3
 HALF_HEIGHT_M = SIM.physics.carrier_half_height_m
 BEYOND_M = 0.03
-"""How far the middle of a box is beyond the edge of its board."""
+"""Distance of the middle of a box beyond the edge of the board that it stands on."""
 LOWER, LOW, HIGH, PUSH_G = 0.1, 0.2, 0.6, 0.4
-"""Friction of boxes that slide, and of one that does not, when the carrier is accelerated by so many g."""
+"""Coefficients of friction of boxes that slide (``LOWER`` and ``LOW``) and of a box that does not (``HIGH``), when the
+carrier is accelerated by ``PUSH_G`` times standard gravity."""
 SAME_PLACE_M = 1e-3
 SAME_FRICTION = 0.03
-"""Of a coefficient that is worked out from places in float32."""
+"""Relative tolerance of a coefficient of friction that a test computes from positions in float32."""
 
 
 def boards(friction: float) -> Body:
-    """Two boards along y with a gap between them, whose inner edges are at x = 0 and ``GAP_M``."""
+    """Return a carrier of two boards along y, with a gap between them. Their inner edges are at x = 0 and ``GAP_M``."""
     half = np.array([[0.2, 0.4, HALF_HEIGHT_M]] * 2)
     center = np.array([[-0.2, 0.4, -HALF_HEIGHT_M], [GAP_M + 0.2, 0.4, -HALF_HEIGHT_M]])
     return Body.of_boards(center, half, np.array([10.0, 10.0]), np.tile([friction, 0.005, 0.0001], (2, 1)))
 
 
 def at_the_edge(toward_board_m: float) -> Scene:
-    """Two boxes on the left board. The first has its middle beyond the edge, and its centre of mass this far back."""
+    """Return a scene of two boxes on the left board.
+
+    The middle of the first box is beyond the board's edge. Its centre of mass is ``toward_board_m`` from its middle,
+    towards the board.
+    """
     corner = -SIDE_MM / 2 + 1000 * BEYOND_M
     scene = make_scene([((SIDE_MM,) * 3, (corner, 0, 0), 4.0), ((SIDE_MM,) * 3, (-300, 500, 0), 4.0)], SIM)
     aside = np.array([[-toward_board_m, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -63,8 +71,11 @@ def slippery_and_rough() -> Scene:
 
 
 def on_own_carrier(beyond_mm: float) -> Scene:
-    """A post whose middle is this far beyond the edge of the deck, of a carrier that does not balance: its deck is one
-    board, on one side of what it stands on."""
+    """Return a scene with a post on a carrier of two boards that are not centred over each other.
+
+    The lower board stands on the floor. The upper board is the deck, and covers one half of the lower one. The middle
+    of the post is ``beyond_mm`` beyond the edge of the deck.
+    """
     boards = [((0, 0, 0), (800, 400, 60), 12.0), ((0, 0, 60), (400, 400, 60), 4.0)]
     tables = [{"corner_mm": corner, "size_mm": size, "mass_kg": kg} for corner, size, kg in boards]
     sim = SIM.changed(carrier={"boards": tables})
@@ -72,8 +83,11 @@ def on_own_carrier(beyond_mm: float) -> Scene:
 
 
 def by_pairs() -> Scene:
-    """Three alike boxes on a rough carrier, whose surfaces say that the first two slide on it, each with its own
-    friction, though the larger coefficient of two shapes would hold them."""
+    """Return a scene of three equal boxes on a rough carrier, with coefficients of friction given by pairs of surfaces.
+
+    The pairs say that the first two boxes slide on the carrier, each with its own coefficient. The larger coefficient
+    of box and carrier, which counts without pairs, would hold both.
+    """
     boxes = [((SIDE_MM, SIDE_MM, 100), (-300, y, 0), 4.0) for y in (0, 300, 600)]
     table = no_pairs(4)
     for surface, friction in ((1, LOW), (2, LOWER)):
@@ -131,8 +145,11 @@ def test_places_are_those_of_middles(outcomes: dict[str, Outcome]) -> None:
 
 
 def test_each_box_has_its_own_friction(outcomes: dict[str, Outcome]) -> None:
-    """Boards have less friction than both boxes, and the larger of two coefficients counts. The slippery box slides by
-    ½ (a − μ g) t² while the carrier is accelerated, seen from the carrier against the acceleration."""
+    """The boards have less friction than both boxes, and the larger coefficient of board and box counts.
+
+    While the carrier is accelerated, the slippery box slides against the acceleration. Seen from the carrier, the
+    distance is ½ (a − μ g) t².
+    """
     sway = outcomes["slides"].boxes.max_sway_m
     seconds = 200 * SIM.physics.timestep_s
     assert sway[0] >= 0.95 * (PUSH_G - LOW) * STANDARD_GRAVITY * seconds**2 / 2
@@ -140,8 +157,11 @@ def test_each_box_has_its_own_friction(outcomes: dict[str, Outcome]) -> None:
 
 
 def test_each_box_slides_by_the_friction_of_its_pair(outcomes: dict[str, Outcome]) -> None:
-    """A box that slides has gone ½ (a − μ g) (t − t₀)² after t, seen from the carrier: the root of its way grows with
-    the time, by √(½ (a − μ g)). The third box has no surface, and the larger coefficient of two shapes holds it."""
+    """Seen from the carrier, a box that slides has moved by ½ (a − μ g) (t − t₀)² at time t.
+
+    So the square root of that distance grows with time at the rate √(½ (a − μ g)). The third box has no surface number:
+    the larger coefficient of box and carrier counts for it, and holds it.
+    """
     history = outcomes["pairs"].history
     assert history is not None
     way = np.abs(history.pos[:, :, 0] - SCENES["pairs"].target[:, 0])

@@ -1,4 +1,4 @@
-"""The story is the run's, for all bundled plans."""
+"""For every bundled plan the story (``petmjx.tell``: what happens to the pallet, in words) agrees with the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A GPU on which nothing is compiled yet: no attempt at a world ends the run."""
+"""Runs on a GPU for which no kernel is compiled yet: no attempt (simulation of a world with other options) fails."""
 
 from __future__ import annotations
 
@@ -17,7 +17,11 @@ from petmjx.engines.engine_choice import make_engine
 from petmjx.options.simulation import Simulation
 
 LIGHT_UNDER_HEAVY = make_plan("light", stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0)))
-"""Attempts 1 and 6; with conjugate gradients the first one, too, is C MuJoCo's."""
+"""A plan whose world needs attempts 1 and 6.
+
+Newton's method solves contacts here. With conjugate gradients attempt 1 would run on C MuJoCo, as mjx-warp does not
+have them.
+"""
 
 KERNEL_ON_THREADS = """
 import sys
@@ -66,7 +70,7 @@ def test_every_attempt_ends_with_nothing_kept(attempt: int, tmp_path: Path) -> N
 @pytest.mark.gpu
 @pytest.mark.slow
 def test_what_is_made_beside_a_gpu_is_the_same_as_without_one() -> None:
-    """To the last bit: the process beside the run sees no GPU."""
+    """Results agree to the last bit. Attempt 6 runs in a process beside the run, and that process sees no GPU."""
     (result,) = score_worlds([make_world(LIGHT_UNDER_HEAVY)], Simulation(), make_engine("mjx-warp"))
     assert [attempt.engine for attempt in result.attempts] == ["mjx-warp", "mjx-warp-cpu"]
     path = os.pathsep.join(sys.path)

@@ -1,4 +1,7 @@
-"""The paper's dynamic check, as `sweeps/radial-force.toml` has it, against what the reference printed."""
+"""The dynamic check of the paper, with the options of `sweeps/radial-force.toml`.
+
+Results are compared with the figures that the reference implementation printed.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,14 @@ from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.job import Job
 
 FORCE_N = 0.1
-"""Boxes that slide bear and shed load in turn."""
+"""Tolerance of forces. It is large, since boxes that slide bear and shed load in turn."""
 
 
 @pytest.mark.parametrize(
     ("plan_id", "shift_m"),
     [
         ("packing_plan_a", 2e-4),
-        # it collapses one by one, and a collapse amplifies rounding
+        # one by one this plan collapses, and a collapse amplifies rounding
         ("00100408", 2e-3),
     ],
 )
@@ -38,5 +41,5 @@ def test_the_demo_s_chain_does_to_plans_what_the_reference_printed(
     run = reference_run(plan_id, Check.ONE_BY_ONE, forces=True)
     assert not run.stable
     assert_matches(outcome, run, shift_m, FORCE_N)
-    # shaken, no component ends so near to 1 mm that only one side calls it 0
+    # after the shaking no component of a shift is so near to 1 mm that only one of both sides calls it 0
     np.testing.assert_allclose(outcome.boxes.shift_m, run.shift_m, atol=shift_m)

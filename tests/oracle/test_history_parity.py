@@ -1,4 +1,7 @@
-"""Histories of the engine mujoco against a plain loop of C MuJoCo, which measures in its own ways."""
+"""Histories (recorded frames of a world) of the engine mujoco, compared with a plain loop over C MuJoCo.
+
+The loop measures everything in its own way.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +23,23 @@ from petmjx.world.scene import Scene, build_scene
 
 SAME_PLACE_M = 1e-9
 SAME_ACCELERATION = 1e-6
-"""m/s² and rad/s²."""
+"""Tolerance of accelerations, in m/s² and rad/s²."""
 SAME_FORCE_N = 1e-6
 SAME_DEPTH_M = 1e-9
 
 EVERY = 7
-"""Steps between two frames: other ones than those of samples, polls and placements."""
+"""Steps between two frames. Frames are at other steps than samples, looks for quiet boxes, and placements."""
 SIM = Simulation(physics="reference", schedule=Schedule.FIXED, interval_s=0.3, early_stop=False)
 FIRST_BOX = 3
-"""Bodies before the boxes: the world, the carrier, and the one that stands for boxes that wait."""
+"""Number of bodies before the boxes: the world, the carrier, and the body that stands for boxes not placed yet."""
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What the plain loop saw in a frame. ``contacts``: a row of 12: pair, place, normal, force, distance."""
+    """What the plain loop saw in a frame: poses, accelerations and forces of boxes, and contacts.
+
+    A row of ``contacts`` has 12 numbers: the two bodies, the position, the normal, the force, and the distance.
+    """
 
     pose: FloatArray
     lin_acc: FloatArray
@@ -43,7 +49,10 @@ class Seen:
 
 
 class PlainLoop:
-    """Packs a scene step by step: every ``interval_s`` a box, on a model that is built anew for each block of boxes."""
+    """A plain simulation of a scene, which places a box every ``SIM.interval_s``.
+
+    It builds a new MuJoCo model for each block of boxes.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.placed = scene, 0
@@ -85,12 +94,15 @@ class PlainLoop:
         self.data.qvel[self.v(box)] = self.data.qacc_warmstart[self.v(box)] = 0.0
         self.data.xfrc_applied[FIRST_BOX + box] = 0.0
         self.placed += 1
-        # pressed as hard as the boxes that wait would press on the floor (petmjx/engines/mujoco/live_world.py)
+        # The body for waiting boxes is pressed as hard as these would press on the floor (mujoco/live_world.py).
         waiting_kg = self.scene.mass[self.placed :].sum()
         self.data.xfrc_applied[2, 2] = SIM.physics.gravity_m_s2 * (1.0 - sqrt(3.97 * waiting_kg))
 
     def step(self, look: int | None = None) -> None:
-        """A step; what is seen at its beginning, and the poses after it, are kept under the number ``look``."""
+        """Make one step. If ``look`` is given, store a frame under that number.
+
+        The frame has the accelerations and contacts of the beginning of the step, and the poses of its end.
+        """
         model, data = self.model, self.data
         mujoco.mj_forward(model, data)
         if look is not None:
@@ -120,7 +132,11 @@ class PlainLoop:
         return np.array(rows).reshape(-1, 12)
 
     def _on_tops(self, contacts: FloatArray) -> FloatArray:
-        """Forces of contacts within 45° of level, on the partner whose centre is lower."""
+        """Return the vertical forces on the tops of boxes.
+
+        The normal of a contact counts if it is within 45° of vertical. Its force then acts on the box whose centre is
+        lower.
+        """
         total = np.zeros(self.placed)
         height = {-2: -np.inf, **{box - 2: z for box, z in enumerate(self.data.geom_xpos[:, 2]) if box}}
         for first, second, *values in contacts:
@@ -167,7 +183,7 @@ def test_frames_are_those_of_a_plain_loop() -> None:
 
 
 def compare(history: History, frame: int, seen: Seen) -> None:
-    """A frame, in which a box may have been placed since the plain loop looked."""
+    """Compare a frame of a history with that of the plain loop. The history's frame may have one more box."""
     k = len(seen.pose)
     assert history.n_placed[frame] in (k, k + 1)
     assert history.lin_acc is not None

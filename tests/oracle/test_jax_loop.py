@@ -1,4 +1,4 @@
-"""Pallets as pure functions under jit and scan: what they tell is what ``petmjx.Pallets`` tells."""
+"""``petmjx.jax``: pallets as pure functions, under jit and scan. They report what ``petmjx.Pallets`` reports."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 SIZE = np.array([[400, 300, 200], [300, 200, 250]], np.float32)
 STEPS = np.array([[[0, 0, 0], [100, 100, 0]], [[0, 0, 200], [110, 100, 250]], [[260, 0, 400], [100, 110, 500]]], float)
-"""mm: of three boxes on each of two pallets. The third one on the first pallet falls."""
+"""(3, 2, 3) corners in mm of three boxes on each of two pallets. The third box on the first pallet falls."""
 MASS = np.array([6.0, 3.0], np.float32)
 
 
@@ -38,7 +38,10 @@ def assert_told(report: PlacementArrays, expected: petmjx.PlacementResults, exac
 def check_program(
     engine: Any, steps: np.ndarray, candidates: tuple[np.ndarray, ...], most_boxes: int
 ) -> tuple[PlacementArrays, PlacementArrays]:
-    """A program that places box after box, and then asks about candidates, tells what pallets tell."""
+    """Compare a jitted program with ``petmjx.Pallets``.
+
+    The program places boxes one after another on two pallets, and then tries candidates (places for a next box).
+    """
     state = petmjx.jax.empty(2, engine=engine, most_boxes=most_boxes)
 
     @jax.jit
@@ -88,9 +91,9 @@ def test_what_cannot_get_a_box_stays_as_it_is() -> None:
     place = jax.jit(petmjx.jax.place)
     one, report = place(state, SIZE, STEPS[0], MASS, jnp.array([True, False]))
     assert (report.stable.tolist(), report.ended.tolist(), report.n_boxes.tolist()) == ([True] * 2, [False] * 2, [1, 0])
-    two, report = place(one, SIZE, STEPS[1], MASS)  # the first one is full
+    two, report = place(one, SIZE, STEPS[1], MASS)  # the first pallet is full
     assert (report.stable[0], report.n_boxes.tolist()) == (True, [1, 1])
-    gone, report = place(state, SIZE, np.array([[1100, 0, 0], [0, 0, 0]]), MASS)  # the first one falls
+    gone, report = place(state, SIZE, np.array([[1100, 0, 0], [0, 0, 0]]), MASS)  # the box on the first pallet falls
     assert (report.ended.tolist(), REASONS[report.reason[0]]) == ([True, False], "drop")
     _, report = place(gone, SIZE, STEPS[0], MASS)
     assert (report.ended.tolist(), REASONS[report.reason[0]]) == ([True, False], "ended")
@@ -106,7 +109,7 @@ def test_settled_worlds_are_built_again_when_they_are_gone(monkeypatch: pytest.M
     place = jax.jit(petmjx.jax.place)
     first, report = place(state, SIZE, STEPS[0], MASS)
     second, expected = place(first, SIZE, STEPS[1], MASS)
-    for shift in range(4):  # others, which take all room
+    for shift in range(4):  # other pallets, which take all the memory for settled worlds
         place(state, SIZE, STEPS[0] + 10 * shift + 10, MASS)
     _, second_report = place(first, SIZE, STEPS[1], MASS)
     for one, other in zip(second_report, expected, strict=True):
@@ -116,7 +119,7 @@ def test_settled_worlds_are_built_again_when_they_are_gone(monkeypatch: pytest.M
 
 
 def test_what_was_refused_leaves_nothing_behind() -> None:
-    """A wrong mass in one row: the boxes of the other row were not placed either."""
+    """If the mass for one pallet is wrong, the other pallet does not get its box either."""
     state = petmjx.jax.empty(2, engine="mujoco", most_boxes=3)
     for _ in range(2):
         with pytest.raises(Exception, match="mass_kg must be from"):

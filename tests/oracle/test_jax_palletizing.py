@@ -1,4 +1,7 @@
-"""``petmjx.jax.Palletizing``: as the Gymnasium environment with the same actions; under jit, vmap and scan."""
+"""``petmjx.jax.Palletizing`` has the episodes of the Gymnasium environment with the same actions.
+
+It also works under jit, vmap and scan.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ TABLE = pd.DataFrame(
         "weight_kg": [8.0, 5.0, 6.0, 3.0, 4.0, 7.0],
     }
 )
-"""Of the first order the second box has no place: it is left out."""
+"""The second box of the first order fits nowhere on the pallet, so the environment leaves it out."""
 
 OPTIONS: dict[str, Any] = {
     "orders": TABLE,
@@ -47,7 +50,7 @@ def env() -> petmjx.jax.Palletizing:
 
 
 def key_of(env: petmjx.jax.Palletizing, order: int) -> jax.Array:
-    """A key that begins with this order."""
+    """Return a random key with which ``env.reset`` chooses this order."""
     return next(key for key in map(jax.random.key, range(50)) if env.reset(key)[0].order == order)
 
 
@@ -141,7 +144,10 @@ def test_specs_fit_and_what_is_wrong_is_one_line(env: petmjx.jax.Palletizing) ->
 
 
 def test_candidates_of_many_states_are_asked_in_one_call() -> None:
-    """Under vmap the rows of all states are one call, with more settled worlds than one state has room for."""
+    """Under vmap the boxes of all states are placed in one call.
+
+    That call needs more settled worlds than there is room for with one state.
+    """
     state = petmjx.jax.empty(1, engine="mujoco", most_boxes=2)
     before = len(state.host._pallets)
     corners = jnp.stack([jnp.array([[10.0 * row, 0.0, 0.0]]) for row in range(20)])
@@ -157,7 +163,7 @@ def test_candidates_of_many_states_are_asked_in_one_call() -> None:
 
 
 MOST = 16
-"""Boxes of the piles below."""
+"""Largest number of boxes of the piles in the tests below."""
 
 
 def pile_of(low: Any, high: Any) -> Pile:
@@ -168,8 +174,11 @@ def pile_of(low: Any, high: Any) -> Pile:
 
 @pytest.mark.parametrize("gap_mm", [0.0, 6.0])
 def test_candidates_are_the_places_of_the_packer_learned(gap_mm: float) -> None:
-    """Without a gap the same places, seen from all four corners. With a gap they are those of them whose base is borne
-    without the free space, which the packer counts as borne."""
+    """Without a gap between boxes, the candidates are all places of the packer ``learned``, from all four corners.
+
+    With a gap, the candidates are some of those places. The packer counts the part of a base that is over a gap as
+    borne; the candidates do not.
+    """
     candidates = Candidates((1200.0, 800.0), 160, 2000.0, 0.5, gap_mm, 0.0)
     look = jax.jit(lambda pile, *box: candidates.ways(candidates.view(pile, candidates.no_boxes(MOST)), *box))
     stream, n_compared = FourSidedStream(draw_order(33, 0).items[:MOST], (1200.0, 800.0), gap_mm), 0
@@ -198,11 +207,15 @@ def test_candidates_are_the_places_of_the_packer_learned(gap_mm: float) -> None:
 
 
 MISSED_MM = 5.0
-"""By so much a hull may be too small, since its corners are looked for in 32 directions."""
+"""By how many mm a margin may be too small. The corners of a convex hull are searched in 32 directions only, so the
+hull may be too small."""
 
 
 def test_the_balance_of_a_pile_is_that_of_the_packer_balanced() -> None:
-    """Margins of all candidates and which of them keep the balance, on a pile that random ones of these made."""
+    """Compare with the packer ``balanced``: margins of all candidates, and which candidates keep the pile in balance.
+
+    The pile grows by candidates that are chosen at random.
+    """
     free, strict = (Candidates((1200.0, 800.0), 40, 2000.0, 0.3, 0.0, inside) for inside in (0.0, 20.0))
 
     @jax.jit
@@ -261,7 +274,7 @@ def test_boxes_keep_their_gap_and_an_order_can_be_chosen() -> None:
     )
     assert env.num_orders == 2
     step = jax.jit(env.step)
-    state, timestep = env.reset(jax.random.key(0), 9)  # beyond the last order: the last one
+    state, timestep = env.reset(jax.random.key(0), 9)  # beyond the last order: the last order is packed
     assert int(timestep.observation.left) == 8
     while not timestep.last():
         seen = timestep.observation
@@ -276,6 +289,6 @@ def test_boxes_keep_their_gap_and_an_order_can_be_chosen() -> None:
             level = max(low[i, 2], low[j, 2]) < min(high[i, 2], high[j, 2]) - 0.01
             apart = np.maximum(low[i] - high[j], low[j] - high[i])[:2].max()
             assert not level or apart >= 10 - 0.01
-    # 3 × 2 of these bases fit on 1200 × 800 mm with 10 mm between them; two boxes stand on others
+    # 3 × 2 of these bases fit on 1200 × 800 mm with gaps of 10 mm, and the other two boxes stand on them
     assert (low[:, 2] < 1).sum() == 6
     assert (high <= [1200.01, 800.01, 1800]).all()

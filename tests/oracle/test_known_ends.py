@@ -1,4 +1,7 @@
-"""Worlds that end once it is known that the pallet does not stand, and what is seen of drives, on C MuJoCo."""
+"""When a world on C MuJoCo ends early because its verdict is known, and what drives record.
+
+A drive is a motion of the carrier in a test of the pallet.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,8 @@ def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
 
 
 def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> None:
-    """With the verdict, the culprit and the first sign that it would have had, and without what follows."""
+    """A world with placement errors (``has_errors``) is only asked whether the pallet stands. It keeps the verdict, the
+    culprit and the time of the first sign of the full run, and lacks only what follows."""
     with_errors, full_run = (
         run_one(Job(falling(), has_errors=has_errors), Simulation()) for has_errors in (True, False)
     )
@@ -48,18 +52,19 @@ def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> No
 
 
 PUSH = Excitation("push", "acceleration", np.tile([4.0, 0, 0], (300, 1)))
-"""What topples a tower."""
+"""A constant acceleration along x, which topples a tower."""
 
 
 def tower() -> Scene:
-    """It topples when it is pushed along x; a flat box beside it does not."""
+    """Return a scene with a tower that topples when it is pushed along x, and a flat box beside it that stays."""
     column = stack(4, size_mm=(150, 400, 300), at_mm=(800, 0))
     return make_scene([*column, ((300, 400, 60), (0, 0, 0), 5.0)], Simulation(carrier=Carrier.EURO_PALLET))
 
 
 @pytest.mark.parametrize("kind", ["force", "acceleration"])
 def test_a_drive_ends_when_its_culprit_is_lost(kind: str) -> None:
-    """With the verdict, the culprit and the first sign that it would have had: how the first box failed is known."""
+    """The world keeps the verdict, the culprit and the time of the first sign of the full run, as it is known how the
+    first box failed."""
     shaken = Drive(Excitation("push", kind, np.tile([4.0 if kind == "acceleration" else 2.0, 0, 0], (300, 1))))
     early, full_run = (run_one(Job(tower(), shaken), Simulation(early_stop=stop)) for stop in (True, False))
     assert (early.verdict, early.culprit, early.first_sign_s) == (
@@ -86,7 +91,7 @@ def test_a_drive_that_may_be_passed_goes_on_until_the_culprit_has_swayed_too_far
 
 
 def test_a_drive_ends_at_the_look_after_the_one_that_finds_its_culprit() -> None:
-    """Where the two thresholds are passed at the same look."""
+    """Looks are the regular checks of all boxes. Here the culprit passes both of its thresholds at the same look."""
     sim = Simulation(thresholds={"tilt_deg": 0.01})
     outcome = run_one(Job(tower(), Drive(PUSH)), sim)
     assert outcome.flags & Flag.EARLY_STOP
@@ -104,7 +109,7 @@ def test_with_pyramidal_cones_a_drive_ends_by_a_drop_alone_and_is_seen_at_sample
 
 
 def test_what_is_seen_of_a_drive_does_not_depend_on_how_often_samples_are_taken() -> None:
-    """A box on its small side rocks in a pulse of a tenth of a second, between two samples."""
+    """A box on its small side rocks in a short pulse, between two samples."""
     scene = make_scene([((200, 400, 400), (0, 0, 0), 10.0)], Simulation(carrier=Carrier.EURO_PALLET))
     pulse = Drive(Excitation("pulse", "acceleration", np.tile([9.0, 0, 0], (40, 1))), rest_s=1.0)
     often, seldom = (
@@ -116,7 +121,8 @@ def test_what_is_seen_of_a_drive_does_not_depend_on_how_often_samples_are_taken(
 
 
 def test_a_box_that_comes_back_is_not_lost() -> None:
-    """A board tips under a box, by more than twice the threshold of shift, until there is one on its other end."""
+    """A board tips under a box by more than twice the threshold of shift. Then the next box on the board's other end
+    tips it back."""
     sim = Simulation(carrier=Carrier.EURO_PALLET, placing="hand")
     boxes = [
         ((200, 800, 60), (500, 0, 0), 10.0),

@@ -1,4 +1,4 @@
-"""What can go wrong on a device: numbers that are none, memory that runs out."""
+"""Failures on a device: numbers that are not finite, and memory that runs out."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from petmjx.world.job import Job
 
 SHORT = Simulation(interval_s=0.3, sample_interval_s=0.05)
 MARKED_KG = 13.0
-"""Boxes of this mass are those that something happens to."""
+"""Mass of the boxes to which something happens in these tests."""
 HAPPENS_AT_AGE = 7
 
 PLAIN = Job(fake_scene(1.0, 60.0, 1.0))
@@ -34,7 +34,7 @@ JOBS = [MARKED if world % 8 == 3 else PLAIN for world in range(40)]
 
 
 class PoisonedStepper(FakeStepper):
-    """Marked boxes turn into no number."""
+    """A fake stepper (a step without physics) that turns the poses of marked boxes into NaN."""
 
     def step(
         self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array, *others: None
@@ -52,7 +52,7 @@ class PoisonedEngine(FakeEngine):
 
 @pytest.fixture(scope="module")
 def healthy() -> list[Outcome]:
-    """The same worlds where nothing happens."""
+    """Outcomes of the same worlds when nothing happens."""
     return run_all(FakeEngine(16), JOBS, SHORT)
 
 
@@ -63,7 +63,7 @@ def test_no_number_is_invalid_and_harms_no_other_world(healthy: list[Outcome]) -
             assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.NONFINITE)
             assert outcome.n_steps < expected.n_steps
         else:
-            assert_same(outcome, expected)  # bit for bit: tolerances are 0
+            assert_same(outcome, expected)  # bit for bit, since all tolerances are 0
 
 
 # ---------------------------------------------------------------------- memory
@@ -74,7 +74,8 @@ def out_of_memory() -> RuntimeError:
 
 
 class SmallDevice(FakeEngine):
-    """Holds so many worlds at once; the memory of more runs out after some steps."""
+    """An engine on a device that holds ``holds`` worlds at once. With more worlds its memory runs out after some
+    steps."""
 
     def __init__(self, holds: int, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)

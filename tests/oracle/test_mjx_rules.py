@@ -1,4 +1,7 @@
-"""Rules and batches of mjx-jax against a plain loop over one world, on a stepper without physics."""
+"""Rules and batches of mjx-jax, compared with a plain loop over one world.
+
+Both use a fake stepper, which has no physics: a box trembles for a number of steps that its mass gives.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +29,16 @@ from petmjx.world.job import Drive, Excitation, Job
 DT = 0.002
 SHORT = Simulation(interval_s=0.3, longest_wait_s=0.6, sample_interval_s=0.05, duration_s=0.5, settle_s=0.4)
 FORCE_RELATIVE = 1e-5
-"""Resting forces are float32 sums of whole numbers, divided."""
+"""Relative tolerance of forces at rest, which are float32 sums of whole numbers, divided by their count."""
 
 
 @dataclass
 class Plain:
-    """What becomes of one world: the step after which each box is placed, the last step, and whether a box was placed
-    while one moved, or one moves at the end."""
+    """What becomes of one world.
+
+    ``placed_at`` has the step after which each box is placed, and ``end`` the last step. ``moving`` is True if a box
+    was placed while another box moved, or if a box moves at the end.
+    """
 
     placed_at: list[int]
     end: int
@@ -40,10 +46,10 @@ class Plain:
 
 
 def plainly(masses: Sequence[float], sim: Simulation, *, sways: bool = False) -> Plain:
-    """The rules for a world of the fake stepper's boxes, step by step, in float64 as MuJoCo's clock runs.
+    """Apply the rules step by step to a world of the fake stepper's boxes, in float64 as MuJoCo's clock runs.
 
     Args:
-        sways: whether boxes come back to their places when they come to rest; else they tremble there.
+        sways: If True, boxes return to their places when they come to rest. If False, boxes tremble at their places.
     """
     n, adaptive = len(masses), sim.schedule is not Schedule.FIXED
     static = sim.check is Check.STATIC
@@ -73,18 +79,22 @@ def plainly(masses: Sequence[float], sim: Simulation, *, sways: bool = False) ->
             end = max(step, last + sim.quiet.landing_steps) + rest_steps
         if step == end:
             moves = any(trembles)
-            if sways:  # one that has come back since the first look at the end has moved
+            if sways:  # a box that has returned since the first look at the end has moved
                 since = step - sim.quiet.still_steps
                 moves = any(since - at < mass for at, mass in zip(placed_at, masses, strict=True))
             limit_s = sim.duration_s if static else sim.longest_wait_s
             if not moves or time_s - last_s >= limit_s:
                 return Plain(placed_at, step, moving or moves)
-            # it is waited for until it is quiet, also with the fixed schedule
+            # the world goes on until its boxes are quiet, also with the fixed schedule
             adaptive, quiet, end = True, 0, None
 
 
 def placements(outcome: Outcome, sim: Simulation) -> np.ndarray:
-    """When boxes were placed, from the force at rest: a box's mean age over the rest window."""
+    """Return the steps at which boxes were placed, from their forces at rest.
+
+    With the fake stepper, such a force is the mean age (number of steps since its placement) of a box over the rest
+    window.
+    """
     mean_age = outcome.boxes.rest_top_force_n
     middle = outcome.n_steps - (int(sim.rest_window_s / DT) - 1) / 2
     return middle - mean_age
@@ -92,7 +102,8 @@ def placements(outcome: Outcome, sim: Simulation) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def engine() -> FakeEngine:
-    """One for all, since programs take long to compile. The 40 worlds make three batches of two sizes."""
+    """The engine of all these tests, since programs take long to compile. The 40 worlds make three batches of two
+    sizes."""
     return FakeEngine(16)
 
 
@@ -116,7 +127,7 @@ def test_every_world_follows_the_rules_to_the_step(engine: FakeEngine, schedule:
 
 
 def test_a_shift_is_judged_at_rest(engine: FakeEngine) -> None:
-    """A box that is beyond the threshold for as long as it moves is waited for like one at its place."""
+    """A box that is beyond the threshold of shift while it moves is waited for, like a box that moves at its place."""
     swaying = [tuple(mass + SWAYS_KG * (mass > 47) for mass in masses) for masses in MASSES]
     times = [tuple(float(np.ceil(mass)) for mass in masses) for masses in swaying]
     outcomes = run_all(engine, [Job(fake_scene(*masses)) for masses in swaying], SHORT)
@@ -148,12 +159,12 @@ def test_a_static_world_stands_from_the_soft_start_on(schedule: Schedule) -> Non
     outcomes = run_all(FakeEngine(), [Job(fake_scene(*masses)) for masses in worlds], sim)
     for masses, outcome in zip(worlds, outcomes, strict=True):
         assert outcome.n_steps == plainly(masses, sim).end
-        # 200 steps of soft start count for age, not for time
+        # the 200 steps of the soft start count for the age of a box, and not for the time of the world
         np.testing.assert_allclose(placements(outcome, sim), -200, rtol=FORCE_RELATIVE, atol=0.01)
 
 
 def test_the_shape_of_the_batch_does_not_matter(engine: FakeEngine) -> None:
-    jobs = [Job(fake_scene(*masses)) for masses in MASSES if len(masses) <= 4]  # of one size: a program for each shape
+    jobs = [Job(fake_scene(*masses)) for masses in MASSES if len(masses) <= 4]  # one size: fewer programs to compile
     expected = run_all(engine, jobs, SHORT)
     for jobs_there, lanes in ((jobs, 64), (jobs[:7], 3), (jobs[4:5], 1)):
         first = jobs.index(jobs_there[0])
@@ -162,7 +173,10 @@ def test_the_shape_of_the_batch_does_not_matter(engine: FakeEngine) -> None:
 
 
 def test_a_batch_has_worlds_that_are_alike() -> None:
-    """Of similar size, with the same kind of drive, and none of them placed already if not all are."""
+    """The worlds have similar numbers of boxes and the same kind of drive (motion of the carrier).
+
+    Worlds that begin from a kept state, with all boxes placed, are not mixed with others.
+    """
     drives = {kind: pushes(kind, 1, 0.1) for kind in ("force", "acceleration")}
     (kept,) = run_all(FakeEngine(), [Job(fake_scene(1.0), keep_state=True)], SHORT)
     jobs = [Job(fake_scene(*[1.0] * n)) for n in (1, 9, 4, 5, 8, 16)]
@@ -176,7 +190,7 @@ def test_a_fall_is_seen_at_the_next_sample_and_ends_the_world(engine: FakeEngine
     assert (fallen.verdict, fallen.reason, fallen.culprit) == (Verdict.UNSTABLE, Reason.DROP, 1)
     assert fallen.flags & Flag.EARLY_STOP
     assert fallen.n_placed == 2
-    # 20 mm of shift after two steps: the first sample after that, 25 steps apart, tells
+    # the box has shifted by 20 mm after two steps, and the next sample, every 25 steps, shows it
     placed_at = plainly((1.0, FALLS_KG), SHORT).placed_at[1]
     assert placed_at < fallen.first_sign_s / DT <= placed_at + 28
     assert fallen.n_steps % 25 == 0
@@ -200,7 +214,7 @@ def pushes(kind: str, steps: int, level: float, rest_s: float = 0.2) -> Drive:
 
 
 def sway_of(drive: Drive, total_kg: float) -> float:
-    """How far the fake boxes go: down the push, turned but as long as before."""
+    """Return how far the fake stepper's boxes move in a drive: along the push, whatever its direction."""
     level = float(np.abs(drive.excitation.samples).sum()) * drive.scale
     return CREEP_M * level * (total_kg * 9.80665 if drive.excitation.kind == "force" else 1.0)
 
@@ -219,7 +233,7 @@ def test_a_drive_starts_when_the_pallet_is_quiet_and_lasts_as_long_as_its_profil
 
 
 def plain_drive_end(masses: Sequence[float], drive: Drive, sim: Simulation) -> int:
-    """The last step of a world of the fake stepper's boxes that is shaken, step by step."""
+    """Return the last step of a world with a drive, found step by step with the fake stepper's boxes."""
     placed, window = plainly(masses, sim), int(sim.rest_window_s / DT)
     since = placed.end + len(drive.excitation.samples)
     last = since + int(drive.rest_s / DT)
@@ -231,17 +245,17 @@ def plain_drive_end(masses: Sequence[float], drive: Drive, sim: Simulation) -> i
         if step == last:
             if not trembles:
                 return last
-            quiet = 0  # it is waited for: another wait begins
+            quiet = 0  # a box moves, so another wait begins
         elif step % sim.quiet.poll_steps == 0:
             quiet = 0 if trembles else quiet + sim.quiet.poll_steps
-        # an earlier rest window begins only if it is over when the last one begins
+        # a rest window may begin earlier only if it ends before the last one begins
         waits = step <= last - 2 * window or step > last
         if waits and (quiet >= sim.quiet.steps or step >= latest):
             return step + window
 
 
 def test_a_drive_ends_when_the_pallet_is_quiet_and_later_than_its_time_only_if_a_box_moves(engine: FakeEngine) -> None:
-    """Boxes still tremble when the drive begins, since the longest wait is over before they are quiet."""
+    """The longest wait ends before the boxes are quiet, so they still tremble when the drive begins."""
     last_masses, shaken, rest_s = (1.0, 460.0, 500.0, 620.0, 660.0, 800.0), 30, (0.2, 0.4, 0.5, 1.0)
     cases = [((1.0, mass), pushes("force", shaken, 0.01, rest)) for mass in last_masses for rest in rest_s]
     outcomes = run_all(engine, [Job(fake_scene(*masses), drive) for masses, drive in cases], SHORT)
@@ -283,7 +297,7 @@ def test_a_world_that_fell_skips_its_drive(engine: FakeEngine) -> None:
 
 
 def test_one_program_a_shape() -> None:
-    """Other jobs, another number of them, another run: the same program."""
+    """Other jobs, another number of jobs and another run all use the same program."""
     fresh = FakeEngine(16)
     for masses in (MASSES[:32], [m[::-1] for m in MASSES[:25]]):
         run_all(fresh, [Job(fake_scene(*m)) for m in masses], SHORT)
@@ -292,7 +306,7 @@ def test_one_program_a_shape() -> None:
 
 
 def test_one_placement_program_and_few_for_drives() -> None:
-    """Drives of about the same length share a program."""
+    """All drives whose lengths are similar share a program."""
     fresh = FakeEngine()
     for steps in (30, 61, 1000):
         run_all(fresh, [Job(fake_scene(1.0), pushes("force", steps, 0.01))], SHORT)

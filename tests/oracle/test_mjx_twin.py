@@ -1,6 +1,6 @@
-"""The engine mjx-jax against C MuJoCo, plan by plan; and a world's outcome does not depend on its company.
+"""The engine mjx-jax compared with C MuJoCo, plan by plan. Also: outcomes of a world do not depend on its batch.
 
-Both in one file, so that the same process computes the outcomes once.
+Both are in one file, so that one process computes the outcomes only once.
 """
 
 from __future__ import annotations
@@ -23,13 +23,15 @@ from petmjx.engines.verdict import Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 
 SAME_PLACE_M = 1e-3
-"""MJX-JAX makes at most four contacts a pair of boxes, C up to eight: soft contacts then give way differently."""
+"""Tolerance of positions. MJX-JAX makes at most four contacts for a pair of boxes, C MuJoCo up to eight, so soft
+contacts give way differently."""
 SAME_TILT_DEG = 0.2
-"""1 mm over the smallest box."""
+"""Tolerance of tilts: 1 mm over the length of the smallest box."""
 SAME_FORCE = 0.05
-"""At rest the weights above decide, but how they are shared among several supports depends on the contacts."""
+"""Relative tolerance of forces at rest. The weights above a box decide the sum of forces, but the contacts decide how
+several supports share it."""
 SMALL_FORCE_N = 1.0
-"""Below this a share of the force says nothing: 0.1 kg."""
+"""Absolute tolerance of forces, the weight of 0.1 kg. Smaller forces say nothing about how a load is shared."""
 
 PLANS = list(boxes_by_plan())
 
@@ -69,17 +71,18 @@ def test_each_program_was_compiled_once() -> None:
     assert [(key.capacity, key.worlds) for key in jax_engine().programs] == [(MOST_BOXES, LANES)]
 
 
-# The company of a world.
+# Worlds in different batches, and at different places in them.
 
 SAME_WORLD_M = 5e-5
-"""float32 rounds a position on the pallet to 6e-8 m, and a world's place in its batch decides how XLA adds its numbers;
-some hundred steps of contacts at rest may carry that to micrometres, and a box that rocks while it lands (the overhang)
-to 30 of them, since its friction then sticks a step earlier or later. What counts as a shift begins at 1,000."""
+"""Tolerance of positions of the same world in another batch. float32 rounds a position on the pallet to 6e-8 m, and the
+order in which XLA adds a world's numbers depends on the world's place in its batch. Some hundred steps of contacts at
+rest may make micrometres of that. For a box that rocks while it lands (the overhang) they may make 30 micrometres,
+since its friction then sticks a step earlier or later. A box counts as shifted from 1,000 micrometres on."""
 SAME_WORLD_DEG = 0.01
 SAME_WORLD_FORCE = 0.01
-"""What is shared among several contacts depends on the last micrometres of their depths."""
+"""Relative tolerance of forces. How several contacts share a force depends on the last micrometres of their depths."""
 LANDED_M = 0.01
-"""A fall multiplies what it started from."""
+"""Tolerance of positions of boxes that fell: a fall multiplies differences that were there before."""
 NAMES = ("hand-overhang-45", "brickwork", "uneven pile", "hand-falls-off")
 
 

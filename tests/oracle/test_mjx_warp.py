@@ -1,4 +1,7 @@
-"""The engine mjx-warp against C: its kernel on the CPU, slow and small; on a GPU where marked (``pytest -m gpu``)."""
+"""The engine mjx-warp compared with C MuJoCo.
+
+The tests run its kernel on the CPU, where it is slow, with small worlds. Marked tests need a GPU (``pytest -m gpu``).
+"""
 
 from __future__ import annotations
 
@@ -50,12 +53,14 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 
 SAME_PLACE_M = 1e-3
-"""Contacts are the same as C's; float32 settles elsewhere within soft contacts' give."""
+"""Tolerance of positions. The contacts are the same as in C MuJoCo. Soft contacts give way, and in float32 boxes settle
+elsewhere within that distance."""
 SAME_FORCE = 0.05
-"""For single boxes 3 % were measured."""
+"""Relative tolerance of forces. For single boxes 3 % were measured."""
 SMALL_FORCE_N = 1.0
 SAME_SWAY_M = 1e-4
-"""Pushed boxes stick and slide by some millimetres, and float32 begins elsewhere within soft contacts' give."""
+"""Tolerance of sways. Boxes that are pushed stick and slide by some millimetres. Soft contacts give way, and in float32
+boxes begin elsewhere within that distance."""
 
 
 @functools.cache
@@ -111,12 +116,14 @@ def test_a_static_check_as_in_c() -> None:
 
 
 def pushes(kind: str, level: float, steps: int = 60) -> Drive:
-    """A push along a direction of its own, which ends in the midst of the drive."""
+    """Return a drive (motion of the carrier): a push along an oblique direction, which ends in the middle of the
+    drive."""
     return Drive(Excitation("push", kind, np.tile([level, 0.0, 0.0], (steps, 1))), scale=0.5, yaw_rad=0.7, rest_s=0.1)
 
 
 LEVELS = {"force": 2.1, "acceleration": 12.0}
-"""With these a pallet slides on the floor, or a box on the pallet, by some millimetres."""
+"""Kind of drive → level of the push: a force as a multiple of the weight of pallet and boxes, or an acceleration in
+m/s². At these levels the pallet slides on the floor, or a box on the pallet, by some millimetres."""
 
 
 @pytest.mark.slow
@@ -143,10 +150,10 @@ def test_drives_as_in_c_and_forks_as_whole_runs(kind: str) -> None:
 
 @pytest.mark.slow
 def test_a_drive_has_an_iteration_limit_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which placements do not feel, and which the user's own replaces."""
+    """The limit does not change the placing of boxes. An iteration limit of the user replaces it."""
     jobs = [Job(tiny("hand-bridge"), pushes("force", LEVELS["force"])), Job(tiny("hand-bridge"))]
 
-    monkeypatch.setattr(rollouts, "programs", programs.programs.__wrapped__)  # the limit is no argument of what is kept
+    monkeypatch.setattr(rollouts, "programs", programs.programs.__wrapped__)  # not cached, as they depend on the limit
 
     def found(driven: int, **options: Any) -> list[Outcome]:
         monkeypatch.setattr(programs, "DRIVEN_ITERATIONS", driven)
@@ -161,7 +168,10 @@ def test_a_drive_has_an_iteration_limit_of_its_own(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.slow
 def test_a_state_goes_on_in_a_narrower_table_than_it_came_from() -> None:
-    """As in a sweep whose largest plan does not stand."""
+    """A state that was kept in a table of larger worlds continues in a smaller table, with the same outcome.
+
+    This is so in a sweep whose largest plan does not stand.
+    """
     scenes = [tiny("hand-one-box"), make_scene(9)]
     drive, alone = pushes("force", 0.5), run_all(shared_engine(), [Job(scenes[0], keep_state=True)], SHORT)[0]
     kept, _ = run_all(shared_engine(), [Job(scene, keep_state=True) for scene in scenes], SHORT)
@@ -173,7 +183,7 @@ def test_a_state_goes_on_in_a_narrower_table_than_it_came_from() -> None:
 
 @pytest.mark.slow
 def test_only_worlds_that_begin_anew_need_a_program_for_that() -> None:
-    scene, rows = tiny("hand-one-box"), 5  # as no other table has
+    scene, rows = tiny("hand-one-box"), 5  # a number of rows that no other test has
     (kept,) = run_all(shared_engine(), [Job(scene, keep_state=True)], SHORT)
     forks, timetable = [Job(scene, pushes("force", 0.5), start=kept.state)] * 4, build_timetable(SHORT, 4)
     compiled = fresh_state._cache_size()  # type: ignore[attr-defined]
@@ -208,7 +218,7 @@ def test_the_shortest_drives_end_as_in_c() -> None:
     drives = [Drive(Excitation("short", "force", np.zeros((steps, 3))), rest_s=0.0) for steps in (0, 1, 7)]
     jobs = [Job(tiny("hand-one-box"), drive) for drive in drives]
     outcomes, twins = (run_all(which, jobs, SHORT) for which in (shared_engine(), MujocoEngine(1)))
-    # An end is seen after a step, so a drive without any takes one.
+    # mjx-warp looks for the end after a step, so even a drive without steps takes one step.
     assert [outcome.n_steps for outcome in outcomes] == [
         twin.n_steps + more for twin, more in zip(twins, (1, 0, 0), strict=True)
     ]
@@ -217,7 +227,8 @@ def test_the_shortest_drives_end_as_in_c() -> None:
 
 @pytest.mark.slow
 def test_a_held_carrier_carries() -> None:
-    """Its pose is per-world data; as a welded body's model field MJX-Warp ignored it, and boxes fell through."""
+    """The carrier's pose is part of each world's data. As the pose of a welded body in the model, MJX-Warp ignored it,
+    and boxes fell through the carrier."""
     excitation = Excitation("still", "acceleration", np.zeros((20, 3)))
     jobs = [Job(tiny("hand-bridge"), drive=Drive(excitation, rest_s=0.3))]
     sim = Simulation(settle_s=0.4)
@@ -231,7 +242,7 @@ def test_a_held_carrier_carries() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", list(LEVELS))
 def test_the_floor_presses_on_no_box_that_lies_on_it(kind: str) -> None:
-    """Not even on one that is flatter than the carrier, while the carrier is held."""
+    """The floor does not even press on a box that is flatter than the carrier while the carrier is held."""
     boxes = [((400.0, 300.0, 200.0), (0.0, 0.0, 0.0), 5.0), ((300.0, 300.0, 20.0), (1300.0, 0.0, 0.0), 2.0)]
     sim = SHORT.changed(early_stop=False, carrier=Carrier.EURO_PALLET, settle_s=0.6)
     job = Job(make_scene(boxes, sim), Drive(Excitation("still", kind, np.zeros((20, 3))), rest_s=0.2))
@@ -244,7 +255,7 @@ def test_the_floor_presses_on_no_box_that_lies_on_it(kind: str) -> None:
 
 @pytest.mark.slow
 def test_a_search_finds_the_levels_that_c_finds() -> None:
-    """To the step of 0.01 g, with the box that fails first and how."""
+    """Levels agree to the search's step of 0.01 g. The box that fails first, and how it fails, agree, too."""
     plans = [plan for plan in load_plans(bundled_path()).plans if plan.plan_id == "hand-bridge"]
     summary, expected = (
         petmjx.sweep("eumos-search", plans, engine=which).summary for which in (engine(), MujocoEngine(2))
@@ -256,8 +267,8 @@ def test_a_search_finds_the_levels_that_c_finds() -> None:
 
 @pytest.mark.slow
 def test_one_program_a_shape() -> None:
-    """Other jobs of as many boxes, another run, drives: the same programs, and the same blocks."""
-    apart = LONG_NS + 1  # the slice of no other test, which would have compiled its programs
+    """Other jobs with as many boxes, another run, and drives use the same programs and the same thread blocks."""
+    apart = LONG_NS + 1  # a length of time slices that no other test has compiled programs for
     fresh, progress = engine(slice_ns=apart), Progress()
     some = list(tiny_scenes().values())
     for scenes in (some[:4], some[1:], some[:3]):
@@ -283,7 +294,8 @@ def test_bundled_and_generated_plans_as_in_c(tmp_path: Path) -> None:
     outcome_by_job = {o.job: o for o in MjxWarpEngine().run(jobs, sim)}
     assert outcome_by_job.keys() == expected.keys()
     differ = [plans[job].plan_id for job, o in outcome_by_job.items() if o.verdict is not expected[job].verdict]
-    # The goal is 98 % of 2,000; one of 64 is as near as a small sample can say.
+    # The goal is that 98 % of 2,000 verdicts agree. One different verdict of 64 is as near to that as a small sample
+    # gets.
     assert len(differ) <= 1, differ
     for job, outcome in outcome_by_job.items():
         assert not (outcome.verdict is Verdict.STABLE and expected[job].reason is Reason.DROP)

@@ -1,4 +1,7 @@
-"""The mujoco engine's own mechanics: contacts, growth, forking, threads, interruption, and broken numbers."""
+"""Mechanics of the engine mujoco: contacts, growth of the model, forks, threads, interruption, and broken numbers.
+
+A fork is a world that continues from a kept state of another world.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +38,11 @@ from petmjx.world.mujoco_model import build_spec, to_mjcf
 from petmjx.world.scene import Scene
 
 SAME_M = 1e-9
-"""Worlds that differ only in how the model is laid out differ by rounding."""
+"""Tolerance in m between worlds that differ only in the layout of their model, so only by rounding."""
 
 
 def leaning(n: int = 5, overhang_mm: float = 20.0, physics: str = "pallet") -> Scene:
-    """A tower that stands: each box sits ``overhang_mm`` further along x on every other level."""
+    """Return a tower that stands. Every other box sits ``overhang_mm`` further along x."""
     boxes = stack(n, overhang_mm, size_mm=(300, 200, 150), kg=np.linspace(8.0, 3.0, n).tolist(), at_mm=(100, 100))
     return make_scene(boxes, Simulation(physics=physics, carrier=Carrier.EURO_PALLET))
 
@@ -167,7 +170,7 @@ def test_fixed_and_adaptive_agree_and_adaptive_is_shorter() -> None:
     assert fixed.verdict is adaptive.verdict is Verdict.STABLE
     assert fixed.n_steps == int(6 * 0.7 / 0.002)
     assert adaptive.n_steps < fixed.n_steps / 2
-    # 0.1 mm is what the two differ by on a real pallet
+    # on a real pallet both schedules differ by 0.1 mm
     np.testing.assert_allclose(adaptive.boxes.pos, fixed.boxes.pos, atol=1e-4)
 
 
@@ -218,7 +221,7 @@ def test_64_forks_cost_one_placement() -> None:
     assert sorted(outcome.job for outcome in outcomes) == list(range(64))
     assert progress.worlds_done == 64
     assert progress.world_steps == sum(20 + k + 150 for k in range(64))
-    # The state is shared: a fork must not have changed it for the next.
+    # All forks share the kept state, so a fork must not change it for the next one.
     again = run_one(jobs[0], sim)
     first = next(outcome for outcome in outcomes if outcome.job == 0)
     np.testing.assert_array_equal(again.boxes.pos, first.boxes.pos)
@@ -294,8 +297,8 @@ def test_ctrl_c_ends_long_worlds_at_once(repository: Path) -> None:
         assert process.stdout is not None
         assert process.stdout.readline() == "job 0 is done\n"
         process.send_signal(signal.SIGINT)
-        # A world looks for the interruption at every event, here every 100 steps: milliseconds. Each long world
-        # would take minutes.
+        # A world checks for the interruption at every event, here every 100 steps, which take milliseconds. Each long
+        # world would take minutes.
         assert process.wait(timeout=120.0) == 130
 
 
@@ -314,7 +317,7 @@ def test_fewer_than_one_thread_is_refused() -> None:
 
 
 def test_a_tilt_between_samples_and_the_end_is_seen() -> None:
-    """A box that tips over for a second, with one sample at most before it lies."""
+    """A box tips over within a second. At most one sample sees it before it lies."""
     scene = make_scene(stack(2, 220.0, size_mm=(400, 300, 200)))
     for interval_s in (0.2, 30.0):
         sim = Simulation(sample_interval_s=interval_s, early_stop=False, thresholds={"shift_m": 10.0})

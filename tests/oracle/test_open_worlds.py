@@ -1,4 +1,4 @@
-"""Worlds that stay open: what was asked bit by bit is what a run says of the whole plan."""
+"""Open worlds, which get their boxes one after another: results agree with a run of the whole plan."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 SIM = Simulation()
 NAMES = ("hand-one-box", "hand-bridge", "hand-falls-off", "brickwork", "falls 60 mm flat", "corner overhang of 70 %")
 LAST_DIGIT = 2**-22
-"""Of a tilt in single precision, twice: that of the last pose is measured by a program for tables of one size, which
-may round differently from that for another."""
+"""Relative tolerance of tilts in single precision: two units in the last place. A program for tables of one size
+measures the tilt of the last pose, and may round differently from the program for another size."""
 
 FLOAT64 = 1e-12
-"""m. On C MuJoCo the boxes that wait for their turn are in a world's model, and with it in the solver's tolerance."""
+"""Tolerance of positions on C MuJoCo, in m. The model of a whole plan also has the boxes that are not placed yet, and
+they count in the solver's tolerance."""
 
 
 def scenes() -> dict[str, Scene]:
@@ -63,7 +64,7 @@ def run(engine: MujocoEngine | MjxWarpEngine, drive: Drive | None = None) -> lis
 
 
 def assert_same_but_for_a_digit_of_tilts(outcome: Outcome, expected: Outcome) -> None:
-    """The last digit alone, of tilts alone: all else is the same to the last bit."""
+    """Assert that outcomes agree to the last bit, apart from the last digit of tilts."""
     tilt = expected.boxes.max_tilt_deg
     np.testing.assert_allclose(outcome.boxes.max_tilt_deg, tilt, rtol=LAST_DIGIT, atol=0.0)
     assert_same(replace(outcome, boxes=replace(outcome.boxes, max_tilt_deg=tilt)), expected)
@@ -76,7 +77,7 @@ def everything(worlds: OpenWorlds, drive: Drive | None = None) -> list[Outcome]:
 def test_a_world_that_pauses_ends_as_one_that_does_not_to_the_last_bit(engine: MujocoEngine | MjxWarpEngine) -> None:
     worlds = engine.open(list(scenes().values()), SIM)
     worlds.go_on()
-    for drive in (None, push(), None):  # what is asked changes nothing
+    for drive in (None, push(), None):  # asking for outcomes does not change the worlds
         for outcome, expected in zip(everything(worlds, drive), run(engine, drive), strict=True):
             assert_same_but_for_a_digit_of_tilts(outcome, expected)
             assert (outcome.flags, outcome.n_at_sign) == (expected.flags, expected.n_at_sign)
@@ -105,7 +106,8 @@ def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) ->
 
 
 def test_pallets_that_tremble_end_as_a_run_of_all_their_boxes_does(engine: MujocoEngine | MjxWarpEngine) -> None:
-    """The first wait takes the longest time, in vain; others are short, but for the last one."""
+    """The first wait lasts the longest time, and the boxes tremble to its end. Later waits are short, but for the
+    last."""
     sim = SIM.changed(interval_s=0.1, longest_wait_s=0.5, quiet=Quiet(quiet_m_s=1e-30))
     scene = build_scene(make_plan("bridge", boxes_by_plan()["hand-bridge"]), sim)
     worlds = engine.open([scene.first(1)], sim)
@@ -181,7 +183,10 @@ def test_what_cannot_be_is_refused(engine: MujocoEngine | MjxWarpEngine) -> None
 
 @pytest.mark.slow
 def test_a_jitted_program_goes_on_with_them() -> None:
-    """Place, fork and place again in one program, as call by call to the last bit."""
+    """A jitted program places boxes, forks worlds and places boxes again.
+
+    Results are the same to the last bit as with separate calls.
+    """
     scene = build_scene(make_plan("stack", boxes_by_plan()["stack of 4"]), SIM)
     worlds, twin = (warp_engine().open([scene.first(1)] * 2, SIM, most_boxes=4) for _ in range(2))
     still, simulator = jnp.zeros((1, 1, 3)), worlds.simulator

@@ -1,4 +1,4 @@
-"""Pallets that stay settled: what they tell of placements is what a score says of plans."""
+"""Pallets that stay settled (``petmjx.Pallets``): what they report of placements agrees with a score of the plans."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 NAMES = ("hand-one-box", "hand-bridge", "hand-falls-off", "hand-overhang-55", "stack of 4")
 SLOW = 5e-6
-"""m, °: a pallet that has paused still gives way for the 0.3 s that a score waits on."""
+"""Tolerance in m and °. A pallet that has paused still gives way during the 0.3 s for which a score goes on."""
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def carton(*corners: tuple[float, float, float]) -> dict[str, Any]:
 
 
 def assert_same(one: PlacementResults, other: PlacementResults, *skipped: str) -> None:
-    """To the last bit."""
+    """Assert that results agree to the last bit, apart from the skipped fields."""
     for field in fields(PlacementResults):
         if field.name not in skipped:
             np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), field.name)
@@ -56,7 +56,7 @@ def assert_same(one: PlacementResults, other: PlacementResults, *skipped: str) -
 def placed_box_by_box(
     engine: Engine, names: Sequence[str], most_boxes: int
 ) -> tuple[Pallets, dict[int, PlacementResults]]:
-    """A pallet for each plan, and what was told last of each."""
+    """Return a pallet for each plan, placed box by box, and the last report on each pallet."""
     plans = [make_plan(name, boxes_by_plan()[name]) for name in names]
     pallets = Pallets(len(plans), engine=engine, most_boxes=most_boxes)
     report_by_row: dict[int, PlacementResults] = {}
@@ -70,7 +70,7 @@ def placed_box_by_box(
 
 
 def assert_scored(pallets: Pallets, engine: Engine) -> RunResults:
-    """Every column of a score of pallets is that of a score of their plans, to the last bit."""
+    """Assert that the score of the pallets is that of their plans, in every column and to the last bit."""
     plans = [pallets.plan(k) for k in range(len(pallets))]
     expected, scored = petmjx.score(plans, engine=engine, carrier="euro-pallet"), pallets.score()
     for table in ("worlds", "boxes", "attempts"):
@@ -109,8 +109,11 @@ def test_on_mjx_warp_pallets_go_on_to_the_score_from_where_they_stand() -> None:
 
 
 def test_trials_end_at_the_same_step_on_both_engines_when_a_box_is_gone() -> None:
-    """They say of each candidate whether it stands as trials to the end do. One that tips ends at the look for quiet at
-    which it is tilted by 1.25 times the threshold, before the next sample."""
+    """Trials (simulations of a candidate for the next box) end when a box is lost.
+
+    They say whether each candidate stands, as trials to the end do. A candidate that tips ends its trial at a look (a
+    regular check of all boxes), before the next sample: when it is tilted by 1.25 times the threshold.
+    """
     times: dict[str, Any] = {}
     for engine in (MujocoEngine(1), warp_engine()):
         pallets = Pallets(1, engine=engine, most_boxes=8)
@@ -170,12 +173,12 @@ def test_boxes_are_taken_back_pallets_forked_and_reset(pallets: Pallets) -> None
     two = pallets.results(1)
     pallets.fork([1, 1], [0, 2])
     assert_same(pallets.results(2), two, "pallet")
-    pallets.place(**carton((300, 0, 400)), pallet=2)  # falls
+    pallets.place(**carton((300, 0, 400)), pallet=2)  # the box falls
     assert not pallets.results(2).stable[0]
     assert pallets.n_boxes.tolist() == [2, 2, 3]
     pallets.take_back(2)
     assert_same(pallets.results(2), two, "pallet")
-    pallets.take_back(2)  # built anew
+    pallets.take_back(2)  # the pallet is built again from its boxes
     assert_same(pallets.results(2), one, "pallet")
     assert_same(pallets.results(1), two)
     pallets.reset([0, 1])
@@ -210,7 +213,7 @@ def test_while_pallets_come_to_rest_others_ask_where_boxes_are_and_of_nothing_el
     assert heights[0, 0, 0] == 200
     with pytest.raises(ZeroDivisionError):
         pallets.place(**carton((400, 0, 0)), pallet=0, meanwhile=lambda: 1 / 0)
-    assert pallets.results(0).n_boxes == 2  # the box was placed all the same
+    assert pallets.results(0).n_boxes == 2  # the box was placed although ``meanwhile`` failed
 
 
 def test_errors_and_drives(pallets: Pallets) -> None:
@@ -291,7 +294,7 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
             call()
     assert not pallets.n_boxes.any()
     nothing: dict[str, Any] = {"size_mm": np.zeros((0, 3)), "corner_mm": np.zeros((0, 3)), "mass_kg": 5.0, "pallet": 0}
-    assert len(pallets.try_all(**nothing)) == len(pallets.place(**nothing)) == 0  # a box for which there is no place
+    assert len(pallets.try_all(**nothing)) == len(pallets.place(**nothing)) == 0  # no box, as where no place is left
     for _ in range(4):
         pallets.place(**carton((0, 0, 200 * int(pallets.n_boxes[0]))), pallet=0)
     with pytest.raises(InputError, match="pallet: 0 has 4 boxes already; make pallets with a larger most_boxes"):

@@ -1,4 +1,4 @@
-"""The mujoco engine against figures that the reference implementation printed, and the verdicts of real plans."""
+"""The engine mujoco compared with figures that the reference implementation printed, and verdicts of real plans."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 SHIFT_M = 0.0002
-"""Real differences are 0.03 to 0.2 mm: the reference ran another version of MuJoCo, whose rounding differs."""
+"""Tolerance of shifts. Real differences are 0.03 to 0.2 mm: the reference ran another version of MuJoCo, whose rounding
+differs."""
 COLLAPSE_SHIFT_M = 0.002
-"""00100408 one by one collapses, and a collapse amplifies rounding: 1.96 mm here."""
+"""Tolerance of shifts of the plan 00100408, which collapses in the one-by-one check. A collapse amplifies rounding; the
+difference is 1.96 mm here."""
 
 
 def simulate(plan_id: str, sim: Simulation) -> Outcome:
@@ -42,7 +44,7 @@ CULPRITS = {"00100408": 24, "00100001": 8, "00100002": 3, "00100003": 16, "00100
 
 @pytest.mark.parametrize(
     ("schedule", "interval_s"),
-    # an adaptive schedule needs an interval only where a box does not come to rest
+    # the adaptive schedule uses the interval only where a box does not come to rest
     [(Schedule.ADAPTIVE, 0.7), (Schedule.FIXED, 0.7), (Schedule.FIXED, 0.2)],
 )
 @pytest.mark.parametrize("physics", ["pallet", "reference"])

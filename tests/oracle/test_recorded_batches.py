@@ -1,4 +1,7 @@
-"""Histories of the MJX engines: of batches over a stepper without physics, and of mjx-warp on the CPU."""
+"""Histories (recorded frames of worlds) of the MJX engines.
+
+They come from batches of a fake stepper, which has no physics, and from mjx-warp on the CPU.
+"""
 
 from __future__ import annotations
 
@@ -22,29 +25,30 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 RECORD = Record(0.05)
 EVERY = 25
-"""Steps between two frames."""
+"""Number of steps between two frames."""
 SIM = Simulation(interval_s=0.3, settle_s=0.3, rest_window_s=0.1, duration_s=0.5)
 SHAKE = Drive(Excitation("shake", "force", np.tile([0.5, 0.0, 0.0], (60, 1))), scale=2.0, yaw_rad=0.5, rest_s=0.1)
 
 SCENES = [fake_scene(*masses) for masses in ([30.0, 70.0, 10.0], [10.0], [20.0, 1000.0, 5.0], [5.0] * 5)]
-"""Boxes tremble as many steps as they have kilograms; the one with 1000 falls."""
+"""Boxes of the fake stepper tremble for as many steps as their mass in kg. The box with 1000 kg falls."""
 
 SAME_PLACE_M = 1e-3
-"""Contacts are the same as C's; float32 settles elsewhere within soft contacts' give."""
+"""Tolerance of positions. The contacts are the same as in C MuJoCo. Soft contacts give way, and in float32 boxes settle
+elsewhere within that distance."""
 SAME_FORCE = 0.05
 SMALL_FORCE_N = 5.0
-"""Of impacts; a box weighs 49 N."""
+"""Tolerance of forces of impacts. A box weighs 49 N."""
 
 
 @functools.cache
 def fake() -> FakeEngine:
-    """One engine for all, since programs take long to compile."""
+    """The engine of all these tests, since programs take long to compile."""
     return FakeEngine()
 
 
 @functools.cache
 def found() -> list[Outcome]:
-    """All scenes, recorded."""
+    """Outcomes of all scenes, with frames."""
     return run_all(fake(), recorded([Job(scene) for scene in SCENES]), SIM)
 
 
@@ -58,7 +62,7 @@ def frame_steps(outcome: Outcome) -> list[int]:
 
 
 def assert_ends(outcome: Outcome) -> None:
-    """The last frame is the last state."""
+    """Assert that the last frame is the last state of the world."""
     history, placed = history_of(outcome), slice(outcome.n_placed)
     np.testing.assert_array_equal(history.pos[-1, placed], outcome.boxes.pos[placed])
     np.testing.assert_array_equal(history.quat[-1, placed], outcome.boxes.quat[placed])
@@ -85,7 +89,7 @@ def test_frames_come_in_time() -> None:
         assert steps == sorted({*placements, *regular, steps[-1]})
         for box, begin in enumerate(placements):
             frames = slice(steps.index(begin), None)
-            # what presses on a box of this stepper is its age
+            # with the fake stepper the force on a box's top is its age in steps
             np.testing.assert_array_equal(history.top_force_n[frames, box], np.array(steps[frames]) - begin)
             np.testing.assert_allclose(history.pos[frames][0, box], release_of(scene, SIM).pos[box], rtol=1e-6)
             assert np.isnan(history.top_force_n[: steps.index(begin), box]).all()
@@ -98,7 +102,10 @@ def test_a_static_world_is_seen_from_its_beginning_on() -> None:
 
 
 def test_a_fork_goes_on_from_the_frames_of_its_placement() -> None:
-    """The drive moves boxes along by as much as it pushes."""
+    """A fork (a world that continues from a kept state) has frames from the end of the placements on.
+
+    With the fake stepper a drive moves boxes along by as much as it pushes.
+    """
     scene = SCENES[3]
     (placed,) = run_all(fake(), [Job(scene, keep_state=True, record=RECORD)], SIM)
     fork, full_run = (
@@ -128,7 +135,7 @@ def warp_engine(**options: Any) -> Any:
 
 @functools.cache
 def piles() -> list[Job]:
-    """One stands, one falls, one is shaken."""
+    """Return jobs with a pile that stands, a pile that falls, and a box that is shaken."""
     boxes = [stack(2), stack(3, 260.0), stack(1)]
     scenes = [make_scene(some, SIM) for some in boxes]
     return [Job(scenes[0]), Job(scenes[1]), Job(scenes[2], drive=SHAKE)]
@@ -163,7 +170,10 @@ def test_recorded_worlds_of_warp_are_the_same_to_the_last_bit(
 
 
 def compare(outcome: Outcome, twin: Outcome) -> None:
-    """Frames as on C MuJoCo, until boxes slide or fall, which cannot be compared in detail."""
+    """Compare frames with those on C MuJoCo, until boxes slide or fall.
+
+    Boxes that slide or fall cannot be compared in detail.
+    """
     ours, theirs = history_of(outcome), history_of(twin)
     begins_s = [history.time_s[history.drive.any(axis=1)].min(initial=np.inf) for history in (ours, theirs)]
     until_s = np.nanmin([outcome.first_sign_s, *begins_s])

@@ -1,4 +1,4 @@
-"""Boxes are placed alike on all engines: to the step, by hand, on tines and from a height; also in open worlds."""
+"""All engines place boxes alike: to the step, by hand, on tines and from a height, and also in open worlds."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ from petmjx.world.scene import Scene
 
 WAYS = ("hand", "tines", "drop")
 AGREES_M = 2e-5
-"""Single precision over some hundred steps, in worlds that are not chaotic; 0.01 mm were found."""
+"""Tolerance of positions. Worlds in single precision differ by this after some hundred steps, if they are not chaotic.
+0.01 mm were found."""
 AGREES_SLIDING_M = 5e-5
-"""A box let go on tines slides by 1.6 mm while it lands and bounces. Engines know the excess of contacts that slide to
-0.1 m/s², a hundredth of gravity (petmjx/world/contact_laws.py), so they know that way to one or two hundredths; 0.027
-mm were found. With an excess to 0.001 m/s² they agree to 0.002 mm, but for the bridge, which lands on two boxes."""
+"""Tolerance of positions of boxes on tines. A box that is let go on tines slides by 1.6 mm while it lands and bounces.
+Engines know the excess acceleration of sliding contacts (petmjx/world/contact_laws.py) to 0.1 m/s², a hundredth of
+gravity. So they know the distance that the box slides to one or two hundredths; differences of 0.027 mm were found. If
+the excess is known to 0.001 m/s², positions agree to 0.002 mm, apart from the bridge, which lands on two boxes."""
 AGREES_JAX_M = 5e-4
-"""Without a skin boxes land at slightly other places of what bears them when they tip; 0.34 mm were found."""
+"""Tolerance of positions on mjx-jax, whose boxes have no skin. When they tip, they land at slightly other places of the
+boxes below. 0.34 mm were found."""
 
 SIZE = (300.0, 300.0, 300.0)
 PILES: dict[str, list[Box]] = {
@@ -42,10 +45,10 @@ PILES: dict[str, list[Box]] = {
 
 
 SAME_LOOK = Simulation().quiet.poll_steps
-"""A box comes to rest a look earlier or later."""
+"""Tolerance in steps: a box may come to rest one look (regular check of all boxes) earlier or later."""
 SAME_COUNT = Simulation().quiet.steps
-"""One that slides off the tines comes to rest a count of quiet looks earlier or later: the count begins again if it
-creeps at the last of them."""
+"""Tolerance in steps for boxes on tines. A box that slides off the tines may come to rest a whole count of quiet looks
+earlier or later, since the count begins again if the box creeps at its last look."""
 
 
 def simulation(way: str) -> Simulation:
@@ -54,7 +57,8 @@ def simulation(way: str) -> Simulation:
 
 @functools.cache
 def scenes(way: str) -> tuple[Scene, ...]:
-    """One of them with a centre of mass that is not in the middle, and one with approaches of its own."""
+    """Return all scenes. In one scene centres of mass are not in the middle; another gives boxes' directions of
+    approach."""
     made = [make_scene(boxes, simulation(way)) for boxes in PILES.values()]
     made[0] = replace(made[0], mass_center=np.array([[0.0, 0.0, 0.0], [0.02, 0.0, -0.03], [0.0, 0.01, 0.0]]))
     made[1] = replace(made[1], approach=np.array([[0.6, 0.8], [-1.0, 0.0], [0.0, 0.0]]))
@@ -77,21 +81,23 @@ def test_mjx_warp_places_as_mujoco_does(way: str) -> None:
         )
         assert (outcome.n_placed, outcome.flags) == (expected.n_placed, expected.flags)
         assert abs(outcome.n_steps - expected.n_steps) <= (SAME_COUNT if way == "tines" else SAME_LOOK)
-        if way != "drop":  # what falls onto an edge goes its own way in the last digits
+        if way != "drop":  # in the last digits, a box that falls onto an edge moves differently
             agrees_m = AGREES_SLIDING_M if way == "tines" else AGREES_M
             np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=agrees_m)
 
 
 def test_only_a_box_that_finds_no_room_could_not_be_placed() -> None:
-    """It stands on the edges of its neighbours, 300 mm too high. One that a neighbour stops 6 mm beside its place is
-    placed."""
+    """A box without room stands on the edges of its neighbours, 300 mm too high.
+
+    A box that a neighbour stops 6 mm beside its place counts as placed.
+    """
     flags = {name: Flag.NOT_PLACED in on_mujoco("hand")[k].flags for k, name in enumerate(PILES)}
     assert flags == {"row and bridge": False, "corner": False, "aside": False, "no room": True}
     assert on_mujoco("hand")[3].culprit == 2
 
 
 def test_a_world_with_a_hand_does_not_join_kernels_without_one() -> None:
-    """As in a score with confidence: the exact world comes first, and worlds with errors follow."""
+    """This occurs in a score with confidence: the world without errors comes first, and worlds with errors follow."""
     scene, sim = scenes("hand")[2], simulation("auto")
     stream, outcome_by_job = feedback_stream([Job(replace(scene, placing=EXACT))]), {}
     for outcome in shared_engine().run(stream, sim):

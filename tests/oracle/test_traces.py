@@ -1,7 +1,10 @@
-"""The rules are written once for each engine: the same worlds have the same events on all of them, to the step.
+"""The rules of a simulation (docs/rules.md) are written once for each engine, with the same events on all engines.
 
-What happened is read from frames, of which there is one a step (``support.traces``): placements, looks, drives, signs,
-drops, samples, the end. Besides, each engine's outcome must follow from its own frames.
+The same worlds have the same events at the same steps.
+
+Events are read from the recorded frames of a world, one frame for each step (``support.traces``). Events are
+placements, looks (regular checks of all boxes), drives (motions of the carrier), first signs of a failure, drops,
+samples, and the end. Besides, the outcome of each engine must follow from the engine's own frames.
 """
 
 from __future__ import annotations
@@ -30,27 +33,32 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ranks_may_differ")]
 SHORT = Simulation(settle_s=0.3, rest_window_s=0.1, interval_s=0.3, longest_wait_s=0.6, duration_s=0.5)
 
 SAME_TILT_DEG = 0.05
-"""Frames of the other engines are float32: the last digit of a quaternion is 0.01° near 0."""
+"""Tolerance of tilts. Frames of the other engines are float32, where the last digit of a quaternion near 0 is 0.01°."""
 SAME_FORCE = 1e-5
-"""Sums of float32."""
+"""Relative tolerance of forces that are sums in float32."""
 
 LEFT_OUT = 0.93
-"""Share of the largest force of all steps that is found at least, if it is more than a box's weight: steps in which no
-box is accelerated upwards are left out."""
+"""Smallest share of the largest force on a box in all steps that the outcome must have, for forces above the weight of
+a box. Engines leave out steps in which no box is accelerated upwards, so the outcome may miss the largest force."""
 
 CAPACITY, BATCH = 2, 8
-"""Boxes of the largest world on mjx-jax, and its worlds: programs take long to compile, and steps long to take."""
+"""Number of boxes of the largest world on mjx-jax, and number of worlds. Programs take long to compile, and their steps
+take long."""
 
 NEAR = {
     ("mjx-warp", "static"): {"corner overhang of 70 %": 1},
     ("mjx-jax", "pushed"): {"corner overhang of 70 %": 1},
 }
-"""Worlds whose events are up to so many looks earlier or later: a corner that lands and slides. Engines know the excess
-of its friction to a tolerance (petmjx/world/contact_laws.py): on mjx-warp its speed differs by 2 mm/s after that, and
-not with a twentieth of the tolerance. On mjx-jax, whose collider is another one, its way differs by some micrometres
-while it still tips, and then grows. In all others events are at the same step: they are at looks, at samples or at
-steps that are known beforehand, so float32 changes a step only where a speed or a pose is within rounding of a
-threshold at a look."""
+"""(engine, kind) → worlds whose events may be earlier or later, and by how many looks.
+
+In these worlds a corner lands and slides. Engines know the excess acceleration of its friction only to a tolerance
+(petmjx/world/contact_laws.py). On mjx-warp the corner's speed differs by 2 mm/s after that; with a twentieth of the
+tolerance it does not. mjx-jax has another collider. There the corner's position differs by some micrometres while the
+box still tips, and then by more.
+
+In all other worlds the events are at the same step. They are at looks, at samples, or at steps that are known
+beforehand. So float32 changes a step only if a speed or a pose at a look is within rounding of a threshold.
+"""
 
 
 def push(kind: str, level: float, rest_s: float, steps: int = 60, yaw_rad: float = 0.5) -> Drive:
@@ -58,7 +66,8 @@ def push(kind: str, level: float, rest_s: float, steps: int = 60, yaw_rad: float
 
 
 ROCKS = push(ACCELERATION, 4.5, rest_s=0.1, steps=120, yaw_rad=0.0)
-"""Tilts the boxes of ``SLENDER`` by 9.6°, about half as far as they can come back from: 80 mm at the top."""
+"""A drive that tilts the boxes of ``SLENDER`` by 9.6°, which is 80 mm at their tops. That is about half the tilt from
+which they can return."""
 
 SLENDER: dict[str, tuple[Box, ...]] = {
     "slender box": (((200.0, 300.0, 600.0), (500.0, 250.0, 0.0), 10.0),),
@@ -71,7 +80,7 @@ KINDS: dict[str, tuple[dict[str, Any], Drive | None]] = {
     "static": ({"check": Check.STATIC}, None),
     "fixed": ({"schedule": Schedule.FIXED, "interval_s": 0.15}, None),
     "pushed": ({}, push(FORCE, 0.5, rest_s=0.1)),
-    "braked": ({}, replace(push(ACCELERATION, 3.0, rest_s=0.5), allowed_sway_m=10.0)),  # none ends when a box is lost
+    "braked": ({}, replace(push(ACCELERATION, 3.0, rest_s=0.5), allowed_sway_m=10.0)),  # a lost box does not end it
     "waited for in vain": ({"longest_wait_s": 0.02}, None),
     "shaken while boxes land": (
         {"schedule": Schedule.FIXED, "settle_s": 0.1, "quiet": Quiet(landing_steps=400)},
@@ -79,7 +88,7 @@ KINDS: dict[str, tuple[dict[str, Any], Drive | None]] = {
     ),
     "rocks when time is up": ({"longest_wait_s": 0.3, "carrier": "euro-pallet"}, ROCKS),
 }
-"""Kind of worlds → options and drive."""
+"""Kind of worlds → (changed options, drive)."""
 
 LARGER: dict[str, tuple[Box, ...]] = {
     "stack of 6": stack(6, kg=4.0),
@@ -94,7 +103,7 @@ LARGER: dict[str, tuple[Box, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class Worlds:
-    """Worlds of one kind: their names and jobs, and what they are simulated with."""
+    """Worlds of one kind: their options, their names, and their jobs."""
 
     sim: Simulation
     names: tuple[str, ...]
@@ -137,7 +146,10 @@ def on_warp(kind: str) -> dict[str, Seen]:
 
 @functools.cache
 def on_jax(kind: str) -> dict[str, Seen]:
-    """Small worlds alone, as many as go into one batch: the last ones, most of which fall and land."""
+    """Return what mjx-jax does with the last worlds that are small enough, as many as fit into one batch.
+
+    Boxes fall and land in most of these worlds.
+    """
     from petmjx.engines.mjx.engine import MjxJaxEngine
 
     worlds = worlds_of(kind)
@@ -169,7 +181,8 @@ def test_outcomes_follow_from_frames(engine: str, kind: str) -> None:
         np.testing.assert_allclose(boxes.max_tilt_deg, seen.tilt_deg(), atol=SAME_TILT_DEG, err_msg=name)
         share = boxes.max_top_force_n / np.fmax(seen.top_force_n(), 1e-6)
         assert (share <= 1 + SAME_FORCE).all(), name
-        # frames of a drive on mjx-warp also have forces of steps whose solver was stopped far from balance
+        # On mjx-warp, frames of a drive have the forces of all steps, also of steps whose solver stopped far from
+        # balance.
         known_n = np.fmin(seen.top_force_n(), on_c(kind)[name].top_force_n())
         pressed = known_n > seen.job.scene.mass.min() * STANDARD_GRAVITY
         assert (boxes.max_top_force_n[pressed] >= LEFT_OUT * known_n[pressed]).all(), name
@@ -192,8 +205,11 @@ def test_boxes_are_placed_on_quiet_pallets(engine: str) -> None:
 
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp"])
 def test_shift_is_judged_at_rest(engine: str) -> None:
-    """Boxes that have rocked far beyond the threshold come back, if they have the time; else it is said that they move.
-    (How long they rock depends on the last digits: it ends some looks earlier or later.)"""
+    """Boxes rock far beyond the threshold. If they have enough time they return; if not, the outcome says that they
+    move.
+
+    How long they rock depends on the last digits, so it ends some looks earlier or later.
+    """
     for name, seen in ON[engine]("rocks when time is up").items():
         outcome = seen.outcome
         assert outcome.boxes.max_sway_m.max() > 2 * seen.sim.thresholds.shift_m, name
@@ -206,7 +222,7 @@ def test_shift_is_judged_at_rest(engine: str) -> None:
     for outcome in run_all(ENGINES[engine](), jobs, sim):
         assert (outcome.reason, outcome.flags, outcome.culprit, outcome.n_at_sign) == (Reason.NONE, Flag.NONE, -1, 0)
         assert outcome.boxes.max_sway_m.max() > 2 * sim.thresholds.shift_m
-        assert np.abs(outcome.boxes.shift_m).max() == 0.0  # less than shift_floor_m
+        assert np.abs(outcome.boxes.shift_m).max() == 0.0  # shifts below shift_floor_m count as 0
 
 
 def test_the_worlds_show_what_the_rules_are_about() -> None:
@@ -218,5 +234,5 @@ def test_the_worlds_show_what_the_rules_are_about() -> None:
     assert all(any(flag & world_flags for world_flags in flags) for flag in (Flag.EARLY_STOP, Flag.MOVING))
     assert sum(world.trace.driven[0] > 0 for world in seen) >= 20
     rests = [world.trace.end - world.trace.driven[1] for world in on_c("braked").values() if world.trace.driven[0] > 0]
-    assert min(rest for rest in rests if rest >= 65) == 65  # as soon as they may rest
-    assert max(rests) > 250  # and after their time, since a box moves
+    assert min(rest for rest in rests if rest >= 65) == 65  # some worlds end as soon as the drive allows
+    assert max(rests) > 250  # and some end after the time of the drive, since a box moves

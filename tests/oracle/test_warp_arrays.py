@@ -1,4 +1,5 @@
-"""How kernels of mjx-warp find numbers of arrays: rows side by side, and no index from the end (arrays.cuh)."""
+"""How kernels of mjx-warp index arrays (arrays.cuh): elements of a row are adjacent, and no index counts from the
+end."""
 
 from __future__ import annotations
 
@@ -26,7 +27,10 @@ def _read(row: wp.array[float], rows: wp.array2d[float], blocks: wp.array3d[floa
 
 
 def test_numbers_are_found_by_rows() -> None:
-    """A row with gaps is not read as Warp would: so these are the functions that the kernel uses."""
+    """The kernel must use the index functions of arrays.cuh, and not Warp's.
+
+    A row with gaps shows the difference: these functions ignore the stride of an array.
+    """
     kernel = with_cpp(_read, newton.source("arrays.cuh"))
     numbers = np.arange(60, dtype=np.float32)
     row = wp.array(numbers, dtype=float)

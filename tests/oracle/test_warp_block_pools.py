@@ -1,4 +1,7 @@
-"""Which thread blocks a group's worlds have: by size, for few boxes and for the last ones, with room for contacts."""
+"""Which thread blocks the worlds of a table have: by size, for worlds of few boxes, and for the last worlds of a run.
+
+Blocks also have buffers for contacts, which grow where worlds need it.
+"""
 
 from __future__ import annotations
 
@@ -25,15 +28,16 @@ SMALL, LARGE = (size.most_boxes for size in SIZES)
 
 
 def group(sim: Simulation = USUAL, widths: dict[int, int] | None = None, boards: int = 1) -> Any:
-    """Of three worlds that begin with 1, 15 and 16 boxes."""
+    """Return a stand-in for a group of three worlds, which begin with 1, 15 and 16 boxes."""
     run = SimpleNamespace(sim=sim, needs=KernelFeatures(widths or {SMALL: 40}))
-    table = SimpleNamespace(placed=[1, 15, 16, 0, 0])  # two rows are spare
+    table = SimpleNamespace(placed=[1, 15, 16, 0, 0])  # the last two rows are spare
     return SimpleNamespace(run=run, table=table, jobs=[None] * 3, boards=boards)
 
 
 @pytest.fixture
 def few_worlds(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Worlds for which blocks for few boxes were asked for; they are on this device."""
+    """Pretend that this device has blocks for worlds of few boxes. Return the list of the numbers of worlds that asked
+    for them."""
     counts: list[int] = []
 
     def pool_for_few(pool: Any, worlds: int, lanes: int | None) -> Any:

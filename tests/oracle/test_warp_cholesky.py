@@ -1,4 +1,7 @@
-"""The linear solver of mjx-warp against NumPy's: random matrices in random envelopes."""
+"""The linear solver of mjx-warp compared with NumPy, on random matrices.
+
+Each matrix has a random envelope: the first non-zero entry of each column.
+"""
 
 from __future__ import annotations
 
@@ -22,20 +25,24 @@ from petmjx.engines.warp.world_arrays import MAX_BOXES, PANEL, most_panels
 set_up_warp()
 
 ERROR = 50 * 2.0**-24
-"""Of an entry of H·x, as a share of what its terms may be: √Hᵢᵢ·Σⱼ √Hⱼⱼ·|xⱼ|. On a CPU a tenth of it is seen; on a GPU
-products of tiles have 22 of 24 bits."""
+"""Tolerance of an entry of H·x, as a share of the largest sum that its terms may have: √Hᵢᵢ·Σⱼ √Hⱼⱼ·|xⱼ|. On a CPU a
+tenth of this error is seen. On a GPU products of tiles have 22 of the 24 bits of single precision."""
 
 BOTH = [
     pytest.param("thread", id="thread"),
     pytest.param("cpu", id="cpu"),
     pytest.param("cuda", id="cuda", marks=pytest.mark.gpu),
 ]
-"""What CPUs run, what GPUs run but on a CPU, and what GPUs run."""
+"""The code for CPUs ("thread"), the code for GPUs on a CPU ("cpu"), and the code for GPUs on a GPU ("cuda")."""
 
 
 @cache
 def solver(panels: int, as_block: bool) -> Any:
-    """A kernel that solves one system by one block. ``as_block``: with the code for GPUs, also on a CPU."""
+    """Return a kernel with which one thread block solves one system.
+
+    Args:
+        as_block: If True, the kernel has the code for GPUs, also on a CPU.
+    """
 
     @wp.func_native("""
         PETMJX_SHARED petmjx::Factoring<PETMJX_MOST_PANELS> shared;
@@ -69,10 +76,16 @@ def solver(panels: int, as_block: bool) -> Any:
 
 
 def solved(H: FloatArray, top: list[int], g: FloatArray, device: str, size: int) -> FloatArray:
-    """x of H·x = g, by the kernel for a size of worlds (of ``SIZES``). ``top``: H's envelope, as in system.cuh."""
+    """Return the solution x of H·x = g, from the kernel.
+
+    Args:
+        top: Envelope of H: for each panel of 16 columns, the number of the first panel of rows with entries other than
+            0.
+        size: Index into ``SIZES``, which has the number of threads for worlds of each size.
+    """
     panels = len(top)
     columns = [H[PANEL * first : PANEL * (J + 1), PANEL * J : PANEL * (J + 1)] for J, first in enumerate(top)]
-    # of a diagonal tile only the upper triangle is given, as by the Hessian
+    # The kernel reads only the upper triangle of a diagonal tile, as the Hessian is given.
     packed = np.concatenate([np.vstack([column[:-PANEL], np.triu(column[-PANEL:])]).ravel() for column in columns])
     base = np.cumsum([0] + [column.size for column in columns])
     threads = SIZES[size].threads if device == "cuda" else 1
@@ -88,13 +101,15 @@ def solved(H: FloatArray, top: list[int], g: FloatArray, device: str, size: int)
 
 
 def single(values: FloatArray) -> FloatArray:
-    """Rounded to single precision."""
+    """Round to single precision."""
     return values.astype(np.float32).astype(np.float64)
 
 
 def random_system(top: list[int], rng: np.random.Generator) -> FloatArray:
-    """A positive definite matrix in an envelope, in single precision. Rows differ by up to a hundred times, as those of
-    boxes of a kilogram and of a hundred do."""
+    """Return a positive definite matrix with an envelope, in single precision.
+
+    The scales of its rows differ by up to a hundred times, as for boxes of 1 kg and of 100 kg.
+    """
     n = PANEL * len(top)
     reached = np.repeat(np.array(top) * PANEL, PANEL)
     inside = (np.arange(n)[:, None] >= reached[None]) & (np.arange(n)[:, None] <= np.arange(n)[None])
@@ -120,7 +135,7 @@ ENVELOPES = {
 
 
 def assert_solves(H: FloatArray, top: list[int], g: FloatArray, device: str, size: int) -> FloatArray:
-    """Each equation holds; returns the solution."""
+    """Assert that each equation holds. Return the solution."""
     x = solved(H, top, g, device, size)
     scales = np.sqrt(np.diag(H))
     assert np.abs((H @ x - g) / scales).max() < ERROR * (scales @ np.abs(x))
@@ -143,8 +158,10 @@ def test_solves_as_numpy(name: str, size: int, device: str) -> None:
 @pytest.mark.parametrize("size", range(len(SIZES)))
 @pytest.mark.parametrize("left", [1e-2, 1e-4, 1e-6])
 def test_rows_that_are_stiff_together_cost_no_digits(left: float, size: int, device: str) -> None:
-    """As of a box that stands on a few contacts: what is left of a pivot after the one before it is a small share. Two
-    pivots that are divided by together would lose the digits of all others there."""
+    """Such rows belong to a box that stands on few contacts: a pivot is small once the pivot before it is eliminated.
+
+    If the solver divided by two such pivots together, all other unknowns would lose digits there.
+    """
     rng = np.random.default_rng(2)
     J = rng.normal(size=(3 * PANEL, 3 * PANEL))
     J[:, 1::2] = rng.uniform(0.5, 2, J.shape[1] // 2) * J[:, ::2] + np.sqrt(left) * J[:, 1::2]
@@ -158,7 +175,8 @@ def test_rows_that_are_stiff_together_cost_no_digits(left: float, size: int, dev
 @pytest.mark.parametrize("size", range(len(SIZES)))
 @pytest.mark.parametrize("row", [0, 1, PANEL - 1, PANEL, PANEL + 3, 3 * PANEL - 1])
 def test_a_matrix_that_is_not_positive_definite_gives_no_number(row: int, size: int, device: str) -> None:
-    """The solver stops at such a direction, since no comparison with it holds."""
+    """The solution has NaN or infinity, with which every comparison is False. So the solver stops at such a
+    direction."""
     H = np.eye(3 * PANEL)
     H[row, row] = -1.0
     assert not np.isfinite(solved(H, [0, 0, 1], np.ones(len(H)), device, size)).all()

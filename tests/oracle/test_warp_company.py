@@ -1,4 +1,7 @@
-"""On mjx-warp results depend neither on other worlds nor on blocks, rows, time slices, or what ran before."""
+"""On mjx-warp, the outcome of a world does not depend on other worlds.
+
+It does not depend on thread blocks, rows of the table, time slices (launches of the kernel) or earlier runs either.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,8 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 @pytest.mark.slow
 @pytest.mark.parametrize("slice_ns", [0, 300_000])
 def test_slices_of_any_length_give_the_same(slice_ns: int, crowd: dict[str, Outcome]) -> None:
-    """On a CPU 7 ms are eight steps, since there each look at the clock but the first takes a millisecond."""
+    """In a slice (launch of the kernel) of 0 ns each thread block takes one step, and in a slice of 0.3 ms more
+    steps."""
     some = ("hand-overhang-45", "hand-falls-off")
     assert_equal_worlds(simulate(engine(slice_ns=slice_ns), tiny_scenes(some), SHORT), crowd)
 
@@ -59,7 +63,8 @@ def test_slices_of_any_length_give_the_same(slice_ns: int, crowd: dict[str, Outc
 @pytest.mark.slow
 @devices
 def test_what_is_kept_from_step_to_step_changes_nothing(device: str) -> None:
-    """In a slice of one step nothing is kept; in a long one the order of bodies changes, and contacts come and go."""
+    """In a slice of one step, nothing is kept from the step before. In a long slice, the order of bodies changes, and
+    contacts begin and end."""
     scene = {"heap": make_scene(heap(24))}
     static = SHORT.changed(check="static", duration_s=0.3)
     kept, anew = (simulate(engine(slice_ns=time), scene, static) for time in (LONG_NS, 0))
@@ -85,7 +90,8 @@ def test_the_next_slice_is_under_way_where_nothing_can_come_between(
     outcomes = run_all(engine(slice_ns=STEP_NS), feedback_stream(jobs) if "more" in kind else jobs, SHORT)
     assert_equal_worlds(dict(zip(TINY[:2], outcomes, strict=True)), crowd)
     assert len(under_way) > 3
-    # jobs that follow join a slice earlier if one slice is under way, as where no world waits for the one block
+    # If jobs may follow, only one slice is under way while blocks are idle, so that these jobs can join earlier. Two
+    # slices are under way while all blocks (here one) have worlds.
     expected = {"a list": {2}, "jobs that may become more": {1, 2}, "a recorded world": {1}}
     assert set(under_way[:-1]) == expected[kind]
 
@@ -111,7 +117,7 @@ def test_any_number_of_blocks_gives_the_same(monkeypatch: pytest.MonkeyPatch, cr
 
 @pytest.mark.slow
 def test_tables_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
-    """In two rows a world begins when another has ended."""
+    """In a table with two rows, a world begins when another world has ended."""
     assert_equal_worlds(simulate(engine(most_rows=2), tiny_scenes(), SHORT), crowd)
 
 
@@ -119,8 +125,10 @@ def test_tables_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
 def test_rows_of_ended_worlds_are_given_to_further_jobs(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """Fifteen worlds in eight rows, of which six have jobs at the beginning. A slice that was in flight when a job got
-    its row tells nothing of it."""
+    """Fifteen worlds share eight rows. Six worlds have rows at the beginning.
+
+    When a job gets its row, a slice may still be running. The results of that slice do not belong to the job.
+    """
     scenes, rows = tiny_scenes(TINY[:3]), list[int]()
     jobs = [Job(scene) for scene in scenes.values()]
     add, load = WorldTable.add, MjxWarpEngine._load
@@ -149,7 +157,8 @@ def test_rows_of_ended_worlds_are_given_to_further_jobs(
 def test_a_job_without_room_in_the_table_has_another_one(
     blocks: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """As soon as no more worlds run than there are blocks. They go on in the other table, which is wider."""
+    """The other table is made as soon as no more worlds run than there are blocks. These worlds continue in it. It is
+    wider than the first table."""
     widths: list[tuple[int, int]] = []
     put_running = WorldTable.put_running
 
@@ -180,7 +189,7 @@ def test_a_job_without_room_in_the_table_has_another_one(
 def test_memory_that_runs_out_for_outcomes_loses_no_world(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """The device is ahead: rows of worlds whose outcomes are not made yet have been given to further jobs by then."""
+    """The device works ahead of the host. Outcomes of some worlds are not made yet when further jobs get these rows."""
     has_joined, add, make = threading.Event(), WorldTable.add, slice_result.outcomes
 
     def watched(self: WorldTable, *args: Any) -> Any:
@@ -207,7 +216,8 @@ def test_memory_that_runs_out_for_outcomes_loses_no_world(
 
 @pytest.mark.slow
 def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All at the same time, in tables as wide as the run's largest; memory is as wide as those of their own size."""
+    """Worlds of all sizes run at the same time, in tables as wide as the largest world of the run. The memory of a
+    block is only as wide as the worlds of its own size."""
     scenes = {**tiny_scenes(), "five": make_scene(5), "nine": make_scene(9)}
     alike = simulate(engine(), scenes, SHORT)
     sizes_apart(monkeypatch, 4)
@@ -225,12 +235,12 @@ def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.Monkey
     assert [pool.n_boxes for pool in rollout.launcher.pools] == [12, 4]
     (order,) = queues
     assert [sorted(row[row >= 0].tolist()) for row in order] == [[5, 6], [0, 1, 2, 3, 4]]
-    few = engine(most_rows=2)  # tables may have worlds of one size only
+    few = engine(most_rows=2)  # a table of two rows may have worlds of one size only
     assert_equal_worlds(simulate(few, scenes, SHORT), alike)
 
 
 def test_blocks_take_the_longest_worlds_of_their_size_first() -> None:
-    """Also of those that came later; ended ones are in no queue."""
+    """This holds for worlds that are added later, too. Worlds that have ended are in no queue."""
     jobs = [Job(make_scene(n)) for n in (3, 9, 2, 7, 4)]
     queues = Queues(["12", "4"], lambda job: "4" if job.scene.n_boxes <= 4 else "12", rows=8)
     live = np.arange(8) < 5
@@ -260,7 +270,7 @@ def test_worlds_on_their_way_come_first_on_a_cpu_all_that_have_been_placed() -> 
 
 @pytest.mark.gpu
 def test_blocks_of_two_sizes_at_the_same_time_give_what_each_gives_alone() -> None:
-    """More worlds of each size than blocks, so that the small ones wait until the first large ones have ended."""
+    """There are more worlds of each size than blocks, so small worlds wait until the first large worlds have ended."""
     small = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(120)}
     large = {f"{n} boxes, {k}": make_scene(n) for n in (97, 110) for k in range(80)}
     together = simulate(MjxWarpEngine(), large | small, SHORT)
@@ -281,8 +291,9 @@ def test_a_run_that_is_left_early_does_not_change_the_next(crowd: dict[str, Outc
 def test_worlds_that_come_later_are_as_those_that_were_there(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """Four rows for one job: two more have room, one of them in the row of the first; one with more boxes has not, nor
-    what follows it; then there is a table for these three."""
+    """One job has a table with four rows. Of the jobs that follow it, two fit into that table, one of them in the row
+    of the first job. The next job has more boxes and does not fit, and the jobs after it wait. These three get a new
+    table."""
     names = ["hand-bridge", "hand-one-box", "hand-overhang-45", "nine boxes", "hand-falls-off", "hand-bridge"]
     jobs = {**tiny_scenes(), "nine boxes": make_scene(9)}
     some, tables = engine(), list[WorldTable]()
@@ -315,7 +326,8 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
 
 @pytest.mark.slow
 def test_drives_that_come_later_are_as_those_that_were_there() -> None:
-    """Also those with a profile that the run does not know yet, which wait for the others' end."""
+    """Some of these drives (motions of the carrier) have a profile that is new to the run. They wait until the other
+    worlds have ended."""
     scene = tiny_scenes(("hand-overhang-45",))["hand-overhang-45"]
     (kept,) = shared_engine().run([Job(scene, keep_state=True)], SHORT)
     push, pull = (Excitation("push", "force", np.tile([level, 0.0, 0.0], (40, 1))) for level in (0.6, -0.6))
@@ -336,8 +348,9 @@ def test_drives_that_come_later_are_as_those_that_were_there() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", ["adaptive", "fixed"])
 def test_worlds_that_come_later_may_be_larger_than_all_before(schedule: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the same size, also where tables would have room: what a run knows of time ends with its largest
-    plan. Of another size, whose blocks the run has not."""
+    """A later world may have the same size, with more boxes than all worlds before. It does not join a table that has
+    room, since the run's times are made for its largest plan. A later world may also have a size for which the run has
+    no blocks."""
     sizes_apart(monkeypatch, 8)
     scenes = {n: make_scene(n) for n in (5, 7, 9)}
     sim = SHORT.changed(schedule=schedule)

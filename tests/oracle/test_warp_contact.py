@@ -1,4 +1,7 @@
-"""The cone of a contact on mjx-warp: its force is the slope of a cost, and its curvature is the slope of its force."""
+"""The cone of a contact on mjx-warp.
+
+The force of a contact is the slope of a cost, and the curvature of that cost is the slope of the force.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ set_up_warp()
 
 STIFFNESS, FRICTION = 3.0, 0.5
 STEP = 1e-6
-"""Of central differences in double precision."""
+"""Step of central differences, in double precision."""
 
 RESIDUALS = np.array(
     [
@@ -31,7 +34,7 @@ RESIDUALS = np.array(
         [-0.01, 2.00, -1.00],  # slides fast
     ]
 )
-"""(n, 3) accelerations of a contact beyond what it asks for: normal and tangents, m/s²."""
+"""(n, 3) residuals of a contact in m/s²: accelerations minus reference accelerations, along the normal and tangents."""
 
 
 @wp.func_native(
@@ -113,7 +116,7 @@ def doubles(values: Any) -> wp.array[wp.float64]:
 
 
 def numbers() -> wp.array[float]:
-    """A contact's numbers, of which only the last two are read."""
+    """Return the numbers of a contact. The kernel reads only the last two."""
     contact = np.zeros(EFC_WORDS, np.float32)
     contact[30:32] = STIFFNESS, FRICTION
     return wp.array(contact, dtype=float, device="cpu")
@@ -122,7 +125,12 @@ def numbers() -> wp.array[float]:
 def force_and_curvature(
     kernel: Any, j: np.ndarray, pyramidal: int, impratio: float, drag: Any = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) force and (3, 3) curvature, with this drag of a contact that slides, or with that of the residual."""
+    """Return the force (3,) and the curvature (3, 3) of a contact.
+
+    Args:
+        drag: Friction of a sliding contact as a share of its largest friction, with opposite sign. If None, the kernel
+            computes it from the residual.
+    """
     push, bend = wp.zeros(3, dtype=wp.float64, device="cpu"), wp.zeros(6, dtype=wp.float64, device="cpu")
     share = wp.array([0.0, 0.0] if drag is None else drag, dtype=float, device="cpu")
     inputs = [pyramidal, impratio**-0.5, doubles(j), numbers(), drag is None, share, push, bend]
@@ -171,12 +179,15 @@ def test_along_a_line_the_cost_has_the_slope_and_the_curvature_of_its_force(
                 wp.launch(line, dim=1, inputs=inputs, device="cpu")
                 first, second = along.numpy()
                 assert first == pytest.approx(-force @ direction, rel=1e-9, abs=1e-9 * STIFFNESS)
-                # the curvature's drag is single precision
+                # the drag that the curvature uses is in single precision
                 assert second == pytest.approx(direction @ curvature @ direction, rel=1e-6, abs=1e-6 * STIFFNESS)
 
 
 def test_a_drag_of_its_own_makes_the_curvature_across_no_less_round(kernel: Any) -> None:
-    """From that of a norm (none along the direction of sliding) to that of a bowl, and never less than none."""
+    """With a drag of length 1 along the sliding, the curvature of the cost is that of a norm: zero along the sliding.
+
+    With no drag, it is that of a bowl: the same along the sliding as across. It is never negative.
+    """
     slides = RESIDUALS[4]
     ahead = slides[1:] / np.linalg.norm(slides[1:])
     force, exact = force_and_curvature(kernel, slides, 0, 20.0)
@@ -194,7 +205,8 @@ def test_a_drag_of_its_own_makes_the_curvature_across_no_less_round(kernel: Any)
 
 
 def test_a_drag_follows_the_linear_model_and_stays_within_the_cone() -> None:
-    """By |j|·drag = j of the tangents: a step that ends the sliding does not change it, and after none it is ahead."""
+    """The drag follows |j|·drag = j, for tangential residuals j. A step of Newton's method that would end the sliding
+    does not change the drag. After a step of zero, the drag points along the sliding."""
     kernel = compiled(one_follow)
 
     def after(v: list[float], drag: list[float]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The engine mjx-warp-cpu: worlds on the kernels of mjx-warp, in several threads of a CPU."""
+"""The engine mjx-warp-cpu, which simulates worlds with the kernels of mjx-warp in several threads of a CPU."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from petmjx.world.job import Job
 pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="jax uses a GPU in this process")
 
 MANY = 40
-"""Worlds beside one another: enough for threads to take them at the same moment."""
+"""Number of worlds: enough for several threads to take worlds at the same moment."""
 
 
 @functools.cache
@@ -52,7 +52,7 @@ def test_worlds_are_the_same_to_the_last_bit_on_any_number_of_threads(threads: i
 
 
 def test_recorded_worlds_of_several_threads_keep_their_own_frames() -> None:
-    """All blocks write into one room for frames."""
+    """All thread blocks write their frames into one shared buffer."""
     boxes = [stack(2), stack(3, 260.0), stack(1), stack(2, 160.0)]
     jobs = [Job(make_scene(some, SHORT), record=Record(0.02)) for some in boxes]
     alone, together = (run_all(MjxWarpCpuEngine(threads), jobs, SHORT) for threads in (1, 3))
@@ -77,8 +77,11 @@ def test_open_worlds_go_on_in_several_threads() -> None:
 
 
 def test_engines_of_several_threads_work_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As those do that make further attempts beside a GPU. The first slice waits for the second one, which is the other
-    engine's: its own needs the states of the first."""
+    """Engines work at the same time when they make further attempts (simulations with other options) beside a GPU.
+
+    The first slice (launch of the kernel) of one engine waits for the first slice of the other engine. The second slice
+    of the same engine cannot come before that, since it needs the states that the first slice leaves.
+    """
     met, slices = threading.Barrier(2), itertools.count()
     inner = block_launch.wait
 
@@ -96,7 +99,7 @@ def test_engines_of_several_threads_work_at_the_same_time(monkeypatch: pytest.Mo
 
 
 class Blocks:
-    """Stand in for a ``Call`` whose first block fails, while the second one goes on until the slice is over."""
+    """A stand-in for a ``Call``. Its first block fails, while its second block goes on to the end of the time slice."""
 
     blocks = 2
 

@@ -1,4 +1,4 @@
-"""What goes wrong on mjx-warp harms no other world: buffers that are too small, numbers that are none."""
+"""Failures of a world on mjx-warp harm no other world: buffers that are too small, and numbers that are not finite."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 def test_buffers_that_are_too_small_grow_and_give_the_same(
     device: str, buffer: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # 4 of each a world: of the bricks at least 5 pairs touch, in 20 contacts.
+    # Buffers have room for 4 contacts or pairs a world. At least 5 pairs of the bricks touch, in 20 contacts.
     some = tiny_scenes(("hand-one-box", "brickwork"))
     expected = simulate(shared_engine(), some, SHORT)
     monkeypatch.setattr(block_pool, buffer, 1)
@@ -65,7 +65,8 @@ def test_buffers_that_are_too_small_grow_and_give_the_same(
 
 @pytest.mark.slow
 def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Eight contacts each: enough for a box on the carrier, which has four on the floor, and not for bricks."""
+    """A world has room for eight contacts. That is enough for a box on the carrier, which has four contacts with the
+    floor. It is too little for bricks."""
     some = {**tiny_scenes(("hand-one-box", "brickwork")), "one more": tiny("hand-one-box")}
     expected = simulate(shared_engine(), some, SHORT)
     sizes_apart(monkeypatch, 1)
@@ -95,7 +96,7 @@ OVERLAPPING = 48
 
 @pytest.mark.slow
 def test_what_overflows_does_not_depend_on_larger_plans_beside_it() -> None:
-    """Boxes in the same place have four contacts and more with each other."""
+    """Boxes in the same place have at least four contacts with each other."""
     packed = make_scene([((300, 300, 300), (0, 0, 0), 1.0)] * OVERLAPPING)
     sim = Simulation(check="static", schedule="fixed", duration_s=0.02)
     alone = simulate(engine(), {"packed": packed}, sim)["packed"]
@@ -110,7 +111,7 @@ NAN = float("nan")
 
 
 def poisoned(monkeypatch: pytest.MonkeyPatch, poison: Callable[[WorldTable, int], WorldTable]) -> None:
-    """Put what is no number into the tables of jobs with the most boxes."""
+    """Let ``poison`` put NaN into each new table, in the row of the job with most boxes."""
     plain = MjxWarpEngine._load
 
     def load(self: MjxWarpEngine, run: Any, jobs: list[Job], *args: Any) -> WorldTable:

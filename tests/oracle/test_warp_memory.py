@@ -1,4 +1,4 @@
-"""Memory that runs out on mjx-warp loses no world, and none is simulated with other results."""
+"""If memory runs out on mjx-warp, no world is lost, and no world has other results."""
 
 from __future__ import annotations
 
@@ -66,8 +66,11 @@ def test_each_size_alone_may_have_room(monkeypatch: pytest.MonkeyPatch, crowd: d
 
 
 def small_device(monkeypatch: pytest.MonkeyPatch, holds: Callable[[int, int], bool]) -> list[int]:
-    """A device of 256 blocks that says whether it holds so many, with so many contacts each. Returns a list of the
-    numbers of blocks that were tried."""
+    """Pretend that the device has 256 blocks and memory as ``holds`` says. Return the list of numbers of blocks tried.
+
+    Args:
+        holds: Function of the number of blocks and the number of contacts of each. It says whether memory suffices.
+    """
     tried = []
 
     def look(n_boxes: int, nconmax: int, blocks: int) -> None:
@@ -112,8 +115,9 @@ def test_a_device_without_any_room_gives_invalid_worlds(monkeypatch: pytest.Monk
 def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
     grows: bool, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """One world has its outcome already, one waits for its drive, and one needs more room than there is. If no more
-    jobs may come the slice in which the drive ends is under way when that is seen."""
+    """One world has its outcome already, one world waits for its drive (motion of the carrier), and one world needs
+    more contacts than fit into memory. If no more jobs may come, a slice is already running when that is seen, and the
+    drive ends in that slice."""
     monkeypatch.setattr(block_pool, "CONTACTS_PER_BOX", 2)
     small_device(monkeypatch, lambda _, nconmax: nconmax <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
@@ -126,13 +130,13 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
 
 
 class FailingRollout(Rollout):
-    """Fails in its third time slice if it has more than ``holds`` worlds. Its slices are of one step until it is clear
-    that it does not fail."""
+    """Fails in its third time slice if it has more than ``holds`` worlds. Until it is certain that it does not fail,
+    its slices are one step long."""
 
     holds = 2
     error: Callable[[], Exception] = staticmethod(out_of_memory)
     failures = 0
-    """Of all rollouts of a class."""
+    """Number of failures of all rollouts of a class."""
 
     def __init__(self, run: Run, pools: Sequence[BlockPool], slice_ns: int) -> None:
         super().__init__(run, pools, CHANGING_NS)
@@ -159,7 +163,8 @@ def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.slow
 def test_tables_are_free_before_their_worlds_are_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With each half the tables of the whole would be in memory, too, and with each quarter those of both."""
+    """Tables of worlds are halved when memory runs out. Otherwise the whole table would stay in memory beside each
+    half, and both beside each quarter."""
     load, tables, alive = MjxWarpEngine._load, list[weakref.ref[WorldTable]](), []
 
     def watched(self: MjxWarpEngine, *args: Any) -> WorldTable:
@@ -178,7 +183,7 @@ def test_tables_are_free_before_their_worlds_are_simulated_again(monkeypatch: py
 def test_a_slice_in_which_memory_runs_out_loses_nothing(
     slice_number: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """The blocks' memory and the tables are lost with it; another slice may have begun behind it."""
+    """The memory of the blocks and the tables are lost with the slice. Another slice may have begun behind it."""
     launch, launched = KernelLauncher.launch, itertools.count(1)
 
     def fails_once(self: KernelLauncher, arrays: dict[str, Any]) -> None:
@@ -208,7 +213,7 @@ def test_a_world_that_has_not_enough_memory_even_alone_is_invalid(monkeypatch: p
 def test_memory_that_is_short_before_a_table_has_begun_ends_the_run(
     n_jobs: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is not tried for ever."""
+    """The run does not try again for ever."""
     tried = itertools.count(1)
 
     def none_left(*_: object) -> Run:
@@ -238,7 +243,8 @@ def test_other_errors_are_raised_and_the_engine_goes_on(
 
 @pytest.mark.slow
 def test_blocks_of_the_other_size_make_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    """Memory for the blocks of one run at a time: with those of the run before gone as many fit as were wanted."""
+    """An engine keeps memory for the blocks of one run only. It frees that memory before the next run, so that run has
+    as many blocks as it wants."""
     tried = []
 
     def look(n_boxes: int, nconmax: int, blocks: int) -> None:
@@ -261,18 +267,18 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
     some = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(20)}
     some["large"] = make_scene(120)
     alone = simulate(MjxWarpEngine(), some, SHORT)
-    gc.collect()  # that engine's memory, which would else become free in the middle of the next run
+    gc.collect()  # the first engine's memory, which would otherwise become free during the next run
     crowded = MjxWarpEngine()
     blocks, room = Launch.here(120).blocks, 120 + kernel_launcher.MORE_BOXES
     sizes = axes(blocks, 120, 1, kernel_launcher.PAIRS_PER_BOX * room, kernel_launcher.CONTACTS_PER_BOX * room)
     buffer_bytes = 4 * BUFFER_WORDS * buffer_rows(sizes)
-    # What shall be left is taken first, in one piece, and given back when all other memory is taken. JAX may have given
-    # a piece that is up to 128 MB larger.
+    # The memory that should stay free is taken first, in one piece, and freed when all other memory is taken. JAX may
+    # have reserved a piece that is up to 128 MB larger.
     left = TABLES_BYTES + buffer_bytes // 2
     rest = block(left)
     ballast = []
     for piece in PIECES:
-        with suppress(jax.errors.JaxRuntimeError):  # what is free may be in smaller pieces
+        with suppress(jax.errors.JaxRuntimeError):  # the free memory may be in smaller pieces
             while free_bytes() > piece:
                 ballast.append(block(piece))
     rest.delete()
@@ -294,18 +300,18 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
 
 
 PIECES = 1 << 30, 1 << 26, 1 << 22
-"""Bytes of the blocks that take a device's memory."""
+"""Sizes in bytes of the pieces that fill the device's memory."""
 
 TABLES_BYTES = 192 << 20
-"""More than the tables of some hundred worlds take, with what JAX needs beside them."""
+"""Bytes: more than tables of some hundred worlds take, together with the memory that JAX needs for them."""
 
 
 def block(size: int) -> jax.Array:
-    """Device memory of so many bytes."""
+    """Take ``size`` bytes of the device's memory."""
     return jax.block_until_ready(jnp.zeros(size, jnp.uint8))
 
 
 def free_bytes() -> int:
-    """Device memory that JAX can still take."""
+    """Return how many bytes of the device's memory JAX can still take."""
     stats = jax.devices()[0].memory_stats()
     return stats["bytes_limit"] - stats["bytes_in_use"]

@@ -1,4 +1,4 @@
-"""The rules of mjx-warp against those of the batched engines, on random states: they are written twice."""
+"""The rules of mjx-warp compared with those of the batched engines, on random states. They are written twice."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ set_up_warp()
 
 WORLDS, BOXES = 1024, 4
 SAME = 1e-5
-"""Of metrics, relative and absolute: float32, and degrees by another formula."""
+"""Tolerance of metrics, relative and absolute. They are float32, and the two sides compute degrees in different
+ways."""
 
 
 @wp.func
@@ -76,7 +77,7 @@ def kernel() -> Any:
 
 
 def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, State, State]:
-    """Worlds of one to four boxes, states after some step, and those at its beginning (poses)."""
+    """Return worlds of one to four boxes, their states after some step, and their states (poses) before that step."""
     jobs = [
         Job(fake_scene(*[1.0] * (1 + k % BOXES)), keep_state=k % 3 == 0, has_errors=k % 5 == 0) for k in range(WORLDS)
     ]
@@ -107,7 +108,7 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
         quat = np.concatenate([np.ones((WORLDS, BOXES, 1)), turn], -1)
         qpos[..., 3:] = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
         poses.append(jnp.asarray(qpos, jnp.float32))
-    # some are slow enough to be still, others only quiet, and some neither
+    # the boxes of some worlds are slow enough to be still, those of others only to be quiet, and the rest are fast
     slow = rng.choice([0.002, 0.05, 3.0], (WORLDS, 1, 1), p=[0.35, 0.35, 0.3]) * sim.quiet.quiet_m_s
     hard = np.where(some(0.3, (WORLDS, 1, 1)), 1000.0, 1.0)
     landed = np.maximum(step - pick(0, 5, 40, 90, 149, 150, 151), 0)
@@ -176,7 +177,7 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     rng = np.random.default_rng(5)
     worlds, after, before = random_worlds(sim, rng)
     top_force = jnp.asarray(rng.random((WORLDS, BOXES)), jnp.float32)
-    # Of a world that turns into no number, a velocity is too high to be true.
+    # A world that goes astray has no finite numbers. Its carrier has a velocity that no real world has.
     astray, presses = rng.random(WORLDS) < 0.05, rng.random(WORLDS) < 0.5
     after = after._replace(carrier_qvel=after.carrier_qvel.at[:, 2].set(jnp.where(astray, 1e12, 0.0)))
     expected = as_batched(sim, worlds, after, before, top_force, jnp.asarray(presses))
@@ -204,39 +205,39 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         work.top_force.assign(np.asarray(top_force))
         inputs = [model, device_record(world_arrays.Worlds, flat_worlds), state, work]
         steps = np.asarray(after.step)
-        samples = (steps > 0) & (steps % timetable.sample_every == 0)  # their forces count (world_loop.py)
+        samples = (steps > 0) & (steps % timetable.sample_every == 0)  # forces of samples count (world_loop.py)
         inputs += [wp.array(mask, dtype=wp.bool) for mask in (presses | samples, astray)]
         wp.launch(kernel, dim=WORLDS, inputs=inputs)
         fields = {name: getattr(state, name).numpy() for name in flat}
 
     expected_fields = expected.flat()
-    # what is kept of worlds that have ended is never read
+    # the still poses of worlds that have ended are never read
     ended = (fields["status"] != Status.RUNNING)[:, None, None]
     fields["still_qpos"], expected_fields["still_qpos"] = (
         np.where(ended, 0.0, poses) for poses in (fields["still_qpos"], expected_fields["still_qpos"])
     )
     is_placed = np.arange(BOXES) < np.asarray(after.placed)[:, None]
     for name, values in expected_fields.items():
-        if name in PER_BOX:  # that of boxes which do not stand yet means nothing
+        if name in PER_BOX:  # numbers of boxes that are not placed mean nothing
             these = is_placed.reshape(*is_placed.shape, *[1] * (values.ndim - 2))
             fields[name], values = np.where(these, fields[name], 0.0), np.where(these, values, 0.0)
         if values.dtype == np.int32:
             np.testing.assert_array_equal(fields[name], values, err_msg=name)
         else:
             np.testing.assert_allclose(fields[name], values, rtol=SAME, atol=SAME, err_msg=name)
-    # The states show what rules can do.
+    # The states lead to all that the rules can do.
     adapts = sim.schedule is Schedule.ADAPTIVE and sim.waits_for_rest
     assert set(np.unique(fields["status"]).tolist()) == {Status.RUNNING, Status.SETTLED, Status.FINISHED}
     assert (fields["placed"] > np.asarray(after.placed)).any()
     assert (fields["rest_from"] != np.asarray(after.rest_from)).any()
-    # Some boxes are found to tremble, and others that did not to do so any more.
+    # Some boxes begin to tremble, and some boxes stop.
     trembled = np.asarray(after.trembles)
     assert {-1, 1} <= set(np.unique((fields["trembles"] - trembled)[is_placed])) or not adapts
-    # In drives some worlds rest before their time, and some that did are found to move.
+    # In drives (motions of the carrier), some worlds rest before the end, and some worlds that rested move again.
     was, now = np.asarray(after.end), fields["end"]
     assert ((now < was) & (was != NEVER)).any() == adapts
     assert ((now > was) & (now != NEVER)).any() == sim.waits_for_rest
-    # Some that have not moved since do now.
+    # Some worlds go on at their end although no box has moved since its pose was kept.
     last = (np.asarray(after.step) > 0) & (was <= np.asarray(after.step)) & (fields["status"] == Status.RUNNING)
     way = np.asarray(motion.moved(after.still_qpos, after.qpos, worlds.half))
     has_moved = (is_placed & (way > sim.quiet.still_m_s * timetable.still_steps * sim.physics.timestep_s)).any(axis=1)
@@ -250,7 +251,7 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     assert not lost[~(with_errors | by_culprit)].any()
     assert (lost & with_errors).any() == sim.early_stop
     assert (lost & ~with_errors).any() == (sim.early_stop and sim.waits_for_rest)
-    # In others the culprit, box 0, has tilted as far at a look, but not swayed.
+    # In other worlds the culprit (box 0) has tilted beyond the threshold at a look, and its sway is still allowed.
     tilted = np.asarray(motion.tilt_deg(after.qpos[..., 3:]))[:, 0] > sim.thresholds.tilt_deg
     step = np.asarray(after.step)
     looked = (step > 0) & (step % sim.quiet.poll_steps == 0) & (step % timetable.sample_every != 0)
@@ -259,13 +260,16 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
 
 
 def device_record(kind: Any, values: Any) -> Any:
-    """A record on Warp's device, from arrays by name."""
+    """Return a record on Warp's device, filled with arrays by name."""
     types = array_types(kind)
     return filled_record(kind, {name: wp.array(np.asarray(values[name]), dtype=types[name].dtype) for name in types})
 
 
 def as_batched(sim: Simulation, worlds: Worlds, after: State, before: State, *pressing: Any) -> State:
-    """What the batched rules make of the same worlds: those that place boxes, and those that drive settled ones."""
+    """Return the states that the batched rules give for the same worlds.
+
+    One set of rules is for worlds that place boxes, and another for settled worlds with a drive.
+    """
     timetable = build_timetable(sim, BOXES)
     with jax.numpy_rank_promotion("allow"):
         placing, driving = (

@@ -1,4 +1,4 @@
-"""On mjx-warp worlds of few boxes may have thread blocks of their own: results stay the same to the last bit."""
+"""On mjx-warp, worlds of few boxes may have thread blocks of their own. Results stay the same to the last bit."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ ONE = BlockPool(Launch(4, SIZES[0].threads, 2, 0, 37, hands=False), 4, 40, 1, 42
 
 @pytest.fixture
 def taken(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
-    """Worlds that each pool has taken, slice after slice; without blocks for last worlds."""
+    """Return the numbers of worlds that each pool of blocks takes, slice after slice. No blocks are for last worlds."""
     monkeypatch.setattr(block_pool, "tail_pool", lambda *_: None)
     return watched_queues(monkeypatch)
 
@@ -83,7 +83,7 @@ def test_worlds_of_few_boxes_have_a_queue_of_their_own_while_they_are_enough() -
         (23, None, ONE, None),  # fewer than three quarters of the lanes
         (12, 17, ONE, 2),
         (100, 7, ONE, None),  # not one block
-        (100, None, replace(ONE, launch=replace(ONE.launch, threads=SIZES[1].threads)), None),  # of large worlds
+        (100, None, replace(ONE, launch=replace(ONE.launch, threads=SIZES[1].threads)), None),  # blocks of large worlds
     ],
 )
 def test_they_have_blocks_if_these_are_worth_while(
@@ -117,7 +117,8 @@ def test_memory_without_room_for_them_has_room_for_others(
 
 
 def test_a_solver_that_pauses_takes_the_same_steps(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    """Steps of these worlds take up to a dozen iterations. On a GPU their blocks are those of many worlds."""
+    """Steps of these worlds take up to a dozen iterations of the solver. On a GPU each of their blocks has many
+    worlds."""
     made = Launch.of
     monkeypatch.setattr(Launch, "of", lambda *of: replace(made(*of), pause_after=2))
     assert_equal_worlds(simulate(engine(), tiny_scenes(), SHORT), crowd)
@@ -145,7 +146,7 @@ def test_a_block_has_as_many_worlds_as_shared_memory_has_room_for(
 
 COUNTS = (1, 31, 32, 33, 96, 127, 128, 129, 255, 256, 257, 700)
 BLOCKS = ((32, 16), (64, 1), (128, 1), (256, 1))
-"""Threads of a world, and worlds of a block."""
+"""(threads of a world, worlds of a block)."""
 
 
 def _sums(numbers: wp.array[wp.float64], count: int, sums: wp.array2d[wp.float64]) -> None:
@@ -180,7 +181,7 @@ inline CUDA_CALLABLE void sum_numbers(
 @pytest.mark.gpu
 @pytest.mark.parametrize("count", COUNTS)
 def test_however_many_threads_a_world_has_they_sum_in_the_same_order(count: int) -> None:
-    """Also the next world's sums are its own."""
+    """The sums of a world do not mix with those of the next world either."""
     numbers = wp.array(np.random.default_rng(0).normal(size=count + 1), dtype=wp.float64)
     totals = []
     for threads, worlds in BLOCKS:
@@ -200,7 +201,7 @@ def test_however_many_threads_a_world_has_they_sum_in_the_same_order(count: int)
 def test_blocks_of_many_worlds_give_what_blocks_of_one_give(
     check: str, monkeypatch: pytest.MonkeyPatch, taken: list[list[int]]
 ) -> None:
-    """Worlds of 1 to 24 boxes, of which some fall, in company that changes."""
+    """Worlds have 1 to 24 boxes, some fall, and the worlds beside them change."""
     sim = SHORT.changed(check=check)
     scenes = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(440)}
     scenes |= {f"heap of {n}, {k}": make_scene(heap(n)) for n in (6, 15, 24) for k in range(60)}

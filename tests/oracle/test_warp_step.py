@@ -1,4 +1,7 @@
-"""One step of mjx-warp against C MuJoCo's: accelerations, next state, forces on top, contacts, iterations."""
+"""One step of mjx-warp compared with one step of C MuJoCo.
+
+The tests compare accelerations, the next state, forces on tops of boxes, contacts, and iterations of the solver.
+"""
 
 from __future__ import annotations
 
@@ -37,39 +40,47 @@ set_up_warp()
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 STEPS = (3, 15, 86, 95, 137, 153)
-"""Steps into a run in which all boxes stand at once and the last one tips: landing, sliding, falling. Not those in
-which a contact is about to slip or to part: accelerations then depend ten times as much on a pose's last digit."""
+"""Numbers of steps in a run in which all boxes stand from the beginning and the last box tips. In these steps boxes
+land, slide and fall. Steps in which a contact is about to slip or to part are not among them: there accelerations
+depend ten times as much on the last digit of a pose."""
 
 HEAP_STEPS = (14, 32, 53, 120)
-"""The same of a heap, which lands, tips and slides all the time. Not those in which a box is wedged between others, so
-that forces on it are determined only as well as the solver's tolerance determines them."""
+"""Numbers of steps in a run of a heap, whose boxes land, tip and slide all the time. Steps in which a box is wedged
+between others are not among them: there the solver's tolerance decides how well the forces on the box are known."""
 
 SAME_ACCELERATION_M_S2 = 0.02
-"""Poses go to float32, 5e-8 m at 1 m: times a contact's stiffness (2,600 s⁻² of reference acceleration for each metre)
-and a factor of some ten for light boxes between heavy ones. Accelerations themselves are up to 60 m/s²."""
+"""Tolerance of accelerations. Poses are rounded to float32, by 5e-8 m at 1 m. The stiffness of a contact multiplies
+that error: 2,600 s⁻² of reference acceleration for each metre. Light boxes between heavy boxes multiply it by some ten.
+The accelerations themselves are up to 60 m/s²."""
 
 SAME_ACCELERATION = 3e-3
-"""The same, of the light box that spins with up to 60 rad/s² while it lands."""
+"""Relative tolerance of accelerations, for the light box. It spins with up to 60 rad/s² while it lands."""
 
 SAME_VELOCITY_M_S = 1e-5
-"""Beside what the accelerations' tolerance makes in a step."""
+"""Tolerance of velocities, in addition to the tolerance of accelerations times the timestep."""
 
 SAME_POSITION = 1e-6
-"""m, and for quaternions their parts: float32 at 1 m."""
+"""Tolerance of positions in m, and of the parts of quaternions: float32 at 1 m."""
 
 SAME_FORCE = 0.01
 SAME_FORCE_N = 0.2
-"""What the accelerations' tolerance makes of boxes of up to 10 kg."""
+"""Relative and absolute tolerance of forces. They follow from the tolerance of accelerations, for boxes of up to 10
+kg."""
 
 SAME_SLIDING_M_S2 = 0.5
-"""Where contacts slide: both sides end their iteration where a pressure's reference acceleration is known to 0.1 m/s²,
-and a light box turns by some times that."""
+"""Tolerance of accelerations where contacts slide. Both sides end their iteration when the reference acceleration of a
+pressure is known to 0.1 m/s². The acceleration of a light box depends on that several times over."""
 
 MORE_ITERATIONS = 4
-"""A bound on what is left to gain replaces MuJoCo's two tests, and a factor in single precision costs an iteration or
-two where contacts are stiff. In steps in which MuJoCo needs more than MANY much slides, and the number of iterations
-depends on the last digits (with another order of sums 29 became 31). Together they need fewer than MuJoCo's, since
-forces of friction are unknowns of their own for that: SLIDING_SHARE of them; in a step they may need twice as many."""
+"""By how many iterations a step of mjx-warp may exceed MuJoCo's step. mjx-warp stops at a bound on how much the cost
+can still fall, instead of MuJoCo's two tests. Its factor in single precision costs one or two iterations where contacts
+are stiff.
+
+Other limits hold for steps in which MuJoCo needs more than ``MANY`` iterations. There, many contacts slide, and the
+number of iterations depends on the last digits: with another order of sums, 29 became 31. mjx-warp has forces of
+friction as separate unknowns, so all these steps together need at most ``SLIDING_SHARE`` of MuJoCo's iterations. A
+single step may need twice as many as MuJoCo's.
+"""
 MANY, SLIDING_SHARE = 15, 0.8
 
 
@@ -80,12 +91,14 @@ BRICKS: tuple[Box, ...] = (
     ((150, 150, 120), (230, 20, 250), 0.8),
     ((400, 180, 90), (320, 10, 250), 6.0),
 )
-"""Two rows of bricks, a light box between heavy ones, and one that leans over the edge and tips."""
+"""Two rows of bricks. One light box is between heavy boxes. Another box leans over the edge and tips."""
 
 
 def exact(scene: Scene, physics: Physics) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """C's model of the scene, all boxes standing where they are put; boxes meet by MJX's primitive collider, and the
-    solver takes them all at once."""
+    """Return C MuJoCo's model of the scene, and data in which all boxes stand at their places.
+
+    Contacts come from the primitive collider that MJX has, too. The solver takes all bodies at once, without islands.
+    """
     spec = build_spec(scene, physics)
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD | mujoco.mjtDisableBit.mjDSBL_ISLAND
     model = spec.compile()
@@ -107,9 +120,9 @@ PLANS = {
 @pytest.mark.parametrize("name", PLANS)
 @pytest.mark.parametrize("preset", ["pallet", "reference"])
 def test_a_step_as_in_c(preset: str, name: str) -> None:
-    physics = PHYSICS[preset].changed(slip_correction=False)  # whose excess is known to 0.1 m/s² only
+    physics = PHYSICS[preset].changed(slip_correction=False)  # the correction's excess is known to 0.1 m/s² only
     boxes, steps = PLANS[name]
-    # boxes that fall into their places have something to land on
+    # boxes that fall to their places land on something
     scene = build_scene(make_plan(name, boxes), Simulation(physics={"name": preset, "falls_into_place": True}))
     if name == "on boards":
         scene = on_boards(scene)
@@ -119,7 +132,7 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
     for at in range(max(steps) + 1):
         kernel_step = step(data) if at in steps else None
         SlipLaw(physics).step(model, data)
-        # A contact that barely touches may be there in double precision and not in single.
+        # A contact that barely touches may exist in double precision and not in single precision.
         if kernel_step is None or kernel_step.contacts != data.ncon:
             continue
         compared += 1
@@ -150,7 +163,7 @@ TILTS = {"edge, 3°": (3.0, 0.0), "edge, 45°": (45.0, 0.0), "corner": (45.0, np
 
 @pytest.mark.slow
 def test_a_step_in_which_bricks_slide_and_tip_as_in_c() -> None:
-    """The law of contacts that slide (petmjx/world/contact_laws.py), by iteration on both sides."""
+    """Both sides solve the law of sliding contacts (petmjx/world/contact_laws.py) by iteration."""
     physics = PHYSICS["pallet"]
     scene = build_scene(make_plan("bricks", BRICKS), Simulation(physics={"falls_into_place": True}))
     model, data = exact(scene, physics)
@@ -171,8 +184,10 @@ def test_a_step_in_which_bricks_slide_and_tip_as_in_c() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", TILTS.values(), ids=list(TILTS))
 def test_a_box_on_an_edge_or_a_corner_has_the_contacts_of_c(tilt_deg: tuple[float, float]) -> None:
-    """A tilted box with its skin reaches further than the box by more than its skin is thick. 11 µm above and 20 µm
-    deep: a box on the floor, and one on the carrier, which hangs in the air."""
+    """The skin of a tilted box reaches further than the box by more than its own thickness.
+
+    One box is on the floor and one on the carrier, which hangs in the air. They are 11 µm above it or 20 µm deep in it.
+    """
     physics = PHYSICS["pallet"]
     scene = build_scene(make_plan("two", BRICKS[:2]), Simulation())
     model, data = exact(scene, physics)
@@ -202,7 +217,7 @@ def test_a_box_on_an_edge_or_a_corner_has_the_contacts_of_c(tilt_deg: tuple[floa
     ("changes", "damping"),
     [
         ({}, 2 / (0.999 * 0.004)),
-        ({"timestep_s": 0.004}, 2 / (0.999 * 0.008)),  # MuJoCo takes two timesteps at least
+        ({"timestep_s": 0.004}, 2 / (0.999 * 0.008)),  # at least two timesteps, as in MuJoCo
         ({"solreffriction": (-100.0, -300.0)}, 300 / 0.999),
         ({"solreffriction": (0.0, 0.0)}, 0.0),
         ({"cone": "pyramidal"}, 0.0),
@@ -213,7 +228,7 @@ def test_damping_of_friction_as_mujoco_has_it(changes: dict[str, Any], damping: 
 
 
 def test_sizes_fit_tables_and_thread_blocks() -> None:
-    """A table's width must say which blocks its worlds have; C++ has room for the sums of 8 warps."""
+    """The width of a table must say which blocks its worlds have. The C++ code has room for the sums of 8 warps."""
     most = [size.most_boxes for size in block_launch.SIZES]
     assert most == sorted(most)
     assert most[-1] == MAX_BOXES
@@ -226,7 +241,7 @@ def test_sizes_fit_tables_and_thread_blocks() -> None:
 
 
 def test_compiler_errors_name_the_line_of_the_file() -> None:
-    """Every line of C++ is there once, under the name and number that its file has."""
+    """Each line of C++ is in the source once, with the name of its file and its number there."""
     seen: dict[str, list[tuple[int, str]]] = {}
     name, number = "", 0
     for line in newton.source("newton.cu").splitlines():
@@ -257,8 +272,8 @@ def test_a_changed_file_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.mark.slow
 def test_shared_memory_of_any_size_gives_the_same_to_the_last_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A row of the factor lies in it if it fits, and with it the Hessian, if that fits, too. Blocks on a CPU have
-    none."""
+    """Shared memory has a row of the factor if the row fits, and the Hessian, too, if both fit. Blocks on a CPU have no
+    shared memory."""
     scene = build_scene(make_plan("heap", heap()), Simulation())
     model, data = exact(scene, PHYSICS["pallet"])
     mujoco.mj_step(model, data, HEAP_STEPS[-1])

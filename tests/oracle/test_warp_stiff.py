@@ -1,4 +1,7 @@
-"""Worlds that soft contacts may have decided are simulated again in stiffer ones, beside a run on mjx-warp."""
+"""Worlds whose verdicts soft contacts may have decided are simulated again with stiffer contacts.
+
+That happens beside a run on mjx-warp.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from petmjx.options.simulation import Simulation
 SIM = Simulation()
 
 FORCE_SHARE = 0.01
-"""Of forces at rest: contacts that are 40 times as stiff, in single precision."""
+"""Relative tolerance of forces at rest, in single precision with contacts that are 40 times as stiff as usual."""
 
 LIGHT_UNDER_HEAVY = stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0))
 

@@ -1,4 +1,4 @@
-"""On mjx-warp a run's last worlds have thread blocks of their own: results stay the same to the last bit."""
+"""On mjx-warp, the last worlds of a run have thread blocks of their own. Results stay the same to the last bit."""
 
 from __future__ import annotations
 
@@ -31,7 +31,13 @@ TWO_LAST = replace(ONE, blocks=2, last=True)
 
 
 def expected(steps: list[int], ended: list[int], lanes: int = 1, spare: int = 0) -> list[int]:
-    """With rows that no queue has behind the worlds."""
+    """Return the numbers of the worlds that are expected to be last.
+
+    Args:
+        steps: Number of steps of each world so far.
+        ended: Numbers of worlds that have ended.
+        spare: Number of rows behind the worlds that are in no queue.
+    """
     queued, n = len(steps), len(steps) + spare
     order = jnp.array([[*range(1, queued), -1], [0, *[-1] * (queued - 1)]], jnp.int32)
     running = jnp.array([world not in ended for world in range(n)])
@@ -43,7 +49,7 @@ def test_worlds_that_have_taken_many_times_the_usual_steps_are_expected_to_be_la
     assert expected([500, 3, 1, 0], ended=[]) == [], "none has ended"
     assert expected([500, 99, 1, 10, 90], ended=[3, 4]) == [0], "50 in the mean"
     assert expected([9, 400, 10, 10, 10, 10, 500], ended=[2, 3, 4, 5, 6]) == [1], "the last one has ended"
-    many = [70_000] * 32_768  # more steps in all than an int32 holds
+    many = [70_000] * 32_768  # the sum of these steps exceeds an int32
     assert expected([*many, 80_000, 300_000], ended=list(range(len(many)))) == [len(many) + 1]
 
 
@@ -60,7 +66,7 @@ def test_of_many_long_worlds_those_that_have_taken_most_steps_are_expected_to_be
 
 
 ORDER = [[3, -1, -1, -1, -1], [0, 4, 2, 1, -1]]
-"""Of five worlds, the fourth of which is large; two rows behind them are in no queue."""
+"""Two queues of five worlds. The fourth world is large. Two rows behind the worlds are in no queue."""
 
 
 def with_last(running: list[int], steps: list[int], pool: BlockPool = TWO_LAST) -> list[list[int]]:
@@ -91,7 +97,7 @@ def test_no_other_block_has_room_beside_one_for_a_last_world(monkeypatch: pytest
         assert pool is not None
         assert (pool.last, pool.lanes, pool.launch.threads) == (True, 3, LAST.threads)
         both = sum(4 * one.shared_words + own_bytes(one.panels) + DRIVER_BYTES for one in (usual, pool.launch))
-        assert both > shared_bytes + DRIVER_BYTES  # what a multiprocessor has for all
+        assert both > shared_bytes + DRIVER_BYTES  # shared memory of a multiprocessor
         assert tail_pool(replace(ONE, launch=usual), lanes=2) == replace(pool, blocks=2)
         assert tail_pool(replace(ONE, launch=Launch.of(SIZES[1]))) is None, "they have it to themselves anyway"
 
@@ -105,8 +111,8 @@ def test_on_a_cpu_there_are_none() -> None:
 def test_a_world_goes_on_in_blocks_for_the_last_ones(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """On a CPU all blocks are alike; one has the worlds, and two those that are left when there are two. Slices of one
-    step each take long, so there are three worlds."""
+    """On a CPU all blocks are alike. One block has the worlds, and two blocks take the last worlds when two worlds are
+    left. Slices of one step take long, so there are only three worlds."""
     queue_counts = watched_queues(monkeypatch)
     monkeypatch.setattr(block_pool, "tail_pool", lambda pool, lanes: replace(pool, blocks=2, last=True))
     assert_equal_worlds(simulate(engine(slice_ns=STEP_NS), tiny_scenes(TINY[:3]), SHORT), crowd)
@@ -128,7 +134,7 @@ def test_worlds_go_on_where_there_are_blocks_for_few_boxes_too(
 
 @pytest.mark.gpu
 def test_blocks_for_the_last_worlds_give_what_others_give(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every world changes between both."""
+    """In this test each world changes between both kinds of blocks."""
     scenes = {f"heap of {n}, {k}": make_scene(heap(n)) for n in (5, 15, 24, 40, 70, 96) for k in range(60)}
     sim = Simulation(interval_s=0.1, rest_window_s=0.1, settle_s=0.3)
     queue_counts = watched_queues(monkeypatch)

@@ -1,4 +1,5 @@
-"""Faces of boxes that give are beds of springs: against the integral over a grid, and each twin against the other."""
+"""Faces of compressible boxes are beds of springs. The beds are compared with an integral over a grid, and the
+implementations in NumPy and JAX with each other."""
 
 from __future__ import annotations
 
@@ -27,22 +28,22 @@ from petmjx.world.mujoco_model import geom_bodies
 
 GRID = 321
 OF_GRID = 0.02
-"""Of the grid's springs along the edges of what is pressed."""
+"""Relative error of the integral over the grid, caused by the grid's cells along the edges of the pressed area."""
 SINGLE_M = 3e-5
-"""What single precision makes of points and depths of boxes about a metre off the origin."""
+"""Error of single precision in points and depths of boxes about a metre away from the origin, m."""
 HALF = np.array([[0.2, 0.15, 0.1], [0.15, 0.2, 0.1]])
 SIM = Simulation(check=Check.STATIC)
 
 
 @pytest.fixture(autouse=True)
 def broadcasts() -> Iterator[None]:
-    """MJX does as NumPy does."""
+    """Let JAX broadcast arrays of different ranks, as NumPy does. MJX needs this."""
     with jax.numpy_rank_promotion("allow"):
         yield
 
 
 def turned(rotation: FloatArray) -> FloatArray:
-    """(9,) matrix of a rotation vector."""
+    """(9,) rotation matrix of a rotation vector."""
     angle = float(np.linalg.norm(rotation))
     quat, matrix = np.empty(4), np.empty(9)
     mujoco.mju_axisAngle2Quat(quat, rotation / max(angle, 1e-12), angle)
@@ -51,8 +52,8 @@ def turned(rotation: FloatArray) -> FloatArray:
 
 
 def drawn(count: int, seed: int, turn_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(2 count, 3) places, (2 count, 9) rotations and (2 count, 3) half sizes: a box and one that lies on it, each by
-    each."""
+    """Random pairs of boxes, in which the second box lies on the first: (2 count, 3) their centres, (2 count, 9) their
+    rotations and (2 count, 3) their half sizes."""
     rng = np.random.default_rng(seed)
     lean = rng.normal(0.0, turn_rad, (count, 2, 3)) * (1.0, 1.0, 20.0)
     above = np.column_stack([rng.normal(0.0, 0.08, (count, 2)), np.full(count, 0.197)])
@@ -64,7 +65,7 @@ def drawn(count: int, seed: int, turn_rad: float) -> tuple[FloatArray, FloatArra
 
 
 def test_points_of_a_bed_have_its_force_and_moments() -> None:
-    """Whatever part of the faces presses: their edges cross at any angle."""
+    """The pairs are random, so the pressed parts of the faces have many shapes."""
     pos, turn, half = drawn(12, 1, 0.01)
     one, two = np.arange(0, 24, 2), np.arange(1, 24, 2)
     flat, normal, points, depth, area, least = face_pressure(
@@ -99,11 +100,12 @@ def test_points_of_a_bed_have_its_force_and_moments() -> None:
 
 @pytest.mark.parametrize(
     ("lean", "lever"),
-    # the last three: as springs, further out, at the edge
+    # in the last three cases, one side lifts off: the force moves outwards, up to the edge
     [(1.0, 1 / 12), (2.0, 1 / 6), (4.0, 0.5 - 0.5**0.5 / 3), (8.0, 0.5 - 0.2 / 3), (12.0, 0.5)],
 )
 def test_the_force_goes_to_the_edge_as_one_side_lifts_off(lean: float, lever: float) -> None:
-    """One axis, in closed form: a lean of 1 is F/(k·L), and the lever a share of L."""
+    """Closed form for a lean about one axis. The lean is in units of F/(k·L), and the lever arm of the force in units
+    of L."""
     length, force = 0.4, 1e-3
     half = np.array([[length / 2, 0.15, 0.1]] * 2)
     turn = turned(np.array([0.0, lean * force / length, 0.0]))
@@ -131,7 +133,7 @@ def test_faces_that_only_meet_or_stand_apart_do_not_press() -> None:
 
 
 def test_mjx_jax_has_the_same_beds() -> None:
-    """Also of strips at an edge, and of corners."""
+    """Also if only a strip at an edge or a corner is pressed."""
     pos, turn, half = drawn(200, 2, 0.02)
     one, two = np.arange(0, 400, 2), np.arange(1, 400, 2)
     up = turn[one].reshape(-1, 3, 3)[:, :, 2]
@@ -150,7 +152,7 @@ def test_mjx_jax_has_the_same_beds() -> None:
 
 
 def test_contacts_in_mjx_jax_and_mujoco_are_alike() -> None:
-    """Those of a column that leans, after the collision of a step."""
+    """The contacts of a leaning column are compared after the collision detection of one step."""
     rows = [((300.0, 300.0, 250.0), (40.0 * level, 0.0, 250.0 * level), 6.0) for level in range(3)]
     scene = replace(make_scene(rows, SIM), stiffness=np.array([30e3, 60e3, np.inf]))
     world = LiveWorld(scene, SIM, scene.n_boxes)

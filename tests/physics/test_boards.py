@@ -1,4 +1,4 @@
-"""Carriers made of boards: as large and as heavy as they say, and a board bears while a gap does not."""
+"""Carriers made of boards: they have the stated extents and masses, and boards bear boxes while gaps do not."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from petmjx.options.physics import PHYSICS
 from petmjx.world.carrier_boards import PALLETS, body_of, pallet
 
 DECK_EDGE_MM = 145.0
-"""Of the first deck board of ``epal-1`` along y; the gap behind it is 41 mm wide."""
+"""The y coordinate at which the first deck board of ``epal-1`` ends, mm. The gap behind it is 41 mm wide."""
 POST_MM = (60.0, 60.0, 200.0)
 
 
@@ -37,14 +37,14 @@ def test_a_pallet_is_as_large_as_it_says_and_of_one_piece(carrier: Carrier) -> N
         deep = inside[one, two].min()
         assert deep < (0.0041 if carrier is Carrier.PET_EUR else 1e-9), f"boards {one} and {two} lie in each other"
     joined = {0}
-    for _ in half:  # from the first board on, over those that touch
+    for _ in half:  # adds the boards that touch boards already reached from the first board
         touching = (inside >= -1e-9).all(axis=2)
         joined |= set(np.flatnonzero(touching[sorted(joined)].any(axis=0)).tolist())
     assert joined == set(range(len(half)))
 
 
 def post(beyond_mm: float) -> tuple[Box, ...]:
-    """A slender box whose centre is this far beyond the edge of the board on which it stands."""
+    """A slender box whose centre is ``beyond_mm`` beyond the edge of the board on which the box stands."""
     return ((POST_MM, (600.0, DECK_EDGE_MM - POST_MM[1] / 2 + beyond_mm, 0.0), 3.0),)
 
 
@@ -71,7 +71,8 @@ def test_a_picture_has_room_for_all_boards(tmp_path: Path) -> None:
 
 
 def bars(*, width_mm: float, span_mm: float) -> OwnCarrier:
-    """Two narrow bars along x, whose middles are this far apart, on two blocks."""
+    """A carrier of two narrow bars along x on two blocks. ``span_mm`` is the distance between the middles of the
+    bars."""
     bar = {"size_mm": [600.0, width_mm, 40.0], "mass_kg": 0.2 * width_mm}
     block = {"size_mm": [100.0, span_mm + width_mm, 100.0], "mass_kg": 5.0}
     places = [(bar, (0.0, 0.0, 100.0)), (bar, (0.0, span_mm, 100.0)), (block, (0.0,) * 3), (block, (500.0, 0.0, 0.0))]
@@ -79,7 +80,8 @@ def bars(*, width_mm: float, span_mm: float) -> OwnCarrier:
 
 
 def test_two_bars_share_the_load_of_a_box_by_the_lever_rule() -> None:
-    """Bars are 4 mm wide, so that it matters by half a per cent where on them the box presses."""
+    """The bars are 4 mm wide, so the place on the bars at which the box presses changes the shares by only half a per
+    cent."""
     width, span, length, kg = 4.0, 400.0, 560.0, 20.0
     plan = make_plan("plank", (((300.0, length, 200.0), (150.0, 0.0, 0.0), kg),))
     carrier = bars(width_mm=width, span_mm=span)

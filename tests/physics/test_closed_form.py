@@ -1,4 +1,4 @@
-"""The mujoco engine against answers that need no simulator: balance, load, sliding, toppling."""
+"""Results of the engine mujoco are compared with closed forms: balance, loads, sliding and toppling."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ from petmjx.world.job import Drive, Excitation, Job
 
 G = 9.81
 MU = 0.5
-"""Friction of box on carrier and box on box in the preset ``pallet``."""
+"""Coefficient of friction between box and carrier, and between boxes, in the preset ``pallet``."""
 MARGIN = 0.03
-"""Thresholds of sliding and toppling have to be met within 3 %: it holds that much below and fails that much above."""
+"""Required accuracy of the thresholds of sliding and toppling: at 3 % below a threshold, boxes hold; at 3 % above, they
+fail."""
 LOAD_RELATIVE = 0.01
-"""Resting loads: contacts are soft, but at rest the forces balance; 1 % leaves room for a box that still sinks."""
+"""Relative tolerance of loads at rest. The forces on a box at rest balance, although contacts are soft. 1 % is allowed
+because a box may still sink slowly."""
 
 
 def simulate(boxes: Sequence[Box], sim: Simulation, drive: Drive | None = None) -> Outcome:
@@ -65,13 +67,15 @@ TOWER = stack(2, size_mm=(100, 200, 200), at_mm=(500, 300))
 
 
 def accelerated(boxes: Sequence[Box], carrier_acceleration: FloatArray) -> Outcome:
-    """These boxes, standing, on a held carrier with these accelerations, a row a step."""
+    """Simulate boxes that stand on a carrier with a prescribed acceleration. ``carrier_acceleration`` has one row for
+    each step."""
     sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, early_stop=False)
     return simulate(boxes, sim, Drive(Excitation("test", "acceleration", carrier_acceleration), rest_s=0.4))
 
 
 def constant_along_x(level_m_s2: float) -> FloatArray:
-    """A level reached in 0.2 s and held for 1.6 s, long enough for slow toppling to be over."""
+    """An acceleration along x that reaches its level in 0.2 s and keeps it for 1.6 s. This is long enough for a slow
+    topple to end."""
     level = np.concatenate((np.linspace(0.0, 1.0, 100), np.ones(800))) * level_m_s2
     return np.column_stack((level, np.zeros_like(level), np.zeros_like(level)))
 
@@ -89,7 +93,7 @@ def test_sliding_and_toppling_begin_where_they_should(boxes: Sequence[Box], thre
     below = accelerated(boxes, constant_along_x((1.0 - MARGIN) * threshold_m_s2))
     above = accelerated(boxes, constant_along_x((1.0 + MARGIN) * threshold_m_s2))
     assert below.verdict is Verdict.STABLE
-    # Within the time of a sway of 1 mm nothing has begun: a box that slides or topples goes 100 mm and more.
+    # A box that slides or topples moves by 100 mm or more, so a sway of less than 2 mm means that neither has begun.
     assert below.boxes.max_sway_m.max() < 0.002
     assert above.verdict is Verdict.UNSTABLE
     assert above.boxes.max_sway_m.max() > 0.1
@@ -100,7 +104,8 @@ def test_sliding_and_toppling_begin_where_they_should(boxes: Sequence[Box], thre
 @pytest.mark.parametrize(("fraction", "holds"), [(1.0 - MARGIN, True), (1.0 + MARGIN, False)])
 def test_a_box_slides_when_the_carrier_is_tilted_beyond_the_friction_angle(fraction: float, holds: bool) -> None:
     angle = np.arctan(MU) * fraction * np.minimum(np.arange(1500) / 500, 1.0)
-    # Gravity as the tilted carrier feels it, g (sin, 0, −cos), is g − a.
+    # In the frame of the tilted carrier, gravity is g (sin, 0, −cos). The acceleration a of the carrier makes gravity
+    # minus a equal to this.
     rows = G * np.column_stack((-np.sin(angle), np.zeros_like(angle), np.cos(angle) - 1.0))
     outcome = accelerated(CUBE, rows)
     assert (outcome.verdict is Verdict.STABLE) == holds
@@ -108,9 +113,11 @@ def test_a_box_slides_when_the_carrier_is_tilted_beyond_the_friction_angle(fract
 
 
 def test_a_push_on_a_free_carrier_moves_it_and_what_stands_on_it() -> None:
-    # Lifted by 0.9 of its weight, the pallet has a tenth of its grip on the floor (friction 1.0).
+    # A force of 0.9 of the weight lifts the pallet, so friction at the floor (coefficient 1.0) is only a tenth of its
+    # usual value.
     samples = np.tile([0.4, 0.0, 0.9], (100, 1))
     sim = Simulation(schedule=Schedule.FIXED, settle_s=0.4)
     outcome = simulate(CUBE, sim, Drive(Excitation("push", "force", samples), rest_s=0.6))
-    # Net (0.4 − 0.1 friction) g for 0.2 s gives 0.59 m/s; then friction 1.0 g stops it within 18 mm more.
+    # The net acceleration (0.4 − 0.1 for friction) g for 0.2 s gives a speed of 0.59 m/s. Then friction of 1.0 g stops
+    # the pallet within another 18 mm.
     assert 0.02 < outcome.boxes.max_sway_m[0] < 0.16

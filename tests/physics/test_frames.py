@@ -1,7 +1,8 @@
-"""A prescribed acceleration is simulated as gravity in the carrier's frame; here the carrier really accelerates.
+"""petmjx simulates a prescribed acceleration of the carrier as additional gravity in the carrier's frame. These tests
+compare this with a carrier that really accelerates.
 
-Compared are a plan that holds and a single box that slides. Stacks that slide far are not: their boxes rub and rock,
-and then differ by millimetres, as they do when the solver's tolerance alone is changed.
+A plan that holds and a single box that slides are compared. Stacks that slide far are not compared: their boxes rub and
+rock, so their final places differ by millimetres, even if only the solver's tolerance is changed.
 """
 
 from __future__ import annotations
@@ -22,17 +23,17 @@ from petmjx.world.profiles.profile_registry import BUILT_IN
 from petmjx.world.scene import Scene, build_scene
 
 HEAVY_KG = 1e6
-"""The boxes slow such a carrier by a ten-thousandth at most."""
+"""Mass of the carrier that really accelerates. The boxes slow such a carrier by at most a ten-thousandth."""
 
 SLIPPERY = (1e-5, 1e-5, 1e-5)
-"""MuJoCo's smallest friction. A contact takes the larger coefficient of its partners, so boxes keep theirs on the
-carrier while the carrier slides on the floor."""
+"""MuJoCo's smallest coefficients of friction, for carrier and floor. In a contact, MuJoCo uses the larger coefficient
+of the two bodies. So boxes keep their friction on the carrier, while the carrier slides freely on the floor."""
 
 SHIFT_M = 0.001
-"""Required agreement: a twentieth of the shift from which a plan is unstable."""
+"""Required agreement of shifts, m: a twentieth of the shift above which a plan is unstable."""
 
 SIM = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.6, early_stop=False, longest_wait_s=0)
-"""Boxes on a carrier that slides on never rest: nothing is waited for."""
+"""There is no waiting for rest, because boxes on a carrier that keeps sliding are never at rest."""
 REST_S = 0.6
 
 
@@ -42,7 +43,7 @@ def run(scene: Scene, kind: str, samples: FloatArray) -> Outcome:
 
 
 def travelled_m(acceleration: FloatArray) -> FloatArray:
-    """(3,) how far a carrier gets until the end of the run, m, in MuJoCo's steps."""
+    """(3,) distance that the carrier travels until the end of the run, m, integrated with MuJoCo's steps."""
     dt = SIM.physics.timestep_s
     steps = np.zeros((len(acceleration) + int(REST_S / dt), 3))
     steps[: len(acceleration)] = acceleration

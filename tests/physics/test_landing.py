@@ -1,4 +1,5 @@
-"""Boxes that land: how hard they hit does not depend on when one looks; how deep they come, and how they bounce."""
+"""Boxes that land: the peak force does not depend on the time between samples, and the depth of the impact and the
+bounce are as specified."""
 
 from __future__ import annotations
 
@@ -38,17 +39,19 @@ HEIGHT_MM = 100.0
 PAPER = tuple(FrictionPair(between=("paper", other), friction=0.5) for other in ("paper", "wood"))
 BOUNCY = LandingPair(between=("paper", "paper"), restitution=0.3, landing_s=0.008)
 SAME_ROW = 1e-3
-"""Of reference accelerations, m/s², and of constraints' stiffness: float32."""
+"""Tolerance of MuJoCo's reference accelerations, m/s², and relative tolerance of the stiffness of constraints, in
+single precision."""
 
 SAME_SLIDE_M = 1e-4
-"""The box that lands askew slides: engines know the excess of its contacts to 0.1 m/s²
-(petmjx/world/contact_laws.py)."""
+"""Tolerance of the place of a box that lands askew and slides, m. Engines compute the excess of its sliding contacts
+only to 0.1 m/s² (petmjx/world/contact_laws.py)."""
 
 SAME_PEAK = 0.05
-"""Of a peak at half the timestep, relative: it lasts for dozens of steps."""
+"""Relative tolerance of a peak force at a smaller timestep. The peak lasts for dozens of steps."""
 
 SAME_ACCELERATION = 2e-3
-"""m/s² and rad/s²: float32, and 0.1 mrad/s² with which the solver starts."""
+"""Tolerance of accelerations, m/s² and rad/s²: single precision, and the random starts of the solver, which differ by
+0.1 mrad/s²."""
 
 
 def peak_n(sample_interval_s: float, timestep_s: float) -> float:
@@ -65,7 +68,7 @@ def test_peaks_depend_neither_on_samples_nor_on_timesteps() -> None:
     every = peak_n(0.002, 0.002)
     assert {peak_n(interval_s, 0.002) for interval_s in (0.2, 0.034, 1.0)} == {every}
     np.testing.assert_allclose([peak_n(0.2, 0.001), peak_n(0.2, 0.0005)], every, rtol=SAME_PEAK)
-    # what stops 5 kg that have fallen 100 mm within 10 mm presses by more than 11 times their weight on the average
+    # if a box of 5 kg that has fallen 100 mm is stopped within 10 mm, the mean force is more than 11 times its weight
     assert every > 11 * 5.0 * STANDARD_GRAVITY
 
 
@@ -86,13 +89,14 @@ def test_forces_of_many_steps_are_those_of_each() -> None:
 
 
 def scene_of(boxes: Sequence[Box], material: str, sim: Simulation) -> Scene:
-    """Boxes of one material."""
+    """The scene of these boxes, all of one material."""
     return build_scene(replace(make_plan(boxes=boxes), materials=(material,) * len(boxes)), sim)
 
 
 @functools.cache
 def fallen(height_mm: float, restitution: float, material: str = "", **changes: Any) -> tuple[float, float]:
-    """How deep below its place of rest a box comes that falls on another, mm; and the restitution of its rebound."""
+    """Let a box fall on another box. Returns the depth below its place of rest that the box reaches, mm, and the
+    restitution of the bounce."""
     sim = Simulation(
         placing={"name": "drop", "height_mm": height_mm},
         physics={"restitution": restitution},
@@ -122,7 +126,8 @@ def test_they_bounce_alike_at_a_quarter_of_the_timestep(restitution: float) -> N
 
 
 def test_a_pair_of_materials_lands_as_it_is_said() -> None:
-    """Cardboard bounces as measured, whatever the physics says; other pairs as options say, and stop later if asked."""
+    """Cardboard bounces with the built-in value, whatever the option ``physics`` says. Other pairs of materials bounce
+    and stop as the option ``landing_pairs`` says."""
     assert fallen(100.0, 0.5, "cardboard")[1] == pytest.approx(RESTITUTION, abs=0.03)
     usual_mm, usual = fallen(100.0, 0.0, "paper", friction_pairs=PAPER)
     later_mm, bounced = fallen(100.0, 0.0, "paper", friction_pairs=PAPER, landing_pairs=(BOUNCY,))
@@ -148,7 +153,7 @@ def test_what_rests_is_the_same_with_the_law_of_landings() -> None:
 
 
 def test_mjx_changes_contacts_as_c_does() -> None:
-    """A corner that comes down on a box, the other one at rest; the next step, too."""
+    """The contacts of a corner that comes down on a box at rest are compared, in two successive steps."""
     sim = Simulation(physics={"restitution": 0.0, "skin_m": 0.0}, friction_pairs=PAPER, landing_pairs=[BOUNCY])
     live = LiveWorld(scene_of(STACK, "paper", sim), sim, n_boxes=2)
     live.step(100)  # at rest
@@ -188,12 +193,13 @@ SPHERE = """
     </body>
   </worldbody>
 </mujoco>"""
-"""A contact as in a landing: nearly hard, closing, and with next to no friction."""
+"""A model with a contact as in a landing: almost rigid, with approaching bodies and almost no friction."""
 
 
 def test_mjx_stops_a_landing_wherever_its_solver_starts() -> None:
-    """It starts above the answer, as in the second step of a landing; with ``mjx.solve`` half of these starts end up to
-    5 m/s² off, since a root of a number that is rounded to less than 0 ends the line search (MJX 3.17)."""
+    """The solver starts above the solution, as in the second step of a landing. With ``mjx.solve``, half of these
+    starts end with an error of up to 5 m/s²: the line search stops at the square root of a number that rounding has
+    made negative (MJX 3.17)."""
     model = mujoco.MjModel.from_xml_string(SPHERE)
     data = mujoco.MjData(model)
     data.qvel[2] = -0.1
@@ -229,8 +235,8 @@ def test_kernels_land_boxes_as_c_does() -> None:
     for exact, outcome in zip(
         sorted(MujocoEngine(1).run(jobs, sim), key=lambda answer: answer.job), outcomes, strict=True
     ):
-        # boxes that slide rest a look or two earlier or later: their excess is known to 0.1 m/s²
-        # (petmjx/world/contact_laws.py)
+        # boxes that slide come to rest one or two checks earlier or later, because the excess of their contacts is
+        # computed only to 0.1 m/s² (petmjx/world/contact_laws.py)
         assert abs(outcome.n_steps - exact.n_steps) <= 2 * sim.quiet.poll_steps
         np.testing.assert_allclose(outcome.boxes.max_top_force_n, exact.boxes.max_top_force_n, rtol=SAME_ROW)
         np.testing.assert_allclose(outcome.boxes.pos, exact.boxes.pos, atol=SAME_SLIDE_M)

@@ -1,4 +1,5 @@
-"""Loaded pallets among the boxes: they slide on a floor at their friction, tip as a whole, and bear one another."""
+"""Plans whose boxes include loaded pallets: the pallets slide on a floor at their own friction, tip as a whole, and can
+stand on each other."""
 
 from __future__ import annotations
 
@@ -31,15 +32,15 @@ from petmjx.world.supports import bearing_of
 G = 9.81
 EPAL_MM = PALLETS["epal-1"]
 MARGIN = 0.03
-"""Exactness of thresholds: a load stays that much below, and goes that much above."""
+"""Required accuracy of thresholds: at 3 % below a threshold, a load stays; at 3 % above, it slides or topples."""
 WAY = 0.03
-"""Exactness of the way that a load slides."""
+"""Required relative accuracy of the distance that a load slides."""
 
 SHAKEN = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, early_stop=False)
 
 
 def unit(corner_mm: Triple, height_mm: float, kg: float, material: str = "wood") -> Plan:
-    """A pallet with one block on it, as large as its deck."""
+    """A plan with a pallet and a block on it that is as large as the pallet's deck."""
     return units([corner_mm], height_mm, kg, material)
 
 
@@ -51,13 +52,13 @@ def units(corners_mm: Sequence[Triple], height_mm: float, kg: float, material: s
 
 def shaken(engine: Engine, plan: Plan, sim: Simulation, acceleration: np.ndarray) -> Outcome:
     drive = Drive(Excitation("throw", ACCELERATION, acceleration), rest_s=1.0)
-    with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does
+    with jax.numpy_rank_promotion("allow"):  # MJX broadcasts arrays of different ranks, as NumPy does
         (outcome,) = engine.run([Job(build_scene(plan, sim), drive)], sim)
     return outcome
 
 
 def level(level_g: float, axis: int, ramp: int = 150, hold: int = 150) -> np.ndarray:
-    """A level that grows, in steps, and is then held."""
+    """An acceleration that increases for ``ramp`` steps and then stays constant for ``hold`` steps."""
     rows = np.zeros((ramp + hold, 3))
     rows[:, axis] = -level_g * G * np.append(np.linspace(0.0, 1.0, ramp), np.ones(hold))
     return rows
@@ -110,7 +111,7 @@ def test_a_pallet_is_a_body_of_boards_that_bears_on_its_deck() -> None:
     np.testing.assert_allclose(scene.inertia_boxes[1], carrier.inertia_box, atol=1e-4)
     bearing = bearing_of(scene)
     on_deck = bearing.upper == 1
-    assert on_deck.sum() == 5  # boards of the deck
+    assert on_deck.sum() == 5  # number of boards of the deck
     width = (bearing.high - bearing.low)[on_deck, 1].sum()
     assert width == pytest.approx(2 * 0.1 + 3 * 0.145, abs=1e-3)
     turned = replace(plan, size_mm=plan.size_mm[:, [1, 0, 2]])
@@ -121,7 +122,8 @@ def test_a_pallet_is_a_body_of_boards_that_bears_on_its_deck() -> None:
 @pytest.mark.parametrize("material", ["wood", "hdpe"])
 @pytest.mark.parametrize("name", ["mujoco", "mjx-warp-cpu"])
 def test_a_loaded_pallet_slides_on_a_trailers_floor_at_its_friction(name: str, material: str) -> None:
-    """It begins at the static friction, and goes as far as Newton says with the kinetic one."""
+    """The pallet begins to slide at the static friction, and slides as far as Newton's law predicts with the kinetic
+    friction."""
     static = friction_between(material, "trailer floor", ())
     share = kinetic_share_between(material, "trailer floor", ())
     assert static is not None
@@ -138,14 +140,14 @@ def test_a_loaded_pallet_slides_on_a_trailers_floor_at_its_friction(name: str, m
     expected = slide_m(-push, static, G, sim.physics.timestep_s, kinetic=share)
     assert expected > 0.1
     np.testing.assert_allclose(slides.boxes.shift_m[:, 0], expected, rtol=WAY)
-    assert np.abs(slides.boxes.shift_m[0] - slides.boxes.shift_m[1]).max() < 0.002  # the load goes with it
+    assert np.abs(slides.boxes.shift_m[0] - slides.boxes.shift_m[1]).max() < 0.002  # the load moves with the pallet
     whole = slide_m(-push, static, G, sim.physics.timestep_s)
-    assert abs(whole / expected - 1.0) > 5 * WAY  # with static friction alone it would be another way
+    assert abs(whole / expected - 1.0) > 5 * WAY  # with static friction alone, the distance would be different
 
 
 @pytest.mark.parametrize("name", ["mujoco", "mjx-warp-cpu"])
 def test_two_loaded_pallets_on_each_other_topple_as_one(name: str) -> None:
-    """At g·b/h, of the pile's common centre of mass."""
+    """They topple at the acceleration g·b/h, for the common centre of mass of the pile."""
     height, kg = 1000.0, 200.0
     plan = units([(3000.0, 800.0, z) for z in (0.0, EPAL_MM[2] + height)], height, kg)
     sim = SHAKEN.changed(
@@ -181,7 +183,7 @@ def test_a_plan_with_a_pallet_of_another_size_is_skipped(name: str, tmp_path: Pa
     with pytest.raises(InputError, match=f"^plan wrong, box 0: {line}$"):
         Plan.from_boxes("wrong", **columns, kind=list(plan.kinds))
     wrong = replace(plan, plan_id="wrong")
-    object.__setattr__(wrong, "size_mm", size_mm)  # as another program may write it
+    object.__setattr__(wrong, "size_mm", size_mm)  # as a file by another program might have it
     petmjx.save_plans([wrong, plan], tmp_path / name)
     (info,), _ = file_infos([tmp_path / name], {})
     (skipped,) = info["skipped"]

@@ -1,4 +1,5 @@
-"""Boxes that differ: each slides at the friction of its pair of materials, and topples about its own centre of mass."""
+"""Boxes with different properties: each box slides at the friction of its pair of materials, and topples according to
+its own centre of mass."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import build_scene
 
 MARGIN = 0.03
-"""Thresholds have to be met within 3 %: it holds that much below and fails that much above."""
+"""Required accuracy of thresholds: at 3 % below a threshold, boxes hold; at 3 % above, they fail."""
 SIM = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, carrier="euro-pallet", early_stop=False)
 SLIPPERY = {
     "boards": [
@@ -30,7 +31,8 @@ SLIPPERY = {
 
 
 def accelerated(plan: Plan, level_g: float, sim: Simulation = SIM) -> Outcome:
-    """The plan on a held carrier with an acceleration along x, reached in 0.2 s and held for 1.6 s."""
+    """Simulate the plan on a carrier with a prescribed acceleration along x, which reaches its level in 0.2 s and keeps
+    it for 1.6 s."""
     rows = np.zeros((900, 3))
     rows[:, 0] = STANDARD_GRAVITY * level_g * np.concatenate((np.linspace(0.0, 1.0, 100), np.ones(800)))
     drive = Drive(Excitation("test", "acceleration", rows), rest_s=0.4)
@@ -82,7 +84,8 @@ def test_a_box_slides_at_the_friction_of_its_pair(
 
 @pytest.mark.parametrize("aside", [(25.0, 0.0, 0.0), (-25.0, 0.0, 0.0), (0.0, 50.0, 0.0), (-10.0, 0.0, 60.0)])
 def test_a_box_topples_about_its_own_centre_of_mass(aside: tuple[float, float, float]) -> None:
-    """At g·b′/h, with the centre's way b′ to the edge behind it and its height h."""
+    """It topples at the acceleration g·b′/h, where b′ is the horizontal distance of the centre of mass from the tipping
+    edge, and h is the height of the centre."""
     box = ((100.0, 200.0, 400.0), (500.0, 300.0, 0.0), 5.0)
     plan = replace(make_plan(boxes=[box]), mass_center_mm=np.array([aside]))
     level_g = (50.0 + aside[0]) / (200.0 + aside[2])

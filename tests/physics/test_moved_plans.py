@@ -1,4 +1,4 @@
-"""Where a plan lies, and how it is turned, makes no difference to its verdict."""
+"""The verdict on a plan does not depend on where the plan lies, on its orientation or on mirroring."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from petmjx.world.scene import build_scene
 SIM = Simulation()
 
 GENERATED = ("s0-000092", "s0-000430", "s0-001349")
-"""One stands, two collapse; few boxes. Over all bundled plans, 40 more generated ones and 10 of other packers no
-verdict changed either (they take two minutes)."""
+"""Ids of three generated plans with few boxes, of which one stands and two collapse. No verdict changed either for all
+bundled plans, 40 more generated plans and 10 plans of other packers, but these take two minutes."""
 
 
 def mirrored_x(plan: Plan) -> Plan:
@@ -41,7 +41,7 @@ def turned_by_180(plan: Plan) -> Plan:
 
 
 def turned_by_90(plan: Plan) -> Plan:
-    """(x, y) → (−y, x)."""
+    """The plan turned by 90°: (x, y) → (−y, x)."""
     swap = [1, 0, 2]
     return mirrored_x(replace(plan, corner_mm=plan.corner_mm[:, swap], size_mm=plan.size_mm[:, swap]))
 

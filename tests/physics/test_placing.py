@@ -1,5 +1,5 @@
-"""How boxes are placed: falls and tips by the closed forms, a hand that presses no harder than it may, and boxes that
-never begin in one another."""
+"""The placement of boxes: falls and tips agree with closed forms, a hand presses with at most its largest force, and no
+box starts inside another box."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def watched(scene: Scene, sim: Simulation) -> tuple[Outcome, History]:
 
 
 def from_the_side(boxes: Sequence[Box], sim: Simulation, towards: tuple[float, float]) -> Scene:
-    """A scene whose last box comes in this direction."""
+    """A scene whose last box is moved to its place in the direction ``towards``."""
     scene = make_scene(boxes, sim)
     approach = np.zeros((scene.n_boxes, 2))
     approach[-1] = towards
@@ -45,12 +45,12 @@ def from_the_side(boxes: Sequence[Box], sim: Simulation, towards: tuple[float, f
 
 
 def begins(history: History, box: int) -> int:
-    """The first frame in which a box is."""
+    """The number of the first frame that contains a box."""
     return int(np.isfinite(history.pos[:, box, 0]).argmax())
 
 
 def pressed_n(history: History, frame: int, one: int, other: int) -> np.ndarray[Any, Any]:
-    """(3,) force of all contacts between two bodies in a frame, N."""
+    """(3,) sum of the forces of all contacts between two bodies in a frame, N."""
     contacts = history.contacts
     assert contacts is not None
     these = (contacts.frame == frame) & (np.sort(contacts.body, axis=1) == sorted((one, other))).all(axis=1)
@@ -68,7 +68,8 @@ def test_a_dropped_box_lands_with_the_speed_of_its_height() -> None:
 
 @pytest.mark.parametrize("size", [(300.0, 300.0, 300.0), (400.0, 200.0, 100.0)])
 def test_a_box_let_go_on_one_edge_lands_as_a_pendulum_does(size: tuple[float, float, float]) -> None:
-    """Energy: ½ · 4/3 · m (a² + c²) ω² = m g · (fall of the centre), about the edge on which it stands."""
+    """Energy of the turn about the edge on which the box stands: ½ · 4/3 · m (a² + c²) ω² = m g · (fall of the
+    centre)."""
     sim = simulation(name="tines", tines_mm=40.0, force_n=1000.0)
     outcome, history = watched(make_scene([(size, (0.0, 0.0, 0.0), 6.0)], sim), sim)
     a, c = (size[0] - sim.size_reduction_mm) / 2000, size[2] / 2000
@@ -94,7 +95,7 @@ def test_a_hand_that_meets_a_wall_stops_at_its_force(force_n: float) -> None:
     arrives = begins(history, 1) + int(path.steps[1]) - 1
     assert abs(pressed_n(history, arrives, 0, 1)[0]) == pytest.approx(force_n, rel=0.05)
     assert history.pos[-1, 1, 0] == pytest.approx(0.4 + 0.15, abs=0.001)
-    assert outcome.culprit == 1  # 60 mm short of its place
+    assert outcome.culprit == 1  # the box stops 60 mm before its place
     assert history.time_s[-1] < 4.0
 
 
@@ -117,7 +118,7 @@ def exact_depth(exact: Outcome) -> float:
 
 
 def test_a_box_comes_from_where_nothing_stands() -> None:
-    """The second box comes from +x, the third, in a corner, from −x and +y; the last one goes between two."""
+    """Each box comes from sides at which no box stands. The last box, between two boxes, comes from −x and −y."""
     places = [(300.0, 0.0, 0.0), (600.0, 0.0, 0.0), (300.0, 300.0, 0.0), (0.0, 300.0, 0.0), (0.0, 0.0, 0.0)]
     sim = simulation(name="hand", side_mm=20.0, height_mm=5.0)
     path = approach_path_of(make_scene([(CUBE[0], place, 6.0) for place in places], sim), sim)
@@ -128,8 +129,8 @@ def test_a_box_comes_from_where_nothing_stands() -> None:
 
 
 def test_no_box_begins_in_another_one() -> None:
-    """The third and the fourth box belong 6 and 8 mm into others: one goes aside, the other, between two, up.
-    No contact is then ever deeper than half a millimetre."""
+    """The planned places of the third and the fourth box are 6 and 8 mm inside other boxes. The third box moves aside,
+    and the fourth, between two boxes, moves up. So no contact is ever deeper than half a millimetre."""
     boxes = [
         CUBE,
         (CUBE[0], (600.0, 0.0, 0.0), 6.0),
@@ -138,8 +139,8 @@ def test_no_box_begins_in_another_one() -> None:
     ]
     sim = simulation(name="hand", side_mm=3.5)
     _, history = watched(make_scene(boxes, sim), sim)
-    assert history.pos[begins(history, 2), 2, 1] > 0.299 + 0.15  # aside
-    assert history.pos[begins(history, 3), 3, 2] > 0.3 + 0.15  # above its neighbours
+    assert history.pos[begins(history, 2), 2, 1] > 0.299 + 0.15  # moved aside
+    assert history.pos[begins(history, 3), 3, 2] > 0.3 + 0.15  # moved up, above its neighbours
     assert history.penetration_m is not None
     assert np.nanmax(history.penetration_m) < FREE_M + 5e-4
 

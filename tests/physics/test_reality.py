@@ -1,4 +1,5 @@
-"""What docs/reality.md tells of real pallets: each phenomenon in a small plan, with its option and without."""
+"""The phenomena of real pallets that docs/reality.md describes. Each phenomenon is simulated with a small plan, with
+and without the option that models it."""
 
 from __future__ import annotations
 

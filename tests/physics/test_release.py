@@ -1,4 +1,5 @@
-"""``petmjx.release``: free flight by closed forms on all engines, contacts as in a MuJoCo model written by hand."""
+"""``petmjx.release``: free flight agrees with closed forms on all engines, and contacts agree with a MuJoCo model
+written by hand."""
 
 from __future__ import annotations
 
@@ -26,23 +27,26 @@ STILL = (0.0, 0.0, 0.0)
 ENGINES = ("mujoco", "mjx-warp-cpu", "mjx-jax")
 
 ROUNDING_M = 1e-6
-"""Of single precision, at places of up to 2 m."""
+"""Rounding error of single precision for coordinates of up to 2 m."""
 TWIN_M = 1e-5
-"""A tenth of how deep a contact at rest is: laws that act on what slides may move a box that lands flat by less."""
+"""Allowed difference from the model written by hand, m: a tenth of the depth of a contact at rest. petmjx's contact
+laws for sliding may move a box that lands flat, but by less."""
 
 REBOUND = 0.03
-"""Within which a restitution is met: a rebound of 0.1 from 100 mm is a millimetre, ten times a contact's depth."""
+"""Tolerance of the restitution. For a restitution of 0.1, a box that falls 100 mm bounces up by one millimetre, ten
+times the depth of a contact."""
 
 SHAPE_MM = (300.0, 300.0, 100.0)
 MASS_KG = 4.0
 SPIN = np.array([2.0, 1.0, 3.0])
 FLIGHT_S = (0.0, 0.1, 0.201, 0.3)
 FLIGHT = {"vel_m_s": (0.5, -0.25, 1.0), "angvel_rad_s": SPIN, "pos_m": (0.1, -0.2, 1.0)}
-"""Two of three moments are equal: the axis of symmetry precesses (Landau and Lifshitz, Mechanics, § 33)."""
+"""A box that flies and turns. Two of its three moments of inertia are equal, so its axis of symmetry precesses (Landau
+and Lifshitz, Mechanics, § 33)."""
 
 
 def release(engine: str | Engine = "mujoco", **changes: Any) -> petmjx.Trajectories:
-    """One box of ``SHAPE_MM`` 2 mm above the ground, at rest, unless said otherwise."""
+    """Release one box of the size ``SHAPE_MM``, at rest 2 mm above the ground. ``changes`` replace these arguments."""
     usual: dict[str, Any] = {
         "size_mm": SHAPE_MM,
         "mass_kg": MASS_KG,
@@ -57,7 +61,7 @@ def release(engine: str | Engine = "mujoco", **changes: Any) -> petmjx.Trajector
 
 
 def turn(axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    """(4,) a quaternion."""
+    """(4,) the quaternion of a rotation about an axis."""
     return np.array([np.cos(angle / 2), *(np.sin(angle / 2) * axis / np.linalg.norm(axis))])
 
 
@@ -68,8 +72,9 @@ def product(one: NDArray[np.float64], two: NDArray[np.float64]) -> NDArray[np.fl
 
 
 def symmetric_top(time_s: float) -> NDArray[np.float64]:
-    """(4,) orientation of a body with two equal moments that began upright with ``SPIN``: it turns about its angular
-    momentum L with |L|/I₁, and about its own axis with ω₃·(1 − I₃/I₁)."""
+    """(4,) orientation of a body with two equal moments of inertia that started upright with the angular velocity
+    ``SPIN``. It turns about its angular momentum L at the rate |L|/I₁, and about its own axis at the rate ω₃·(1 −
+    I₃/I₁)."""
     half = np.array(SHAPE_MM) / 2000
     moments = MASS_KG / 3 * ((half**2).sum() - half**2)
     momentum = moments * SPIN
@@ -79,7 +84,7 @@ def symmetric_top(time_s: float) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("engine", ENGINES[:2])
 def test_boxes_bounce_as_asked(engine: str) -> None:
-    """Dropped flat from 100 mm."""
+    """The boxes fall flat from 100 mm."""
     fall_m, restitution = 0.1, np.array([0.0, 0.1, 0.3])
     answer = release(
         engine, pos_m=[(0, 0, 0.05 + fall_m)] * 3, restitution=restitution, times_s=np.arange(0.0, 1.0, DT)
@@ -92,13 +97,14 @@ def test_boxes_bounce_as_asked(engine: str) -> None:
 
 
 def angle(one: NDArray[np.float64], two: NDArray[np.float64]) -> float:
-    """Between two orientations, rad."""
+    """The angle between two orientations, rad."""
     return float(2 * np.arccos(min(abs(one @ two), 1.0)))
 
 
 @pytest.fixture(scope="module", params=[*ENGINES, pytest.param("mjx-warp", marks=pytest.mark.gpu)])
 def two_worlds(request: pytest.FixtureRequest) -> petmjx.Trajectories:
-    """A box that flies and turns, and one that lands flat from 2 mm and rests: of each engine in one call."""
+    """The trajectories of two boxes in separate worlds, computed by one engine in one call. The first box flies and
+    turns. The second lands flat from 2 mm and rests."""
     start, flat = FLIGHT, {"vel_m_s": STILL, "angvel_rad_s": STILL, "pos_m": (0.0, 0.0, 0.052)}
     both = {name: np.array([start[name], flat[name]]) for name in start}
     return release(request.param, **both, times_s=FLIGHT_S)
@@ -107,7 +113,7 @@ def two_worlds(request: pytest.FixtureRequest) -> petmjx.Trajectories:
 def test_free_flight_is_a_parabola(two_worlds: petmjx.Trajectories) -> None:
     steps = np.round(np.array(FLIGHT_S) / DT)
     times = steps * DT
-    # velocities come before places: in step n the box falls by g·dt²·n, and not by g·dt²·(n − 1/2)
+    # MuJoCo updates velocities before positions: in step n the box falls by g·dt²·n, instead of g·dt²·(n − 1/2)
     fall = G * DT**2 * steps * (steps + 1) / 2
     expected = np.array(FLIGHT["pos_m"]) + np.outer(times, FLIGHT["vel_m_s"]) - np.outer(fall, [0, 0, 1])
     exact = [0, 1, 3]
@@ -116,7 +122,8 @@ def test_free_flight_is_a_parabola(two_worlds: petmjx.Trajectories) -> None:
 
 
 def test_free_flight_without_torque_is_that_of_a_symmetric_top(two_worlds: petmjx.Trajectories) -> None:
-    # semi-implicit Euler turns with the velocity at the end of each step: half a step's change of ω, ω² dt / 2
+    # Semi-implicit Euler uses the angular velocity at the end of each step. The error is half of the change of ω in a
+    # step, ω² dt / 2.
     most = 0.3 * 0.5 * DT * float(SPIN @ SPIN)
     for quat, time_s in zip(two_worlds.quat_wxyz[0], FLIGHT_S, strict=True):
         assert angle(quat, symmetric_top(time_s)) < most
@@ -132,7 +139,8 @@ def test_a_box_that_lands_flat_stays_where_it_is(two_worlds: petmjx.Trajectories
 
 
 def by_hand(pos: tuple[float, ...], quat: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(t, 7) poses of a free box on a plane, in a model without anything of petmjx but its numbers."""
+    """(t, 7) poses of a free box on a plane, simulated with a MuJoCo model that uses only the numbers of petmjx's
+    physics."""
     physics = petmjx.Physics()
     half = np.array(SHAPE_MM) / 2000
     moments = MASS_KG / 3 * ((half**2).sum() - half**2)
@@ -185,7 +193,7 @@ def test_boxes_of_a_world_stack_on_a_carrier(engine: str) -> None:
     assert moved.pos_m.shape == (2, 2, 2, 3)
     assert moved.quat_wxyz.shape == (2, 2, 2, 4)
     np.testing.assert_allclose(moved.pos_m[0, :, 1, 2], [0.05, 0.15], atol=5e-4)
-    # beside the pallet the floor is lower, by 144 mm
+    # beside the pallet, the box lands on the floor, which is 144 mm lower
     assert moved.pos_m[1, 1, 1, 2] == pytest.approx(0.05 - 0.144, abs=5e-4)
 
 
@@ -275,7 +283,7 @@ def test_a_bad_argument_is_one_line_that_names_it(changes: dict[str, Any], line:
 
 
 class Judge(Engine):
-    """An engine of a user's that only judges."""
+    """An engine of a user that cannot simulate released boxes."""
 
     name = "judge"
 

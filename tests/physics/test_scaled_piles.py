@@ -1,4 +1,5 @@
-"""Piles scaled in all lengths, with the thresholds that are lengths: no verdict changes without a flag."""
+"""If all lengths of a pile are scaled, and the thresholds that are lengths as well, no verdict changes unless the world
+has a flag for doubtful cases."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from benchmarks.scaled import changes, scaled
 from petmjx.engines.verdict import Flag
 
 SEED = 43242
-"""Of the 500 piles in docs/validation.md; here are the first ones."""
+"""Seed of the 500 piles in docs/validation.md. The tests use the first of these piles."""
 
 
 def test_no_verdict_of_a_scaled_pile_changes() -> None:

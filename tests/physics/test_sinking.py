@@ -1,4 +1,5 @@
-"""Light boxes under heavy ones: soft contacts give way, cartons do not, and no verdict comes from it."""
+"""Light boxes under heavy boxes: simulated contacts are compressed much more than real cartons, and this must not
+decide a verdict."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ from petmjx.world.scene import build_scene
 
 MM = 1e-3
 EXACT = Simulation(thresholds={"shift_floor_m": 0.0}, early_stop=False)
-"""Every component of a shift is kept."""
+"""Options with which no component of a shift is set to 0."""
 
 
 def one_on_another(light_kg: float, heavy_kg: float) -> tuple[Box, ...]:
@@ -53,7 +54,7 @@ def score(boxes: Sequence[Box], sim: Simulation) -> WorldResult:
 
 @pytest.mark.parametrize("boxes", [one_on_another(0.02, 300.0), column(0.01, 20.0, 8), column(0.005, 60.0, 3)])
 def test_a_light_box_bears_a_heavy_load(boxes: Sequence[Box]) -> None:
-    assert simulate(boxes, Simulation()).verdict is Verdict.UNSTABLE  # as the contacts have it
+    assert simulate(boxes, Simulation()).verdict is Verdict.UNSTABLE  # with soft contacts
     result = score(boxes, Simulation())
     assert [(a.attempt, a.verdict, a.reason) for a in result.attempts] == [
         (1, "invalid", "sinking"),
@@ -62,13 +63,13 @@ def test_a_light_box_bears_a_heavy_load(boxes: Sequence[Box]) -> None:
     assert result.attempts[0].flags & Flag.SINKING
     assert not result.outcome.flags & Flag.SINKING
     below_mm = -result.outcome.boxes.shift_m[:, 2] / MM
-    assert below_mm.max() < 4.0  # 47 to 110 mm in the soft contacts
+    assert below_mm.max() < 4.0  # it was 47 to 110 mm with soft contacts
     load_n = 9.81 * (sum(kg for *_, kg in boxes) - boxes[0][2])
     assert result.outcome.boxes.rest_top_force_n[0] == pytest.approx(load_n, rel=0.01)
 
 
 def test_a_support_that_gives_way_does_not_tilt_what_it_bears() -> None:
-    """One support is light and one is heavy: the beam would slope by 2.7°, and slide."""
+    """One support of a beam is light and the other heavy. With soft contacts, the beam would tilt by 2.7° and slide."""
     boxes: tuple[Box, ...] = (
         ((200, 300, 200), (0, 0, 0), 0.01),
         ((200, 300, 200), (400, 0, 0), 10.0),
@@ -89,8 +90,9 @@ def test_a_box_that_tips_is_unstable_in_stiff_contacts_too() -> None:
 
 @pytest.mark.parametrize(("has_errors", "attempts"), [(True, [1]), (False, [1, 6])])
 def test_with_errors_a_box_leans_on_what_is_beside_a_higher_strip(has_errors: bool, attempts: list[int]) -> None:
-    """A light box with a load stands on a wall 3 mm wide and 3 mm higher than the boxes at both sides of it. On the
-    wall alone it would lean by degrees, because the wall's edges give way. Another box falls in any contacts."""
+    """A light box with a load stands on a strip that is 3 mm wide and 3 mm higher than the boxes on both sides. On the
+    strip alone, the light box would tilt by several degrees, because the contacts at the strip's edges are compressed.
+    Another box falls however stiff the contacts are."""
     boxes: tuple[Box, ...] = (
         ((190, 300, 200), (0, 0, 0), 5.0),
         ((3, 300, 203), (199, 0, 0), 5.0),
@@ -107,7 +109,7 @@ def test_with_errors_a_box_leans_on_what_is_beside_a_higher_strip(has_errors: bo
 
 
 def test_what_tips_over_in_any_contacts_is_not_simulated_again() -> None:
-    """A box stands on a strip of 2 mm, and its centre is far beyond it."""
+    """A box is supported only by a strip of 2 mm, and its centre is far beyond the strip."""
     boxes: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 600), (398, 0, 200), 20.0))
     result = score(boxes, Simulation())
     assert result.outcome.verdict is Verdict.UNSTABLE
@@ -115,7 +117,7 @@ def test_what_tips_over_in_any_contacts_is_not_simulated_again() -> None:
 
 
 def test_contacts_that_still_give_way_leave_no_verdict() -> None:
-    """A hundredth of a gram bears half a ton: a ratio of fifty million."""
+    """A box of a hundredth of a gram carries half a ton. The ratio of the masses is fifty million."""
     result = score(one_on_another(0.00001, 500.0), Simulation())
     assert [a.attempt for a in result.attempts] == [1, 6, 7]
     assert (result.outcome.verdict, result.outcome.reason) == (Verdict.INVALID, Reason.SINKING)
@@ -138,7 +140,8 @@ def test_the_reference_keeps_its_verdict_and_says_so() -> None:
 @pytest.mark.parametrize("stiff", [None, 0.5])
 @pytest.mark.parametrize("boxes", [one_on_another(1.0, 100.0), one_on_another(0.5, 250.0), column(0.2, 20.0, 6)])
 def test_the_estimate_is_what_boxes_sink_by(boxes: Sequence[Box], stiff: float | None) -> None:
-    """Above all on one box there is one way down: the estimate is exact but for rounding and the 0.1 mm gaps."""
+    """In a column, all loads pass through every box, so the estimate is exact except for rounding and the gaps of 0.1
+    mm."""
     physics = EXACT.physics if stiff is None else stiffened_physics(EXACT.physics, stiff)
     sim = EXACT.changed(physics=physics, size_reduction_mm=0.0)
     scene, outcome = make_scene(boxes, sim), simulate(boxes, sim)
@@ -147,7 +150,8 @@ def test_the_estimate_is_what_boxes_sink_by(boxes: Sequence[Box], stiff: float |
 
 
 def test_the_estimate_of_the_reference() -> None:
-    """Friction 3 makes a pyramidal contact 45 times as soft as an elliptic one."""
+    """With a coefficient of friction of 3, a contact with a pyramidal friction cone is 45 times as soft as one with an
+    elliptic cone."""
     sim = EXACT.changed(physics=PHYSICS["reference"], size_reduction_mm=0.0)
     boxes = one_on_another(1.0, 100.0)
     outcome = simulate(boxes, sim)
@@ -157,7 +161,7 @@ def test_the_estimate_of_the_reference() -> None:
 
 
 def test_a_shift_that_is_sinking_alone_is_no_verdict() -> None:
-    """Three millimetres of sinking make 18.5 mm that a box fell 21.5 mm."""
+    """A box falls 18.5 mm onto a light box and sinks by 3 mm, so its shift is 21.5 mm."""
     boxes: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 0.15), ((400, 300, 200), (0, 0, 218.5), 140.0))
     soft = simulate(boxes, Simulation())
     assert (soft.verdict, soft.reason) == (Verdict.UNSTABLE, Reason.SHIFT)
@@ -169,7 +173,7 @@ def test_a_shift_that_is_sinking_alone_is_no_verdict() -> None:
 
 @pytest.mark.parametrize("shift_mm", [(0.0, -21.5), (25.0, -21.5), (0.0, 21.5), (0.0, -30.0)])
 def test_only_a_shift_straight_down_may_be_sinking(shift_mm: tuple[float, float]) -> None:
-    """The upper box has come down, risen, or slid, too; its support gives way by 3 mm."""
+    """The upper box has moved down, moved up, or also slid. Its support is compressed by 3 mm."""
     boxes: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 0.15), ((400, 300, 200), (0, 0, 200), 140.0))
     scene, outcome = make_scene(boxes), simulate(boxes, Simulation())
     shift = np.zeros((2, 3))
@@ -181,7 +185,8 @@ def test_only_a_shift_straight_down_may_be_sinking(shift_mm: tuple[float, float]
 
 
 def test_an_impact_is_no_sinking() -> None:
-    """In one sample the upper box has just landed: the lower one bears a hundred times what stands on it."""
+    """In one sample, the upper box has just landed, so the force on the lower box is a hundred times the weight on
+    it."""
     boxes = one_on_another(1.0, 20.0)
     scene, outcome = make_scene(boxes), simulate(boxes, Simulation())
     force = outcome.boxes.max_top_force_n
@@ -196,8 +201,8 @@ def test_an_impact_is_no_sinking() -> None:
 
 
 def test_the_look_at_many_worlds_together_misses_none() -> None:
-    """Piles with random loads, some not placed to the end, of which some sink and some slid: where it says no, the
-    look at each says no; and it says so of many."""
+    """Random piles, of which some sink, some slid, and some are incomplete. If the quick check of all worlds excludes
+    sinking for a world, the exact check of this world must agree. The quick check must exclude many worlds."""
     rng = np.random.default_rng(2)
     sim, outcomes, scenes = Simulation(), [], []
     for _ in range(300):
@@ -218,7 +223,8 @@ def test_the_look_at_many_worlds_together_misses_none() -> None:
 
 
 def test_looking_for_it_costs_next_to_nothing() -> None:
-    """Plans of 60 boxes that do not sink: at most a fiftieth of their simulation, on the same machine."""
+    """For a plan of 60 boxes that do not sink, the check takes at most a fiftieth of the time of the simulation on the
+    same machine."""
     boxes = [((200, 200, 200), (200 * (k % 4), 200 * (k // 4 % 4), 200 * (k // 16)), 5.0) for k in range(60)]
     scene = build_scene(make_plan(boxes=boxes), Simulation())
     begin = time.process_time()

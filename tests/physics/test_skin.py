@@ -1,4 +1,5 @@
-"""Boxes are larger for the collider by a skin, which must not be seen but in which contacts it finds."""
+"""For collision detection, boxes are enlarged by a thin layer, the skin. The skin must affect only which contacts are
+found."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ WITHOUT = PHYSICS["pallet"].changed(skin_m=0.0)
 
 
 def contacts(physics: Physics, depth_m: float, tilt_rad: tuple[float, float] = (0.0, 0.0)) -> mujoco.MjData:
-    """The two boxes, the lower one high above the carrier, the upper one this deep in it; it is turned about the x axis
-    and the y axis of a point of its lower face, above the lower box's edge."""
+    """Two boxes high above the carrier. The upper box penetrates the lower box by ``depth_m``, and is turned about x
+    and y. The centre of the turn is a point of its lower face above an edge of the lower box."""
     scene = make_scene([LOWER, UPPER])
     model = build_spec(scene, physics).compile()
     data = mujoco.MjData(model)
@@ -41,7 +42,8 @@ def contacts(physics: Physics, depth_m: float, tilt_rad: tuple[float, float] = (
 
 
 def depths(data: mujoco.MjData, geoms: tuple[int, int] = (2, 3)) -> FloatArray:
-    """(c,) how deep the contacts of two geoms are, as the solver sees it, m; the boxes' geoms are 2 and 3."""
+    """(c,) depth of each contact between two geoms as MuJoCo's solver uses it, m. The geoms of the boxes are 2 and
+    3."""
     between = (np.asarray(data.contact.geom).reshape(-1, 2) == geoms).all(axis=1)
     return np.asarray(data.contact.includemargin - data.contact.dist)[between]
 
@@ -63,7 +65,7 @@ def test_so_they_do_on_the_floor(physics: Physics) -> None:
 
 
 def test_masses_and_inertias_are_those_of_the_boxes() -> None:
-    """Whatever the order of the axes, in which MuJoCo sorts them where it works them out."""
+    """Inertias are compared in sorted order, because MuJoCo sorts the axes if it computes the inertia itself."""
     scene = make_scene([LOWER, UPPER])
     bare, skinned = (build_spec(scene, physics).compile() for physics in (WITHOUT, WITH_SKIN["declared pairs"]))
     np.testing.assert_allclose(skinned.body_mass, bare.body_mass)
@@ -74,9 +76,9 @@ def test_masses_and_inertias_are_those_of_the_boxes() -> None:
 
 
 def test_a_box_that_leans_on_an_edge_rests_on_two_points_at_any_depth() -> None:
-    """The lower box reaches farther along the edge than the upper one. There, beside it, it is deepest in the upper
-    box's face; two edges cross where both are, less deep. Without a skin the collider takes the point where they cross,
-    or two points of the face, by which depth is 5 % less."""
+    """The upper box leans on an edge of the lower box, which is longer than the upper box. Without a skin, the
+    collision detection finds either the point at which two edges cross, or two points of a face, for which the depth is
+    5 % smaller. With a skin, it always finds two points."""
     within = 1e-6 * np.arange(60, 200, 5)
     points = {
         name: {len(depths(contacts(physics, depth, tilt_rad=(1e-4, 3e-3)))) for depth in within}
@@ -86,8 +88,9 @@ def test_a_box_that_leans_on_an_edge_rests_on_two_points_at_any_depth() -> None:
 
 
 def test_a_box_flush_with_the_carriers_edge_stands_on_its_four_corners() -> None:
-    """The carrier is as large as the plan, whose boxes stand flush with its edges, and move by less than a contact is
-    deep. Without a skin the collider finds also where their edges cross the carrier's."""
+    """The carrier is as large as the box, so the box is flush with the carrier's edges. The box is moved by less than
+    the depth of a contact. Without a skin, the collision detection also finds the points at which the box's edges cross
+    those of the carrier."""
     random = np.random.default_rng(1)
     places = [(random.uniform(-5e-5, 5e-5, 2), random.uniform(-1e-4, 1e-4, 3)) for _ in range(200)]
 

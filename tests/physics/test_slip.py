@@ -1,4 +1,5 @@
-"""Contacts that slide (petmjx/world/contact_laws.py): Coulomb's law by closed forms, on all engines."""
+"""Contacts that slide (petmjx/world/contact_laws.py): results of all engines agree with closed forms of Coulomb's
+law."""
 
 from __future__ import annotations
 
@@ -26,15 +27,16 @@ HEIGHT_M = 0.1
 TIMES_S = np.arange(0.0, 1.3, 0.01)
 
 LIFT_M = 0.0005
-"""What a level box that slides may lift off. It lifts off by the depth of its contacts, a tenth of a millimetre;
-without the correction by up to 45 mm."""
+"""Largest height by which a level box that slides may lift off, m. It lifts off by the depth of its contacts, a tenth
+of a millimetre. Without petmjx's correction, it would lift off by up to 45 mm."""
 
 WAY, WAY_M = 0.01, 0.001
-"""How exact its way is: the last centimetre a second is that of a contact that sticks."""
+"""Relative and absolute tolerance of the distance that a box slides, m. Below a speed of one centimetre per second, the
+contact sticks."""
 
 
 def slide(engine: str, n_boxes: int = 1, physics: dict[str, Any] | None = None) -> NDArray[np.float64]:
-    """(n, t, 3) places of the uppermost of boxes that stand on one another, m, which begins to slide."""
+    """(n, t, 3) centre of the uppermost box of a stack, which slides from the beginning, m."""
     worlds = len(FRICTION)
     size_mm = np.array([(1500.0, 900.0, 100.0)] * (n_boxes - 1) + [(400.0, 300.0, 100.0)])
     pos_m, vel_m_s = np.zeros((2, worlds, n_boxes, 3))
@@ -59,7 +61,8 @@ def slide(engine: str, n_boxes: int = 1, physics: dict[str, Any] | None = None) 
 
 
 def way_m(friction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) how far a box slides. At the last time all but the fastest on the least friction have come to rest."""
+    """(n,) distance that a box slides until the last time, m. By then, all boxes have come to rest except the fastest
+    box on the smallest friction."""
     stops_s = np.minimum(SPEED_M_S / (friction * G), TIMES_S[-1])
     return SPEED_M_S * stops_s - friction * G * stops_s**2 / 2
 
@@ -71,7 +74,7 @@ def way_m(friction: NDArray[np.float64]) -> NDArray[np.float64]:
 def test_a_level_box_that_slides_stays_on_the_ground_and_slides_as_far_as_coulomb_says(
     engine: str, kinetic: float
 ) -> None:
-    # mjx-jax takes half a minute to compile: it has the harder of the two
+    # mjx-jax takes half a minute to compile, so only the harder of the two cases is tested with it
     place = slide(engine, physics={"kinetic_friction_share": kinetic})
     assert (place[..., 2] - place[:, -1:, 2]).max() < LIFT_M
     np.testing.assert_allclose(place[:, -1, 0], way_m(kinetic * FRICTION), rtol=WAY, atol=WAY_M)
@@ -81,14 +84,14 @@ def test_a_level_box_that_slides_stays_on_the_ground_and_slides_as_far_as_coulom
 @pytest.mark.parametrize("engine", ENGINES)
 def test_one_that_slides_on_another_box_stays_on_it(engine: str) -> None:
     place = slide(engine, n_boxes=2)
-    kept = way_m(FRICTION) < 0.9  # the centre stays above the lower box
+    kept = way_m(FRICTION) < 0.9  # cases in which the centre stays above the lower box
     assert (place[kept, :, 2] - place[kept, -1:, 2]).max() < LIFT_M
     np.testing.assert_allclose(place[kept, -1, 0] + 0.5, way_m(FRICTION)[kept], rtol=WAY, atol=WAY_M)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_kinetic_friction_acts_in_drives_and_only_once_a_box_slides(engine: str, tmp_path: Path) -> None:
-    levels = [0.48, 0.6, 0.7]  # friction at rest is 0.5
+    levels = [0.48, 0.6, 0.7]  # the coefficient of static friction is 0.5
     plan = petmjx.Plan.from_boxes("box", size_mm=[[400, 300, 100]], corner_mm=[[400, 250, 0]], mass_kg=[10.0])
     file = tmp_path / "drive.toml"
     file.write_text(f"""
@@ -114,12 +117,12 @@ def test_without_the_correction_it_hops() -> None:
 
 
 def test_the_next_share_of_an_excess_leaves_no_change_where_it_is_linear() -> None:
-    slope = np.array([0.5, 0.7, 1.0, 1.5])  # of the change by the excess
+    slope = np.array([0.5, 0.7, 1.0, 1.5])  # derivative of the change with respect to the excess
     share, change, none = np.full(4, FIRST_SHARE), np.array([3.0, -2.0, 0.5, 8.0]), np.zeros(4)
     np.testing.assert_array_equal(next_share(share, change, none), share)
     left = (1 - share * slope) * change
     np.testing.assert_allclose((1 - next_share(share, left, change) * slope) * left, none, atol=1e-12)
-    # one that the last share made larger the other way gets half of it
+    # if the last share has made the change larger with the opposite sign, the share is halved
     assert next_share(share, -2 * change, change)[0] == FIRST_SHARE / 2
 
 
@@ -137,7 +140,7 @@ def test_a_heap_that_tumbles_needs_few_solutions_a_step(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(mujoco, "mj_fwdConstraint", counted)
     monkeypatch.setattr(SlipLaw, "_solve", step)
-    n = 8  # bricks that fall beside and onto each other
+    n = 8  # number of bricks that fall beside and onto each other
     rng = np.random.default_rng(5)
     petmjx.release(
         size_mm=np.tile((300.0, 200.0, 100.0), (1, n, 1)),
@@ -151,5 +154,5 @@ def test_a_heap_that_tumbles_needs_few_solutions_a_step(monkeypatch: pytest.Monk
         engine="mujoco",
     )
     assert len(solved) > 200
-    assert np.mean(solved) < 4.1  # with a fixed share of 0.8: 4.5
-    assert np.mean(np.array(solved) > MOST_ROUNDS) < 0.15  # 0.17
+    assert np.mean(solved) < 4.1  # it would be 4.5 with a fixed share of 0.8
+    assert np.mean(np.array(solved) > MOST_ROUNDS) < 0.15  # it would be 0.17

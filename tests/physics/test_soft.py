@@ -1,4 +1,5 @@
-"""Soft boxes, which are flex bodies: closed forms, the contact law's verdicts, and what they measure."""
+"""Soft boxes, which are simulated as flex bodies (MuJoCo's deformable bodies): they agree with closed forms, and their
+verdicts with those of the contact law."""
 
 from __future__ import annotations
 
@@ -30,21 +31,24 @@ from petmjx.world.soft_boxes import points_of, shares, soft_friction, tetrahedra
 
 GRAVITY = 9.81
 WITHIN = 0.03
-"""Of the spring's depth: contacts and carrier give by a tenth of a millimetre, strains are large; 2 % were found."""
+"""Relative tolerance of the depth of a spring. Contacts and carrier are compressed by a tenth of a millimetre, and
+strains are large. The measured difference was 2 %."""
 LEANS_WITHIN = 0.1
-"""Of the bed's lean; 7 % were found."""
+"""Relative tolerance of the tilt of a bed of springs. The measured difference was 7 %."""
 FORCE_WITHIN = 0.005
 STIFF_WITHIN_M = 2e-4
-"""What the carrier sinks, 0.09 mm, and as much of contacts and edges."""
+"""Tolerance of the height of boxes without a stiffness, m. The carrier sinks by 0.09 mm, and contacts and edges by
+about as much."""
 SIDEWAYS_WITHIN_M = 5e-4
-"""How far boxes creep while they rest; 0.1 mm was found."""
+"""Distance by which boxes may creep sideways while they rest, m. The measured distance was 0.1 mm."""
 SIZE = (400.0, 300.0, 200.0)
 SOFT = Simulation(soft=True)
 RIGID = np.nan
 
 
 def stack(*boxes: tuple[float, float, float]) -> Plan:
-    """Boxes on one another, by mass, stiffness in N/mm (NaN: rigid) and how far aside in mm."""
+    """A plan of boxes on top of each other. Each box has a mass in kg, a stiffness in N/mm (NaN means rigid) and an
+    offset along x in mm."""
     rows: list[Box] = [(SIZE, (aside, 0.0, 200.0 * level), mass) for level, (mass, _, aside) in enumerate(boxes)]
     return replace(make_plan(boxes=rows), stiffness_n_mm=np.array([stiffness for _, stiffness, _ in boxes]))
 
@@ -66,7 +70,8 @@ def test_a_load_sinks_as_on_a_spring(stiffness: float, mass: float, load: float)
 
 
 def test_a_soft_box_leans_under_a_load_aside_as_a_bed_does() -> None:
-    """Of k·L²/12, less what its weight and the load's add as they lean; its edges bend a little, too."""
+    """The bed resists a tilt with k·L²/12. When the boxes tilt, their weights add to the tilt. The edges of the soft
+    box also bend a little."""
     length, stiffness, lever = 0.4, 50e3, 0.04
     rows: list[Box] = [
         ((400, 400, 200), (0, 0, 0), 4),
@@ -143,7 +148,7 @@ def test_contacts_of_frames_bear_the_weight() -> None:
     on_carrier = (body == CARRIER).any(axis=1) & (body >= 0).any(axis=1)
     assert abs(force[on_carrier, 2].sum()) == pytest.approx(30 * GRAVITY, rel=FORCE_WITHIN)
     between = (body >= 0).all(axis=1)
-    upwards = np.where(body[between, 1] == 1, 1.0, -1.0)  # as the first partner exerts them on the second
+    upwards = np.where(body[between, 1] == 1, 1.0, -1.0)  # forces are those that the first body exerts on the second
     assert upwards @ force[between, 2] == pytest.approx(20 * GRAVITY, rel=FORCE_WITHIN)
 
 
@@ -158,7 +163,7 @@ def test_an_export_has_the_soft_boxes() -> None:
 
 
 class Exploding(MujocoEngine):
-    """Worlds without soft boxes explode."""
+    """An engine on which simulations without soft boxes explode."""
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         for outcome in super().run(jobs, sim, progress):

@@ -1,4 +1,4 @@
-"""Boxes that give are springs: how far they sink, against closed forms, on all engines."""
+"""Compressible boxes act as springs: on all engines, the depth by which boxes sink agrees with closed forms."""
 
 from __future__ import annotations
 
@@ -30,19 +30,20 @@ from petmjx.world.supports import find_bearing
 
 GRAVITY = 9.81
 WITHIN = 0.05
-"""Of the spring's depth, as asked for."""
+"""Required relative accuracy of the depth of springs."""
 AGREES_M = 2e-5
-"""Single precision, and contacts a timestep earlier or later; 0.004 mm were found."""
+"""Tolerance of places between engines, m. Differences come from single precision, and from contacts that begin a
+timestep earlier or later. The measured difference was 0.004 mm."""
 LEANS_WITHIN = 0.03
-"""Of the bed's lean; 1 % was found."""
+"""Relative tolerance of the tilt of a bed of springs. The measured difference was 1 %."""
 SIM = Simulation()
 SIZE = (400.0, 300.0, 200.0)
 SOFT, STIFF = 20e3, 200e3
-"""N/m: 0.7 to 15 mm of depth under these loads."""
+"""Stiffnesses, N/m. Under the loads of these tests, they give depths of 0.7 to 15 mm."""
 
 
 def tower(*boxes: tuple[float, float], **options: object) -> Scene:
-    """Boxes of these masses and stiffnesses on top of each other."""
+    """A scene of boxes on top of each other, with these masses, kg, and stiffnesses, N/m."""
     rows: list[Box] = [(SIZE, (0.0, 0.0, 200.0 * level), mass) for level, (mass, _) in enumerate(boxes)]
     return replace(make_scene(rows, Simulation(**options)), stiffness=np.array([stiffness for _, stiffness in boxes]))
 
@@ -66,17 +67,20 @@ SHEETS = {
     "bridge": build_scene(replace(make_plan(boxes=TOWERS + OVER_THE_GAP), kinds=("", "", "sheet", "")), SIM),
     "plate": make_scene(TOWERS + OVER_THE_GAP, SIM),
 }
-"""A sheet on two towers 300 mm apart; a thin board instead of the sheet."""
+"""Two towers 300 mm apart, with a sheet on them; and, in "plate", with a thin board instead of the sheet."""
 COLUMN_M, COLUMN_MASS = (0.3, 0.25), np.array([6.0, 6.0, 40.0])
-"""Length and height of boxes, two that give and a rigid one; kg from below."""
+"""A column of two compressible boxes and a rigid box: length and height of each box, m, and the masses from the bottom
+up, kg."""
 SERIES = np.array([2.0, 1.0, 2.0])
-"""Beds of a column for each stiffness of its boxes: half a box gives at the ends, two halves between two."""
+"""Stiffness of each bed of springs in a column, as a multiple of the stiffness of a box. At an end of the column, half
+a box is compressed; between two boxes, half of each."""
 BUCKLING = 1.1
-"""How far beyond and before buckling columns are."""
+"""Factor by which the stiffness of columns is below or above the stiffness at which they buckle."""
 
 
 def beds_and_weights() -> tuple[FloatArray, FloatArray]:
-    """(3, 3) moments for each stiffness and lean, and those of the weights for each lean, both in the same lean."""
+    """(3, 3) moments of the beds per stiffness and per tilt of each box, and (3, 3) moments of the weights per tilt of
+    each box."""
     length, height = COLUMN_M
     relative = np.eye(3) - np.eye(3, k=-1)
     beds = relative.T @ np.diag(SERIES * length**2 / 12) @ relative
@@ -85,7 +89,8 @@ def beds_and_weights() -> tuple[FloatArray, FloatArray]:
 
 
 def column(share_of_critical: float, aside_mm: float) -> Scene:
-    """A column with so much of the stiffness with which it buckles, and its load aside."""
+    """A column whose boxes have the given share of the stiffness at which the column buckles. The load is offset by
+    ``aside_mm``."""
     beds, weights = beds_and_weights()
     critical = float(np.linalg.eigvals(np.linalg.solve(beds, weights)).real.max())
     rows: list[Box] = [
@@ -101,14 +106,14 @@ PLATE: list[Box] = [
     ((400, 400, 50), (0, 0, 200), 2),
     ((100, 400, 100), (190, 0, 250), 30),
 ]
-"""A load 40 mm aside on a plate on a box that gives."""
+"""A load, offset by 40 mm, on a plate on a compressible box."""
 COLUMNS = {
     "buckles": column(1 / BUCKLING, 1.0),
     "stands": column(BUCKLING, 0.5),
     "leans": replace(make_scene(PLATE, SIM), stiffness=np.array([50e3, np.inf, np.inf])),
 }
 BORNE = 245.0 / 300.0
-"""Of the lowest box's base on epal-1: 145 and 100 of 300 mm."""
+"""Share of the lowest box's base that is borne by the boards of epal-1: 145 mm and 100 mm of 300 mm."""
 MEANT_M = {
     "soft": [30 * GRAVITY / (2 * SOFT), 30 * GRAVITY / (2 * SOFT) + 20 * GRAVITY / (2 * SOFT)],
     "stiff": [60 * GRAVITY / (2 * STIFF), 60 * GRAVITY / (2 * STIFF) + 50 * GRAVITY / (2 * STIFF)],
@@ -122,14 +127,15 @@ MEANT_M = {
         60 * GRAVITY / (2 * STIFF * BORNE) + 50 * GRAVITY / (2 * STIFF),
     ],
 }
-"""Half a box's compression at either face, in series with that of the other box; on boards for what is borne."""
+"""Expected depths by which boxes sink, m. At each face, half of a box is compressed, in series with half of the other
+box. On boards, only the borne share of a face acts as a spring."""
 
 
 @functools.cache
 def simulated(engine: str) -> dict[str, Outcome]:
     made: Engine = MujocoEngine(1) if engine == "mujoco" else shared_engine()
     scenes = SCENES | SHEETS | COLUMNS
-    # one kernel serves this file and test_wrap.py
+    # a job with film, so that the same compiled kernel serves this file and test_wrap.py
     wrapped = Job(
         replace(SCENES["alone"], wrap=Wrap(turns=1)), Drive(Excitation("still", "acceleration", np.zeros((1, 3))))
     )
@@ -138,7 +144,8 @@ def simulated(engine: str) -> dict[str, Outcome]:
 
 
 def sunk_m(scene: Scene, outcome: Outcome) -> list[float]:
-    """How far boxes have come down, less the carrier: its contacts with the floor are those of wood."""
+    """Distance by which each box has sunk relative to the carrier, m. The carrier itself sinks into the floor by 0.09
+    mm."""
     carrier_m = 0.09e-3
     return (scene.target[:, 2] - outcome.boxes.pos[:, 2] - carrier_m).tolist()
 
@@ -153,7 +160,7 @@ def test_boxes_sink_as_springs_do(name: str) -> None:
 
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp"])
 def test_columns_buckle_where_beds_do(engine: str) -> None:
-    """Beds at which springs stood at the corners would be three times as stiff, and both columns would stand."""
+    """If springs stood only at the corners, beds would be three times as stiff, and both columns would stand."""
     outcomes = simulated(engine)
     assert outcomes["buckles"].verdict is Verdict.UNSTABLE
     assert outcomes["stands"].verdict is Verdict.STABLE
@@ -162,7 +169,8 @@ def test_columns_buckle_where_beds_do(engine: str) -> None:
 
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp"])
 def test_a_box_leans_under_a_load_aside_as_a_bed_does(engine: str) -> None:
-    """The plate on its bed, and the box on that below it; weights add to the moment as they lean."""
+    """The plate tilts on its bed of springs, and the box below it on its own bed. When they tilt, the weights add to
+    the moment."""
     lever_m, length, bed = 0.04, 0.4, 2 * 50e3 / 12
     weights = GRAVITY * np.array([0.2 * (4 / 2 + 32), 2 * 0.025 + 30 * 0.1])
     moments = bed * length**2 * np.array([[2.0, -1.0], [-1.0, 1.0]]) - np.diag(weights)
@@ -174,7 +182,8 @@ def test_a_box_leans_under_a_load_aside_as_a_bed_does(engine: str) -> None:
 def test_mjx_warp_lets_boxes_sink_alike() -> None:
     for name, outcome in simulated("mjx-warp").items():
         expected = simulated("mujoco")[name]
-        if name in COLUMNS:  # they rock for seconds; the leans are compared with closed forms
+        # columns rock for seconds, so only verdicts are compared; tilts are compared with closed forms
+        if name in COLUMNS:
             assert outcome.verdict is expected.verdict
             continue
         assert (outcome.verdict, outcome.reason, outcome.n_steps) == (
@@ -189,7 +198,8 @@ def test_mjx_warp_lets_boxes_sink_alike() -> None:
 @pytest.mark.parametrize("name", ["soft", "boards"])
 @pytest.mark.parametrize("held", [False, True])
 def test_the_laws_of_mjx_jax_are_those_of_mujoco(name: str, held: bool) -> None:
-    """All pairs of a world, also with a carrier that is held; a simulation would compile for most of a minute."""
+    """The contact laws of all pairs of bodies are compared, also with a carrier that does not move. A simulation would
+    take most of a minute to compile."""
     scene = SCENES[name]
     boards, capacity = len(scene.carrier.half_size), 4
     template = padded_template(
@@ -208,7 +218,7 @@ def test_the_laws_of_mjx_jax_are_those_of_mujoco(name: str, held: bool) -> None:
     exact = build_spec(scene, SIM.physics, HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT)) if held else None)
     expected = exact.compile()
     row_of = {pair: row for row, pair in enumerate(zip(template.pair_geom1, template.pair_geom2, strict=True))}
-    # the template's boxes that wait come after those of the scene
+    # the template also has boxes that are not used; their pairs come after those of the scene
     rows = np.array([row_of[pair] for pair in zip(expected.pair_geom1, expected.pair_geom2, strict=True)])
     assert len(rows) == expected.npair
     np.testing.assert_allclose(contact_laws["pair_solref"][0, rows], expected.pair_solref, rtol=1e-5)
@@ -216,7 +226,7 @@ def test_the_laws_of_mjx_jax_are_those_of_mujoco(name: str, held: bool) -> None:
 
 
 def test_meant_sinking_is_no_shift_but_what_goes_beyond_it_is() -> None:
-    """24.5 mm, more than the threshold of 20 mm; a heavier box than planned would be another matter."""
+    """The boxes sink by 24.5 mm, more than the threshold of 20 mm, but as expected for their stiffness."""
     soft = tower((10.0, 10e3), (40.0, np.inf))
     (outcome,) = MujocoEngine(1).run([Job(soft)], Simulation())
     assert outcome.verdict is Verdict.STABLE
@@ -238,17 +248,18 @@ def test_a_sheet_bears_where_something_bears_it_and_bridges_nothing() -> None:
     bearing = find_bearing(SHEETS["borne"])
     assert bearing.lower[bearing.upper == 3].tolist() == [2]
     assert not (find_bearing(SHEETS["bridge"]).upper == 3).any()
-    # layers are not level to a millimetre
+    # in real plans, layers are not level to a millimetre
     lower = make_plan(boxes=[((300, 400, 198), (0, 0, 0), 8), *TOWERS[1:], *ON_TOWERS])
     uneven = build_scene(replace(lower, kinds=("", "", "sheet", "", "")), SIM)
     (outcome,) = MujocoEngine(1).run([Job(uneven)], SIM)
     assert outcome.verdict is Verdict.STABLE
-    # what lies on the sheet presses on what is below it
+    # boxes on the sheet press on the boxes below the sheet
     assert simulated("mujoco")["borne"].boxes.rest_top_force_n[0] == pytest.approx(10.2 * GRAVITY, rel=0.01)
 
 
 def test_plans_and_tables_say_how_stiff_boxes_are() -> None:
-    """Three say it: the placement comes before its article, and that before its material."""
+    """The stiffness can come from three sources. That of the placement takes precedence over that of the article, and
+    that of the article over that of the material."""
     plan = petmjx.Plan.from_boxes(
         "tower",
         size_mm=[SIZE] * 3,

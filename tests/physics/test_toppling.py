@@ -1,4 +1,5 @@
-"""A world ends when it rests or has failed: what topples slowly has fallen by then, or says that it still moves."""
+"""A simulation ends when the pallet rests or has failed. A stack that topples slowly has fallen by then, or the result
+has the flag that boxes still move."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ from petmjx.world.job import Drive, Excitation, Job
 
 
 def pair(overhang_mm: float, height_mm: float = 1200.0) -> list[Box]:
-    """A box on one of 300 × 300 × 600 mm, its centre this far beyond that one's edge."""
+    """A box on a box of 300 × 300 × 600 mm. The centre of the upper box is ``overhang_mm`` beyond the edge of the lower
+    box."""
     return [
         ((300, 300, 600), (0, 0, 0), 20.0),
         ((300, 300, height_mm), (150 + overhang_mm, 0, 600), 10.0),
@@ -27,7 +29,8 @@ def pair(overhang_mm: float, height_mm: float = 1200.0) -> list[Box]:
 
 
 def cartons(beyond_mm: float) -> list[Box]:
-    """Three cartons on the edge of one, and a fifth that moves their common centre this far beyond it."""
+    """Three cartons on the edge of a first carton, and a fifth carton on top. The common centre of the upper four is
+    ``beyond_mm`` beyond the edge."""
     low, high = (400.0, 300.0, 300.0), (400.0, 300.0, 400.0)
     fifth = 4 * (200 + beyond_mm) - 3 * 195
     corners = [(0, 0, 0), (195, 0, 300), (195, 0, 700), (195, 0, 1100), (fifth, 0, 1500)]
@@ -58,7 +61,7 @@ def test_what_topples_is_never_stable(boxes: Sequence[Box], options: dict[str, A
 def test_what_statics_lets_stand_stands(boxes: Sequence[Box]) -> None:
     outcome = score(boxes).outcome
     assert (outcome.verdict, outcome.flags & ~Flag.KNIFE_EDGE) == (Verdict.STABLE, Flag.NONE)
-    assert outcome.sim_time_s < 5.0  # nobody waits for what rests
+    assert outcome.sim_time_s < 5.0  # there is no waiting for boxes at rest
 
 
 def test_a_world_whose_time_is_over_says_that_it_moves() -> None:
@@ -69,14 +72,14 @@ def test_a_world_whose_time_is_over_says_that_it_moves() -> None:
 
 
 def test_a_box_put_onto_a_moving_pile_says_so() -> None:
-    """With the schedule fixed the third box comes while the second one topples."""
+    """With the schedule fixed, the third box is placed while the second box topples."""
     boxes = [*pair(0.5), ((200.0, 200.0, 100.0), (310.0, 0.0, 0.0), 5.0)]
     assert simulate(boxes, Simulation(schedule="fixed")).flags & Flag.MOVING
     assert not simulate(boxes, Simulation()).flags & Flag.MOVING
 
 
 def test_a_drive_ends_when_the_pallet_rests() -> None:
-    """A push lets a slender box rock; 0.1 s later it still does."""
+    """A push makes a slender box rock, and 0.1 s later it still rocks."""
     boxes: list[Box] = [((150, 300, 1200), (0, 0, 0), 20.0)]
     push = Drive(Excitation("push", "acceleration", np.tile([0.9, 0.0, 0.0], (120, 1))), rest_s=0.1)
     waits = simulate(boxes, Simulation(), push)
@@ -100,7 +103,8 @@ def test_slender_piles_do_not_fall_because_contacts_are_soft(boxes: Sequence[Box
 
 
 def test_a_pile_that_no_contacts_hold_is_not_asked_about_soft_ones() -> None:
-    """A light box bears a heavy one near its edge, which soft contacts may decide; what falls stands too far out."""
+    """A light box carries a heavy box near its edge, for which soft contacts might decide the verdict. But the third
+    box falls in any case, because it stands too far out."""
     boxes: list[Box] = [
         ((200, 300, 200), (0, 0, 0), 0.5),
         ((200, 300, 200), (98, 0, 200), 30.0),
@@ -112,7 +116,7 @@ def test_a_pile_that_no_contacts_hold_is_not_asked_about_soft_ones() -> None:
 
 
 def test_statics_answer_to_small_stacks() -> None:
-    """The first of ``python -m benchmarks small-stacks``."""
+    """The first of the stacks of ``python -m benchmarks small-stacks``, with statics as the reference."""
     for check in CHECKS:
         counts = summary(judge(list(cases(24, seed=0)), check, engine="mujoco"))
         assert counts["wrong"] == []

@@ -1,4 +1,4 @@
-"""Walls of carriers: they bear what slides onto them, tip a load back, and let it fall where a door is open."""
+"""Walls of carriers: they bear boxes that slide or tip onto them, and let boxes fall at an open door."""
 
 from __future__ import annotations
 
@@ -36,21 +36,22 @@ from petmjx.world.variants import Distribution, DistributionShape, PlacementChan
 G = 9.81
 KG = 10.0
 TOUCH_M = 1e-5
-"""Exactness of places that are moved apart."""
+"""Tolerance of the places of boxes that are moved out of a wall, m."""
 
 TOUCH_DEG = 0.07
-"""By how much a box tilts until its contacts bear it: a few hundredths of a millimetre over its height."""
+"""Angle by which a box tilts until its contacts bear it. It corresponds to a few hundredths of a millimetre over the
+height of the box."""
 
 SAME_M = 0.0005
-"""By how much engines differ in where a box stands that tipped onto a wall and slid."""
+"""Allowed difference between engines in the place of a box that tipped onto a wall and slid, m."""
 
 X_MM, Y_MM = 800.0, 700.0
-"""Extents of the deck of a roll container."""
+"""Extents of a roll container's deck along x and y."""
 
 FORCE_SHARE = 0.03
-"""Exactness of the force on a wall, of the weight's share that friction does not bear."""
+"""Relative tolerance of the force on a wall, which is the part of the load that friction does not bear."""
 MARGIN = 0.03
-"""Exactness of thresholds: a load stands that much below, and falls that much above."""
+"""Required accuracy of thresholds: at 3 % below a threshold, a load stands; at 3 % above, it falls."""
 
 EUMOS = Drive(eumos_40509().excitation(0.002), scale=0.45, yaw_rad=-np.pi / 2)
 
@@ -58,7 +59,8 @@ SHAKEN = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, e
 
 
 def along(direction: tuple[float, float], level_g: float, ramp: int = 500, hold: int = 300) -> Drive:
-    """What throws the load in a horizontal direction: a level that grows, in steps, and is then held."""
+    """A drive that pushes the load in a horizontal direction. Its acceleration increases for ``ramp`` steps and then
+    stays constant for ``hold`` steps."""
     level = level_g * G * np.append(np.linspace(0.0, 1.0, ramp), np.ones(hold))
     x, y = direction
     return Drive(Excitation("throw", ACCELERATION, np.outer(level, [-x, -y, 0.0])), rest_s=0.2)
@@ -84,7 +86,7 @@ def test_walls_stand_beside_the_deck_and_the_deck_is_as_without(carrier: str) ->
     room = walled.room
     np.testing.assert_allclose(room.face, [bare.low[:2] - 0.007, bare.high[:2] + 0.007], atol=1e-12)
     np.testing.assert_allclose(room.top, 1.5)
-    # kilograms by area, as on a drawing: sides are as long as the room and two thicknesses
+    # the mass of a wall is proportional to its area; its length is that of the room plus two thicknesses
     x, y = bare.high[:2] - bare.low[:2] + 0.014 + 2 * 0.03
     assert walled.mass == pytest.approx(bare.mass + 6.0 * 1.5 * 2 * (x + y))
     masses = np.append(bare.mass, np.repeat([y, x], 2) * 6.0 * 1.5)
@@ -107,7 +109,8 @@ def test_a_door_that_is_opened_leaves_its_mass_so_that_states_stay_valid() -> No
 
 @pytest.mark.parametrize(("friction", "level_g"), [(0.0, 0.5), (0.3, 0.4), (0.3, 0.6), (0.5, 0.8)])
 def test_a_wall_bears_what_friction_leaves_of_a_block(friction: float, level_g: float) -> None:
-    """On a deck that is tilted by a, or accelerated as here: m g (sin a − µ cos a)."""
+    """The force on the wall is m g (sin a − µ cos a) on a deck tilted by the angle a, or accelerated accordingly as in
+    this test."""
     coefficients = [friction, 0.005, 0.0001]
     sim = SHAKEN.changed(
         carrier="euro-pallet",
@@ -128,15 +131,15 @@ def test_a_wall_bears_what_friction_leaves_of_a_block(friction: float, level_g: 
 
 
 def leaning(side: Side, beyond_mm: float = 60.0, along_mm: float = 0.0) -> tuple[Box, ...]:
-    """A tall box on a post at a side, in its middle or away from it. The box's middle is beyond the post's edge on that
-    side."""
+    """A tall box on a post at a side of the carrier, offset by ``along_mm`` from the middle of this side. The middle of
+    the box is ``beyond_mm`` beyond the post's edge on this side."""
     width, post, height = 300.0, 200.0, 600.0
     extent = (X_MM, Y_MM)
     corner = [(end - width) / 2 for end in extent]
     corner[1 - side.axis] += along_mm
     corner[side.axis] = extent[side.axis] - width if side.is_far else 0.0
     below = [at + (width - post) / 2 for at in corner]
-    way = -post / 2 - beyond_mm if side.is_far else post / 2 + beyond_mm  # of the post, away from the wall
+    way = -post / 2 - beyond_mm if side.is_far else post / 2 + beyond_mm  # offset of the post, away from the wall
     below[side.axis] = corner[side.axis] + (width - post) / 2 + way
     return (
         ((post, post, 150.0), (below[0], below[1], 0.0), 20.0),
@@ -164,10 +167,11 @@ def test_a_box_that_tips_stands_where_there_is_a_wall(carrier: str, opened: tupl
 
 @pytest.mark.parametrize("share", [1.0 + MARGIN, 0.9, 0.8])
 def test_a_box_leans_on_a_smooth_wall_as_far_as_friction_holds_its_foot(share: float) -> None:
-    """Its middle is e beyond the edge on which it stands, and its top touches the wall at h. The wall bears W·e/h,
-    which the edge must bear by friction µ·W: the foot stays if µ ≥ e/h. Else it slides, and the box tilts by an angle
-    a, with which the middle comes back by a·h/2 and the edge bears W·(µ + a): until e − a·h/2 = h·(µ + a). As a load
-    that comes at once it goes up to twice as far."""
+    """The middle of the box is a distance e beyond the edge on which it stands, and its top touches the wall at the
+    height h. The force on the wall is W·e/h, and friction µ·W at the edge must balance it. So the foot of the box stays
+    if µ ≥ e/h. Otherwise the foot slides, and the box tilts by an angle a. The tilt moves the middle back by a·h/2, and
+    the edge then bears W·(µ + a). The foot stops when e − a·h/2 = h·(µ + a). Since the load acts suddenly, the box can
+    tilt up to twice as far."""
     beyond, height = 60.0, 600.0
     friction = [share * beyond / height, 0.005, 0.0001]
     sim = Simulation(
@@ -189,11 +193,12 @@ WALL_OF_BOXES = tuple(
     for row in range(2)
     for k in range(2)
 )
-"""Columns of two boxes. One topples at g·b/h: over x at 0.25 g, over y at 0.3 g."""
+"""A wall of boxes: columns of two boxes each. A single column topples at g·b/h, which is 0.25 g along x and 0.3 g along
+y."""
 
 
 def test_a_wall_of_boxes_against_walls_stands_until_a_door_is_opened() -> None:
-    """The state in which boxes settled in the closed container is also that of the one with an open door."""
+    """The settled state of the closed container is also used as the start for containers with an open door."""
     sim = Simulation(walls=list(Side), check=Check.STATIC)
     scene = make_scene(WALL_OF_BOXES, sim)
     (settled,) = MujocoEngine(1).run([Job(scene, keep_state=True)], sim)
@@ -211,7 +216,8 @@ def test_a_wall_of_boxes_against_walls_stands_until_a_door_is_opened() -> None:
 
 @pytest.mark.parametrize("carrier", WALLS_OF)
 def test_criteria_and_edges_know_walls(carrier: str) -> None:
-    """A load e = 60 mm beyond an edge is held by a wall that it meets at h = 600 mm, with friction of µ > e/h."""
+    """A load that acts e = 60 mm beyond an edge is held by a wall that the box touches at the height h = 600 mm, if the
+    coefficient of friction is µ > e/h."""
     for friction, holds in ((0.11, True), (0.09, False)):
         physics = {"box_friction": [friction, 0.005, 0.0001]}
         sim = Simulation(carrier=carrier, physics=physics, size_reduction_mm=0.0)
@@ -230,7 +236,7 @@ def test_criteria_and_edges_know_walls(carrier: str) -> None:
 
 
 def test_a_repair_moves_no_box_into_a_wall() -> None:
-    """Collars stand on the deck, so that its extents alone would allow it."""
+    """The walls are collars that stand on the deck, so a check of the deck's extents alone would allow the move."""
     plan = make_plan("two", [((200.0, 200.0, 150.0), (300.0 * k + 30.0, 30.0, 0.0), 5.0) for k in range(2)])
     collar = {"sides": list(Side), "gap_mm": -20.0, "thickness_mm": 20.0, "height_mm": 195.0}
     for walls, least_mm in ({}, 0.0), (collar, 20.0):
@@ -242,7 +248,8 @@ def test_a_repair_moves_no_box_into_a_wall() -> None:
 
 @pytest.mark.parametrize("corner_mm", [-50.0, -250.0])
 def test_a_box_that_a_repair_moves_ends_outside_walls(corner_mm: float) -> None:
-    """Its middle is inside the wall's face, or behind it. It may stay, and another box may be moved."""
+    """The box is planned inside the wall or behind it. It may stay there while another box is moved, but may not be
+    moved to such a place."""
     boxes = [((300.0, 300.0, 300.0), (x_mm, 0.0, 0.0), 5.0) for x_mm in (corner_mm, 600.0)]
     plan = make_plan("a", boxes)
     rules = Rules(plan, Simulation(carrier="epal-1", walls=["left"]), 1500.0, 0)
@@ -299,7 +306,8 @@ def test_options_of_walls_that_mean_nothing_are_named() -> None:
 
 
 def drawn_piles(n: int, seed: int) -> list[petmjx.Plan]:
-    """Piles at two opposite sides of a roll container, which do not overlap, and some of which lean."""
+    """Random piles at two opposite sides of a roll container. The piles do not overlap, and some of them lean on
+    walls."""
     rng = np.random.default_rng(seed)
     plans = []
     for number in range(n):
@@ -317,7 +325,8 @@ def drawn_piles(n: int, seed: int) -> list[petmjx.Plan]:
 
 
 def test_engines_agree_on_what_stands_in_a_roll_container() -> None:
-    """mjx-jax takes a minute to compile two boxes beside a wall; its shapes are tested in tests/oracle."""
+    """mjx-jax is not compared, because it takes a minute to compile two boxes beside a wall. Its shapes are tested in
+    tests/oracle."""
     plans, engines = drawn_piles(12, seed=7), ("mujoco", "mjx-warp-cpu")
     with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does
         twin, other = (petmjx.score(plans, engine=name, threads=1, carrier="rollcontainer-3") for name in engines)
@@ -331,7 +340,7 @@ def test_engines_agree_on_what_stands_in_a_roll_container() -> None:
 
 
 def test_engines_agree_on_what_falls_when_a_roll_container_is_shaken() -> None:
-    """With few iterations of the solver, mjx-warp let piles stand that fall."""
+    """With too few iterations of the solver, mjx-warp let piles stand that fall on mujoco."""
     sim = Simulation(carrier="rollcontainer-4")
     piles = drawn_piles(6, seed=11)
     scenes = [build_scene(plan, sim) for plan in (*piles[:2], piles[4])]
@@ -382,13 +391,13 @@ def test_boxes_with_errors_begin_between_the_walls(placing: str) -> None:
             for one, other in zip(path, approach_path_of(scene, sim) or (), strict=True):
                 np.testing.assert_array_equal(one, other)
             begin += path.offset
-            # and so they do wherever they go aside
+            # boxes must also be inside if they start aside
             begin = begin[:, None, :2] + path.aside * [[-1.0], [1.0]]
         else:
             begin = begin[:, None, :2]
         assert (begin - reaches >= room.face[0] - TOUCH_M).all()
         assert (begin + reaches <= room.face[1] + TOUCH_M).all()
-    assert (outside > 10) == (placing == "hand")  # so far their errors took them
+    assert (outside > 10) == (placing == "hand")  # the errors move boxes through walls before they are corrected
 
 
 DOORS = """

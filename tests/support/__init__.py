@@ -1,1 +1,1 @@
-"""What tests share: builders of plans, worlds and outcomes, a fake stepper, runs of the command line."""
+"""Code that several tests use: builders of plans, worlds and outcomes, a fake stepper, runs of the command line."""

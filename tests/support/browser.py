@@ -1,4 +1,5 @@
-"""Pages in headless Chromium: one browser for all tests of a file. A plugin of pytest (tests/conftest.py)."""
+"""Opens pages in headless Chromium, with one browser for all tests of a file. A plugin of pytest
+(tests/conftest.py)."""
 
 from __future__ import annotations
 
@@ -20,15 +21,16 @@ FLAGS = (
     "--no-sandbox",  # tests may run as root
     "--use-angle=swiftshader",  # WebGL on machines without a graphics card
     "--enable-unsafe-swiftshader",
-    "--disable-gpu-rasterization",  # SwiftShader, which is slow, draws WebGL alone
+    "--disable-gpu-rasterization",  # only WebGL is drawn by SwiftShader, which is slow
     "--disable-gpu-compositing",
 )
 
 READS_BACK = "GPU stall due to ReadPixels"
-"""A message of the browser, which reads what WebGL has drawn to put it into the page. No page reads pixels."""
+"""A message of the browser about reading the pixels that WebGL has drawn. The browser itself does this to show them; no
+page of petmjx reads pixels."""
 
 LONGEST_S = 120.0
-"""A page that has not done something by then does not do it, on the busiest machine."""
+"""Longest wait for a page, s. Even on the busiest machine, a page that needs longer is broken."""
 
 NO_WEBGL = """
 const real = HTMLCanvasElement.prototype.getContext;
@@ -40,9 +42,11 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Playwright's browser. PETMJX_TEST_BROWSER names another one than the Chromium in PATH.
+    """Playwright's browser. The environment variable PETMJX_TEST_BROWSER names a browser other than the Chromium in
+    PATH.
 
-    It closes after each file: while it is open, an event loop runs in this thread, and nothing else can start one.
+    The browser is closed after each file. While it is open, an event loop runs in this thread, and no other event loop
+    can start.
     """
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra: dev)")
     path = os.environ.get("PETMJX_TEST_BROWSER") or next(filter(None, map(shutil.which, CHROMIUMS)), None)
@@ -56,12 +60,12 @@ def browser() -> Iterator[Any]:
 
 @dataclass
 class Opened:
-    """A page and what it did.
+    """An open page, and what happened in it.
 
     Attributes:
         page: Playwright's page.
-        errors: console errors, warnings and exceptions.
-        requests: addresses that it asked for, besides the file itself.
+        errors: errors and warnings of the console, and exceptions.
+        requests: addresses that the page requested, except that of the file itself.
     """
 
     page: Any
@@ -69,16 +73,17 @@ class Opened:
     requests: list[str] = field(default_factory=list)
 
     def pixels(self, selector: str = "canvas") -> NDArray[np.uint8]:
-        """(height, width, 3) what is seen of an element, and of what lies above it."""
+        """(height, width, 3) the pixels of an element as a user sees it, including elements that cover it."""
         image = pytest.importorskip("PIL.Image", reason="pillow is not installed (extra: show)")
         shot = self.page.locator(selector).first.screenshot(animations="disabled")
         return np.asarray(image.open(io.BytesIO(shot)).convert("RGB"))
 
     def until(self, condition: str, seconds: float = LONGEST_S) -> None:
-        """Wait until an expression is true. Playwright's own waiting evaluates texts, which the pages' policy forbids.
+        """Wait until a JavaScript expression is true. Playwright's own waiting evaluates texts, which the pages'
+        security policy forbids.
 
         Raises:
-            AssertionError: it is not true in time.
+            AssertionError: the expression is not true in time.
         """
         for _ in range(round(seconds / 0.02)):
             if self.page.evaluate(condition):
@@ -87,7 +92,7 @@ class Opened:
         raise AssertionError(f"{condition} is not true after {seconds:g} s")
 
     def settled(self) -> None:
-        """Wait until what was asked for is drawn."""
+        """Wait until all requested drawing is done."""
         self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
@@ -96,8 +101,8 @@ OpenPage = Callable[..., Opened]
 
 @pytest.fixture(scope="module")
 def usual_page(browser: Any) -> Any:
-    """A page without options of its own, which tests use one after the other. A context, a page and the processes that
-    belong to it take 0.7 s of CPU time, and another address in a page a tenth of that."""
+    """A page with default options, which tests use one after another. A new context with its page and processes takes
+    0.7 s of CPU time, opening another address in the same page a tenth of that."""
     context = browser.new_context()
     context.set_default_timeout(1000 * LONGEST_S)
     return context.new_page()
@@ -105,10 +110,11 @@ def usual_page(browser: Any) -> Any:
 
 @pytest.fixture
 def open_page(browser: Any, usual_page: Any, tmp_path: Path) -> Iterator[OpenPage]:
-    """Opens HTML from a file, as people do: ``open_page(html, width=1280, height=800, dark=False, webgl=True)``.
+    """Opens HTML from a file, as users do: ``open_page(html, width=1280, height=800, dark=False, webgl=True)``.
 
-    ``scripts=False`` turns scripts off, ``fragment`` goes behind the ``#``. Other arguments are those of Playwright's
-    ``new_context``. Pages with one of these arguments, and all but the first of a test, have a context of their own.
+    ``scripts=False`` turns scripts off, ``fragment`` is added behind ``#``. Other arguments are those of Playwright's
+    ``new_context``. A page with one of these arguments has a context of its own, and so has every page of a test except
+    the first.
     """
     contexts = []
     views: list[Opened] = []

@@ -1,4 +1,4 @@
-"""What tests of the command line share: plans, files, runs, and the one line of an error."""
+"""Helpers for tests of the command line: plans, files, runs, and the single line of an error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 from petmjx.cli import main
 
 INTERRUPT_AFTER = 10
-"""Worlds that :func:`run_interrupted` lets finish."""
+"""Number of worlds that end before :func:`run_interrupted` interrupts the run."""
 
 _INTERRUPTED = f"""
 import os, signal, sys, threading, time
@@ -44,7 +44,7 @@ sys.exit(main(sys.argv[2:]))
 
 
 def placement(corner: Sequence[float], **item: Any) -> dict[str, Any]:
-    """A box of 400 × 300 × 200 mm and 5 kg as plan files hold it, with other fields of its item on request."""
+    """A box of 400 × 300 × 200 mm and 5 kg as in plan files. ``item``: other fields of the box's item."""
     size = {"length/mm": 400, "width/mm": 300, "height/mm": 200}
     fields = {"article": "carton", "id": "1", "product_group": "test", **size, "weight/kg": 5.0, "sequence": 1, **item}
     return {"item": fields, "orientation": 0, "flb_coordinates": list(corner)}
@@ -52,7 +52,7 @@ def placement(corner: Sequence[float], **item: Any) -> dict[str, Any]:
 
 TOWER = [placement((0, 0, 0)), placement((0, 0, 200))]
 OVERHANG = [placement((0, 0, 0)), placement((260, 0, 200))]
-"""A tower that stands, and a box that overhangs by more than half and falls."""
+"""A tower that stands, and a plan with a box that falls, since more than half of this box overhangs."""
 
 
 def write(path: Path, content: object) -> Path:
@@ -65,14 +65,14 @@ def run(*arguments: str | Path) -> int:
 
 
 def run_process(*arguments: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
-    """petmjx in a process of its own; options are those of ``subprocess.run``."""
+    """Run petmjx in a process of its own. ``options`` are those of ``subprocess.run``."""
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
     return subprocess.run([sys.executable, "-m", "petmjx", *map(str, arguments)], text=True, check=False, **streams)
 
 
 def run_with_closed(descriptor: int, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """petmjx in a process whose stdout (1) or stderr (2) is closed. Closed by a shell: Python's own way forks this
-    process, which JAX's threads do not survive."""
+    """Run petmjx in a process whose stdout (1) or stderr (2) is closed. A shell closes it: Python would fork this
+    process to do so, which JAX's threads do not survive."""
     command = ["sh", "-c", f'exec "$@" {descriptor}>&-', "sh", sys.executable, "-m", "petmjx", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
@@ -80,15 +80,15 @@ def run_with_closed(descriptor: int, *arguments: str | Path) -> subprocess.Compl
 def run_interrupted(
     *arguments: str | Path, signals: Sequence[int] = (signal.SIGINT,)
 ) -> subprocess.CompletedProcess[str]:
-    """petmjx in a process that gets signals (SIGINT, as from Ctrl-C), one right after the other, while the engine's
-    threads work on further worlds."""
+    """Run petmjx in a process that gets signals (SIGINT, as from Ctrl-C), one right after another, while the threads of
+    the engine simulate further worlds."""
     numbers = ",".join(str(int(number)) for number in signals)
     command = [sys.executable, "-c", _INTERRUPTED, numbers, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
 def only_line(stderr: str) -> str:
-    """The one line an error is allowed to take."""
+    """The error message, which must be a single line."""
     lines = stderr.strip().splitlines()
     assert len(lines) == 1, stderr
     assert lines[0].startswith("petmjx: ")

@@ -1,4 +1,4 @@
-"""What XLA compiles."""
+"""Observes which programs XLA compiles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ _COMPILED = "/jax/core/compile/backend_compile_duration"
 
 @contextmanager
 def compiled_programs() -> Iterator[list[str]]:
-    """An event for each program that is compiled meanwhile, or taken from the cache on disk."""
+    """A list with one event for each program that is compiled within the ``with`` block, or loaded from the disk
+    cache."""
     compiled: list[str] = []
 
     def note(event: str, duration_secs: float, **_: Any) -> None:

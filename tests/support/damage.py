@@ -1,12 +1,13 @@
-"""Damaged input by the thousand: every file costs at most a line, two seconds of a CPU and a gigabyte.
+"""Loads thousands of damaged files: each may cost at most one line, two seconds of CPU time and a gigabyte of memory.
 
-All 50,000 mutations, in two processes::
+For 50,000 damaged files in two processes::
 
     PYTHONPATH=.:tests python -m support.damage --count 50000
 
-Sound files of each kind are damaged at random (bytes flipped, cut, doubled, spliced; tokens replaced by huge numbers,
-NaN, deep nesting, escapes, odd letters) and loaded. What should not happen is listed with the seed that makes it again:
-tracebacks, lines that are long or hold control characters, slow files, fat ones.
+Valid files of each kind are damaged at random (bytes flipped, cut, doubled, spliced; tokens replaced by huge numbers,
+NaN, deep nesting, escapes, odd letters) and then loaded. Everything that should not happen is listed with the random
+seed that reproduces it: tracebacks, lines that are long or hold control characters, slow files, and files that take
+much memory.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ from support.sound_files import KINDS
 SLOW_S = 2.0
 FAT_BYTES = 1 << 30
 LONGEST_LINE = 6000
-"""Characters: a path of 4,096, and what is wrong."""
+"""Largest number of characters of an error line: a path of 4,096 characters, and the error."""
 
-# How files are damaged.
+# Kinds of damage.
 
 TOKENS = (
     b"1e308",
@@ -118,7 +119,7 @@ WORDS = b"0123456789.eE+-_\"'aAzZ"
 
 
 def damaged(data: bytes, rng: random.Random) -> bytes:
-    """A copy with one to six things wrong."""
+    """A copy of the data with one to six random damages."""
     for _ in range(rng.choice([1, 1, 1, 2, 3, 6])):
         data = rng.choice(WAYS)(data or b"\n", rng)
     return data
@@ -166,7 +167,7 @@ def _put_token(data: bytes, rng: random.Random) -> bytes:
 
 def _replace_token(data: bytes, rng: random.Random) -> bytes:
     begin = rng.randrange(len(data))
-    for _ in range(60):  # a place with a word or a number
+    for _ in range(60):  # look for a place with a word or a number
         if data[begin] in WORDS:
             break
         begin = rng.randrange(len(data))
@@ -181,12 +182,12 @@ def _replace_token(data: bytes, rng: random.Random) -> bytes:
 WAYS = (_flip, _delete, _duplicate, _truncate, _splice, _noise, _put_token, *3 * (_replace_token,))
 
 
-# What came of it.
+# Results of loading.
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One file that cost more than it may."""
+    """A damaged file with a complaint about loading it: too much time or memory, a traceback, or a bad message."""
 
     kind: str
     seed: int
@@ -197,7 +198,7 @@ class Finding:
 
 
 class _TooSlow(BaseException):
-    """Raised by the alarm."""
+    """Raised when the time limit of a file is over."""
 
 
 def _flush_timer(_signal: int, _frame: FrameType | None) -> None:
@@ -205,7 +206,7 @@ def _flush_timer(_signal: int, _frame: FrameType | None) -> None:
 
 
 def mutation(kind: str, seed: int) -> bytes:
-    """The damaged file that belongs to a kind and a seed."""
+    """The damaged file of this kind and random seed."""
     rng = random.Random(f"{kind} {seed}")
     sound = KINDS[kind].sound(rng)
     if not kind.endswith("-gz"):
@@ -219,10 +220,10 @@ def try_one(kind: str, seed: int, folder: Path, memory: bool = True) -> tuple[st
     """Load one damaged file.
 
     Args:
-        memory: whether the peak of resident memory is watched, which holds for the whole process.
+        memory: whether to check the peak of resident memory, which is that of the whole process.
 
     Returns:
-        "read" or "refused", and what is wrong with that (None: nothing).
+        "read", "refused" or "failed", and what should not have happened, or None.
     """
     path = folder / KINDS[kind].file
     path.write_bytes(mutation(kind, seed))
@@ -256,7 +257,7 @@ def try_one(kind: str, seed: int, folder: Path, memory: bool = True) -> tuple[st
 
 
 def _work(task: tuple[str, range]) -> tuple[Counter[str], list[Finding]]:
-    """A share of one kind's seeds, in a process with an alarm and a limit of address space."""
+    """Load the damaged files of one kind with these seeds, in a process with an alarm and limited memory."""
     kind, seeds = task
     faulthandler.enable()
     signal.signal(signal.SIGALRM, _flush_timer)
@@ -278,7 +279,7 @@ def _work(task: tuple[str, range]) -> tuple[Counter[str], list[Finding]]:
 
 
 def shares(kinds: list[str], first: int, n: int, size: int = 250) -> Iterator[tuple[str, range]]:
-    """Seeds of each kind in pieces, all kinds equally."""
+    """Tasks for processes: ranges of random seeds for each kind, with the same number of seeds for all kinds."""
     per_kind = -(-n // len(kinds))
     for begin in range(first, first + per_kind, size):
         for kind in kinds:

@@ -1,10 +1,10 @@
-"""Damaged run folders by the thousand: what reads one says what it said before, or a line with exit code 2.
+"""Damages thousands of run folders: each command must print the same as for the sound folder, or one line with code 2.
 
     PYTHONPATH=.:tests python -m support.damaged_runs --count 5000
 
-Two small runs, two shards and a sweep are damaged at random: rows and columns of a table, its files, ``run.json``. What
-should not happen is listed with the seed that makes it again: tracebacks, other exit codes, more than a line, and
-numbers that differ from those of the sound folder.
+The folders of two small runs, two shards and a sweep are damaged at random: rows and columns of a table, files, or
+``run.json``. Everything that should not happen is listed with the random seed that reproduces it: tracebacks, other
+exit codes, more than one line, and numbers that differ from those of the sound folder.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ DAMAGED: Final = ("run", "static", "shard-1", "shard-2", "sweep")
 
 
 def make_sound(folder: Path) -> None:
-    """The sound folders, in the current one."""
+    """Make the sound folders in ``folder``, which must be the current folder."""
     defaults = RunWriter.__init__.__kwdefaults__
     assert defaults is not None
     before = dict(defaults)
@@ -80,11 +80,11 @@ def make_sound(folder: Path) -> None:
         defaults.update(before)
 
 
-# How folders are damaged.
+# Kinds of damage.
 
 
 def damage(run: Path, rng: random.Random) -> str:
-    """Damage one thing in a run's folder; says what."""
+    """Damage one thing in a run's folder. Returns a text that says what was damaged."""
     if rng.random() < 0.2:
         return _damage_info(run, rng)
     files = sorted(run.glob("*/part-*.parquet"))
@@ -168,7 +168,7 @@ def _bytes(file: Path, rng: random.Random) -> str:
 
 
 def _other_part(file: Path, rng: random.Random) -> str | None:
-    """Another table's part, another part of the table, or another run's."""
+    """Replace a part by a part of another table, by another part of the same table, or by a part of another run."""
     others = [
         other for other in sorted(file.parents[2].glob("*/*/part-*.parquet")) if other.read_bytes() != file.read_bytes()
     ]
@@ -239,11 +239,11 @@ def _damage_info(run: Path, rng: random.Random) -> str:
     return f"{run.name}/run.json: {how}"
 
 
-# What is read of them.
+# Commands that read damaged folders.
 
 
 def read(name: str, folder: Path = Path("run")) -> tuple[int, str, str]:
-    """Exit code, what was printed (without times), and standard error, of one way to read runs."""
+    """Exit code, output (without times) and standard error of one command or function that reads runs."""
     if name in COMMANDS:
         out, err = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -261,7 +261,7 @@ def read(name: str, folder: Path = Path("run")) -> tuple[int, str, str]:
 
 
 def tables_of(folder: Path) -> str:
-    """All tables of a run, and what ``run.json`` counts."""
+    """All tables of a run, and the counts in its ``run.json``, as text."""
     run = petmjx.load_run(folder)
     frames = {name: getattr(run, name) for name in (*TABLES, "skipped")}
     units = {name: run.units(name) for name in OF_WORLDS}
@@ -278,7 +278,7 @@ READINGS: Final = (*COMMANDS, "tables", "tell")
 
 
 def complaint(name: str, sound: str) -> str | None:
-    """What is wrong with how a damaged folder is read; None: nothing."""
+    """What is wrong with the result of a command on a damaged folder. None if nothing is wrong."""
     try:
         code, text, err = read(name)
     except BaseException as error:
@@ -295,14 +295,14 @@ def complaint(name: str, sound: str) -> str | None:
 
 
 def fuzz(count: int, seed: int, readings: int, told: Callable[[str], None] = lambda line: None) -> Counter[str]:
-    """Damage folders and read them, in a folder of its own.
+    """Damage folders and read them, in a temporary folder.
 
     Args:
-        readings: commands that read each damaged folder.
-        told: called with what should not happen.
+        readings: number of commands that read each damaged folder.
+        told: function that is called with each line about something that should not happen.
 
     Returns:
-        How many were read to the same end, refused, and wrong.
+        Numbers of readings that were right (same output, or refused) and wrong, and the number of folders.
     """
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(prefix="petmjx-runs-") as name, contextlib.chdir(name):
@@ -331,7 +331,7 @@ def fuzz(count: int, seed: int, readings: int, told: Callable[[str], None] = lam
                 if wrong:
                     told(f"seed {number}: {change}: {label}: {wrong}")
                 if label in ("resume", "merge") and not wrong:
-                    break  # it may have mended the folder
+                    break  # this command may have repaired the folder
             counts["folders"] += 1
             for label in {run, *DAMAGED}:
                 shutil.rmtree(label, ignore_errors=True)

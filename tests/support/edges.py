@@ -1,4 +1,4 @@
-"""Edges of boxes by the plan, as ``petmjx.engines.outcome_checks`` finds them."""
+"""Edges of the boxes' supports in the plan, computed as in ``petmjx.engines.outcome_checks``."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ from petmjx.world.supports import bearings_of
 
 
 def plan_edges(scenes: Sequence[Scene], placed: Sequence[int]) -> list[Edges]:
-    """The edges of each scene's boxes by the plan, once so many are ``placed``."""
+    """The distances of loads from edges in each scene, with the first ``placed`` boxes at their planned places."""
     return edges_of(bearings_of(scenes), placed)

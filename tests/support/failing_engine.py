@@ -1,4 +1,4 @@
-"""An engine that fails as planned, and worlds that say how often."""
+"""An engine that fails as planned, and worlds that tell it how often to fail."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def outcome_of(job: int, verdict: Verdict) -> Outcome:
 
 @dataclass
 class FailingEngine(Engine):
-    """Answers in reverse order; the world whose box weighs k kg is invalid in its first k − 1 attempts."""
+    """Returns outcomes in reverse order. A world whose box weighs k kg is invalid in its first k − 1 attempts."""
 
     name: str = "failing"
     calls: list[tuple[Simulation, list[Job]]] = field(default_factory=list)
@@ -42,5 +42,5 @@ class FailingEngine(Engine):
 
 
 def worlds_failing(*failures: int) -> list[World]:
-    """One world for each number: how many of its attempts are invalid."""
+    """One world for each number, which says how many of the world's attempts are invalid."""
     return [make_world(make_plan(f"p{i}", stack(1, kg=k + 1.0))) for i, k in enumerate(failures)]

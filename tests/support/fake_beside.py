@@ -1,4 +1,4 @@
-"""Attempts beside a run that are made at once, in the same process: for tests with engines that are scripted."""
+"""Replaces the process that makes attempts beside a run: tasks run at once in this process, on scripted engines."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from petmjx.engines.subprocess.attempt_process import Answer, Task
 
 @dataclass
 class AtOnce:
-    """Each task is a run of its own on the engine of that name. What it raises is told as the process tells it."""
+    """Simulates each task at once, on the engine with the task's name. Errors become answers, as in a real process
+    beside a run."""
 
     engine_named: Callable[[str], Engine]
     tasks: list[Task] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""Engines without physics, for tests of what is done with outcomes: a world in microseconds."""
+"""Engines without physics, for tests of code that handles outcomes. A world takes microseconds."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from support.outcomes import make_outcome
 
 
 class LargestFirst:
-    """Simulates the largest plans first, as engines do. Plans with an even number of boxes do not stand.
+    """Simulates the largest plans first, as engines do. Plans with an even number of boxes are unstable.
 
     Args:
-        interrupt_after: worlds after which it is interrupted.
+        interrupt_after: number of worlds after which KeyboardInterrupt is raised.
     """
 
     name = "largest-first"
@@ -45,11 +45,11 @@ class LargestFirst:
 
 
 def end_without_physics(world: WorldRun) -> Outcome:
-    """In place of ``WorldRun.run``: the ``mujoco`` engine has its streams, threads, and forks of settled states, but
-    a rule says how a world ends.
+    """Replaces ``WorldRun.run``. The ``mujoco`` engine works as usual, with its streams, its threads, and worlds that
+    start from settled states. But a rule, and no simulation, decides how a world ends.
 
-    A plan stands if its upper boxes lie within 170 mm of one another. In a drive it stands up to a level that depends
-    on the number of its boxes, on their mass and on the direction.
+    A plan stands if its upper boxes lie within 170 mm of one another. In a drive (motion of the carrier), it stands up
+    to a level that depends on the number of boxes, on their mass and on the direction.
     """
     job, scene = world._job, world._job.scene
     if isinstance(job.start, SettledState) and (end_outcome := job.start.ended_as(world._stream_number)) is not None:

@@ -1,14 +1,15 @@
-"""A stepper without physics: worlds whose every event can be worked out by hand, for tests of rules and batches.
+"""A stepper without physics, for tests of rules and batches. Every event in its worlds can be computed by hand.
 
-What a box does after it was placed is written into its mass:
+The mass of a box determines its motion after its placement:
 
-* it trembles (too fast to be quiet) for ``mass`` steps, then is at rest;
-* with a mass of ``FALLS_KG`` or more it falls 10 mm a step;
-* if half a kilogram is left over it sways meanwhile: from its first step to its last it is 30 mm from its place;
-* what presses on its top is its age, 1 N a step: the force at rest tells when the box was placed;
-* the carrier's excitation moves it along x and y: 1 µm a step for each newton or m/s².
+* the box trembles (too fast to be quiet) for ``mass`` steps, and is then at rest;
+* with a mass of ``FALLS_KG`` or more, the box falls by 10 mm per step;
+* if the mass has a remainder of half a kilogram, the box sways: from its first step to its last step of trembling, it
+  is 30 mm from its place;
+* the force on its top is its age, 1 N per step, so the force at rest tells when the box was placed;
+* the carrier's excitation moves the box along x and y, by 1 µm per step for each newton or m/s².
 
-A box's age is kept in its warm-start acceleration, so that it survives only if states are handed on whole.
+The age of a box is stored in its warm-start acceleration. So it is lost unless states are passed on completely.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ CARRIER_KG = PHYSICS["pallet"].carrier_mass_kg
 
 
 class FakeModel(NamedTuple):
-    """The model fields that overrides are made from."""
+    """The fields of a model from which overrides are made."""
 
     geom_size: jax.Array
     geom_rbound: jax.Array
@@ -53,7 +54,7 @@ class FakeModel(NamedTuple):
 
 
 class FakeStepper(PaddedModel):
-    """Steps without MJX."""
+    """Takes steps without MJX."""
 
     def __init__(self, capacity: int, *, held: bool) -> None:
         self.capacity, self.held = capacity, held
@@ -97,7 +98,7 @@ class FakeStepper(PaddedModel):
 
 
 class FakeEngine(MjxJaxEngine):
-    """The batches and rules of mjx-jax over the fake stepper."""
+    """The batches and rules of mjx-jax with the fake stepper."""
 
     name = "fake"
 
@@ -106,13 +107,13 @@ class FakeEngine(MjxJaxEngine):
 
 
 def fake_scene(*masses: float) -> Scene:
-    """Boxes side by side, at rest where they are put, with these masses in kg."""
+    """A scene with boxes side by side, at rest at their places, with these masses in kg."""
     boxes = [((200.0, 200.0, 200.0), (300.0 * k, 0.0, 0.0), mass) for k, mass in enumerate(masses)]
     return make_scene(boxes, Simulation(size_reduction_mm=0, carrier=Carrier.EURO_PALLET))
 
 
 def in_order(outcomes: Iterator[Outcome]) -> list[Outcome]:
-    """Outcomes by job, each exactly once."""
+    """The outcomes sorted by job. Each job must have exactly one outcome."""
     listed = sorted(outcomes, key=lambda outcome: outcome.job)
     assert [outcome.job for outcome in listed] == list(range(len(listed)))
     return listed
@@ -121,7 +122,7 @@ def in_order(outcomes: Iterator[Outcome]) -> list[Outcome]:
 def run_all(
     engine: Engine, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
 ) -> list[Outcome]:
-    """Every job's outcome, in order."""
+    """The outcomes of all jobs, in the order of the jobs."""
     count = jobs.ready if isinstance(jobs, JobStream) else len(jobs)
     outcomes = in_order(engine.run(jobs, sim, progress))  # type: ignore[arg-type]  # a stream for engines that take one
     assert len(outcomes) == count
@@ -129,7 +130,7 @@ def run_all(
 
 
 def assert_same(outcome: Outcome, expected: Outcome, relative: float = 0.0, absolute: float = 0.0) -> None:
-    """Verdict, times and every metric of two worlds are the same."""
+    """Check that verdict, times and all metrics of two worlds are equal."""
     for name in ("verdict", "reason", "culprit", "n_boxes", "n_placed", "n_steps", "sim_time_s"):
         assert getattr(outcome, name) == getattr(expected, name), name
     np.testing.assert_equal(outcome.first_sign_s, expected.first_sign_s)

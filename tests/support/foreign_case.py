@@ -1,7 +1,8 @@
-"""A case: a file in the convention of another tool, its right result, how that is compared with what a reader makes of
-it, and the same file with one value that is wrong. ``foreign_files`` has all cases.
+"""Test cases for files of other tools: a file, its right result, a comparison with the plans that a reader makes of it,
+and the same file with one wrong value. ``foreign_files`` lists all cases.
 
-A case is packings × a writer × a convention (units, axes, anchor, origin) × a form (encoding, delimiter, language).
+A case combines packings, a writer, a convention (units, axes, anchor, origin) and a form (encoding, delimiter,
+language).
 """
 
 from __future__ import annotations
@@ -21,20 +22,20 @@ from support.foreign_plans import CONTACT_MM, Convention, Packing, View
 
 @dataclass(frozen=True)
 class Case:
-    """A file, and the right result.
+    """A file in the form of another tool, and its right result.
 
     Attributes:
-        name: of the main file.
-        writer: gives its documents.
-        picks: the packings in the file.
-        convention: units, axes, anchor and origin.
+        name: name of the main file.
+        writer: function that makes the documents (files) of the case.
+        picks: functions that return the packings in the file.
+        convention: units, axes, anchor and origin of the file.
         form: further arguments of the writer.
-        lost: fields of packings that the file does not have: "weight", "ids".
-        free: what the file does not tell, as in ``difference``.
-        order: "known", or "any": rows are shuffled, and nothing says what comes first.
-        shuffled: rows are not in packing order.
-        refused: why no plan may be read from it without a question; "": it must be read.
-        may_ask: no reading is sure, so a question is right, too.
+        lost: names of packing fields that the file does not have: "weight", "ids".
+        free: what the file does not tell, see ``difference``.
+        order: "known", or "any" if rows are shuffled and no column tells the order.
+        shuffled: whether rows are not in packing order.
+        refused: why no plan may be read from the file without asking the user. Empty if the file must be read.
+        may_ask: whether asking the user is also right, since no reading is certain.
     """
 
     name: str
@@ -51,11 +52,11 @@ class Case:
 
     @property
     def plans(self) -> tuple[Packing, ...]:
-        """The right plans, in the order of the file; empty: it is refused."""
+        """The right plans, in the order of the file. Empty if the file must be refused."""
         return () if self.refused else tuple(pick().without(*self.lost) for pick in self.picks)
 
     def views(self) -> list[View]:
-        """The packings as the file has them, rows in its order."""
+        """The packings as they are in the file, with rows in the file's order."""
         views = []
         for pick in self.picks:
             plan = pick()
@@ -69,12 +70,12 @@ class Case:
         return self.writer(self.name, self.views(), **self.form)
 
     def write(self, folder: Path) -> Path:
-        """Write the file, and those beside it, in a folder of this case alone; gives the main one."""
+        """Write the main file and the files beside it into a folder of this case. Returns the main file."""
         main, *_ = (document.write(folder) for document in self.documents())
         return main
 
     def mismatch(self, plans: Sequence[ReadPlan]) -> str:
-        """What is wrong with plans that were read from the file; "": nothing."""
+        """What is wrong with the plans that were read from the file. Empty if nothing is wrong."""
         if self.refused:
             return f"{len(plans)} plans were read, but {self.refused}" if plans else ""
         if len(plans) != len(self.picks):
@@ -87,13 +88,13 @@ class Case:
 
 @dataclass(frozen=True)
 class Damaged:
-    """A case with one value that is wrong.
+    """A case with one wrong value.
 
     Attributes:
-        kind: one of ``foreign_documents.KINDS``.
-        place: the row and the column that an error has to name.
-        box: the id of the box with that value.
-        content: what the main file holds.
+        kind: kind of damage, one of ``foreign_documents.KINDS``.
+        place: the row and the column that an error must name.
+        box: id of the box with the wrong value.
+        content: content of the main file.
     """
 
     case: Case
@@ -111,7 +112,8 @@ class Damaged:
         return folder / main.name
 
     def lacks(self, message: str) -> str:
-        """What an error's message lacks: one line, the file, the row or the box, the column; "": nothing."""
+        """What is missing in an error message: one line, the file, the row or the box, or the column. Empty if nothing
+        is missing."""
         if "\n" in message:
             return "one line"
         if self.case.name not in message:
@@ -122,16 +124,16 @@ class Damaged:
         numbered = re.search(rf"(row|line|box|placement|item|element|index)\D{{0,3}}{row}\b|\[{row}\]", message)
         if not numbered and not re.search(rf"\b{re.escape(self.box)}\b", message):
             return "the row"
-        # a position without its axis is enough where the file has a list
+        # a position without its axis is enough if the file has a list
         return "" if re.search(rf"(?<!\w){re.escape(column)}(?!\w)", message, re.IGNORECASE) else "the column"
 
 
 def damaged(case: Case, kind: str | None = None) -> Damaged:
-    """The file of a case, damaged at a box in its middle.
+    """The file of a case with a damaged value, at a box in the middle of the file.
 
     Args:
-        kind: one of ``KINDS``; None: cases take turns. Files without sizes have a garbled number instead of a negative
-            size.
+        kind: kind of damage, one of ``KINDS``. If None, cases take turns. In a file without sizes, a negative size is
+            replaced by a garbled number.
     """
     number = zlib.crc32(case.name.encode())
     kind = kind or KINDS[number % len(KINDS)]
@@ -147,8 +149,8 @@ def damaged(case: Case, kind: str | None = None) -> Damaged:
 def case_of(
     name: str, writer: Callable[..., list[Document]], *picks: Callable[[], Packing] | Convention, **known: Any
 ) -> Case:
-    """A case of packings, and of a convention if there is one behind them. Arguments that are no fields of ``Case`` are
-    the writer's."""
+    """A case of packings, with a convention if one is given after the packings. Arguments that are not fields of
+    ``Case`` are arguments of the writer."""
     of_case = {key: known.pop(key) for key in tuple(known) if key in Case.__dataclass_fields__}
     packings = tuple(pick for pick in picks if not isinstance(pick, Convention))
     conventions = [pick for pick in picks if isinstance(pick, Convention)]
@@ -156,7 +158,7 @@ def case_of(
 
 
 class ReadPlan(Protocol):
-    """What is compared of a plan that a reader has made, as in ``petmjx.Plan``."""
+    """The fields of a plan that are compared, as in ``petmjx.Plan``."""
 
     size_mm: np.ndarray
     corner_mm: np.ndarray
@@ -165,16 +167,16 @@ class ReadPlan(Protocol):
 
 
 ROUNDED_KG = 0.0051
-"""By how much a weight may differ: py3dbp writes two digits, which round it by half of the last one."""
+"""Largest difference of two weights that count as equal, kg. py3dbp writes two decimals."""
 
 
 def difference(right: Packing, read: ReadPlan, free: frozenset[str] = frozenset(), order: str = "known") -> str:
-    """How a plan that was read differs from the right one; "": not at all.
+    """How a plan that was read differs from the right plan. Empty if it does not differ.
 
     Args:
-        free: what the file does not tell. "shift": the deck's place under the boxes; "mirror": the hand of the axes;
-            "turn": which of the deck's sides is called x; "scale": the unit of length.
-        order: "known": packing order; "any": any order in which each box finds its supports.
+        free: what the file does not tell. "shift": the place of the deck under the boxes; "mirror": whether the axes
+            are mirrored; "turn": which side of the deck is called x; "scale": the unit of length.
+        order: "known": packing order; "any": any order in which every box has its supports before it.
     """
     size, corner = np.asarray(read.size_mm, float), np.asarray(read.corner_mm, float)
     if len(size) != right.n:
@@ -189,7 +191,7 @@ def difference(right: Packing, read: ReadPlan, free: frozenset[str] = frozenset(
         moved = corner
         if free & {"shift", "mirror", "turn"}:
             moved = corner + (right_corner.min(0) - corner.min(0)) * [1.0, 1.0, 0.0]
-        of_right = np.arange(right.n)  # of each box that was read
+        of_right = np.arange(right.n)  # index: box that was read; value: box of the right plan
         if order == "any":
             sorted_right, sorted_read = (
                 np.lexsort(np.hstack([corners, sizes]).round().T)
@@ -215,7 +217,7 @@ def difference(right: Packing, read: ReadPlan, free: frozenset[str] = frozenset(
 
 
 def _readings(right: Packing, free: frozenset[str]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Sizes and corners of the packing, and of the same packing mirrored and turned, where a file does not tell."""
+    """Sizes and corners of the packing; also of the mirrored and turned packing, if the file does not tell these."""
     readings = [(right.size, right.corner)]
     if "turn" in free:
         far = right.corner[:, 1] + right.size[:, 1]
@@ -231,12 +233,12 @@ def _readings(right: Packing, free: frozenset[str]) -> list[tuple[np.ndarray, np
 
 
 def buildable(size: np.ndarray, corner: np.ndarray) -> bool:
-    """Whether each box finds something under it when it comes: the deck, or a box before it that touches from below."""
+    """Whether every box rests on the deck or on a box before it in the order."""
     return not floating(size, corner, in_order=True)
 
 
 def floating(size: np.ndarray, corner: np.ndarray, *, in_order: bool = False) -> list[int]:
-    """Boxes above the deck that nothing touches from below. ``in_order``: only boxes before them count."""
+    """Boxes above the deck that rest on no box. ``in_order``: only boxes before them in the order may be supports."""
     high = corner + size
     loose = []
     for box in range(len(size)):
@@ -249,12 +251,12 @@ def floating(size: np.ndarray, corner: np.ndarray, *, in_order: bool = False) ->
 
 
 def overlaps(size: np.ndarray, corner: np.ndarray) -> int:
-    """Number of pairs of boxes that share space."""
+    """Number of pairs of boxes that overlap."""
     high = corner + size
     shared = np.minimum(high[:, None], high[None]) - np.maximum(corner[:, None], corner[None])
     return int(np.triu((shared > 2 * CONTACT_MM).all(2), 1).sum())
 
 
 def plausible(size: np.ndarray, corner: np.ndarray) -> bool:
-    """No two boxes in one place, none below the deck, none in the air."""
+    """Whether no boxes overlap, no box is below the deck, and no box floats."""
     return not overlaps(size, corner) and corner[:, 2].min() > -CONTACT_MM and not floating(size, corner)

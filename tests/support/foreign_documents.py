@@ -1,5 +1,5 @@
-"""Files that can be written as they are, or with one value damaged: tables, JSON, texts, NumPy arrays. Each knows where
-the size and the position of a box stand in it."""
+"""Files that can be written intact or with one damaged value: tables, JSON, texts, NumPy arrays. Each file knows where
+the size and the position of a box are in it."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 KINDS = ("word", "negative", "empty", "truncated")
-"""Damages: a letter in a number of a position, a negative size, a position that is missing, a file cut in a box."""
+"""Kinds of damage: a letter in a number of a position, a negative size, a missing position, a file that ends in a
+box."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a file is damaged, as an error is to name it.
+    """The damaged place in a file, as an error must name it.
 
     Attributes:
-        row: of tables: the row in the file or sheet, from 1, the header's counted; of texts, XML and JSON Lines: the
-            line, from 1; of JSON and arrays: the index of the box in its plan, from 0. None: the file cannot be opened
-            at all.
-        column: the header, the key, or the index of the column; "": the whole row, or the file.
+        row: for tables, number of the row in the file or sheet, from 1 and including the header; for texts, XML and
+            JSON Lines, number of the line, from 1; for JSON and arrays, index of the box in its plan, from 0. None if
+            the file cannot be opened at all.
+        column: the header, the key, or the index of the column. Empty for the whole row or file.
     """
 
     row: int | None
@@ -38,7 +39,7 @@ class Place:
 
 
 def garbled(value: Any) -> Any:
-    """A number with a letter in it, as a slip of the finger leaves it. In an array of numbers: NaN."""
+    """A number with a letter in it, like a typing error. In an array of numbers: NaN."""
     if isinstance(value, np.floating | np.integer):
         return np.nan
     if isinstance(value, dict):
@@ -57,7 +58,7 @@ DAMAGES = {"word": garbled, "negative": negative}
 
 
 class Document:
-    """A file. ``name`` is the file's, ``n`` the number of its boxes."""
+    """A file. ``name``: name of the file; ``n``: number of boxes in it."""
 
     name: str
     n: int
@@ -66,7 +67,7 @@ class Document:
         raise NotImplementedError
 
     def damage(self, kind: str, box: int) -> tuple[Place, bytes]:
-        """Damage the file at a box of it; boxes are counted over all of its plans."""
+        """Damage the file at one box. Boxes are counted over all plans of the file."""
         raise NotImplementedError
 
     def write(self, folder: Path) -> Path:
@@ -77,14 +78,14 @@ class Document:
 
 @dataclass
 class Json(Document):
-    """JSON of any shape.
+    """A JSON file of any structure.
 
     Attributes:
-        root: what is written.
-        boxes: the index in its plan, and the dictionary or list of each box; they are parts of ``root``.
-        size, place: the keys at which a size and a coordinate stand in a box.
-        lines: one value a line (JSON Lines).
-        columns: a box is a column index of lists, not a dictionary.
+        root: the value that is written.
+        boxes: for each box, its index in its plan, and its dictionary or list, which is a part of ``root``.
+        size, place: keys that lead from a box to a size and to a coordinate.
+        lines: whether each line is a JSON value (JSON Lines).
+        columns: whether ``root`` has a list for each column, and a box is an index of these lists.
     """
 
     name: str
@@ -122,8 +123,8 @@ class Json(Document):
 
 @dataclass
 class Text(Document):
-    """Lines of text, of which some have a box. ``size`` and ``place`` find a number in such a line, as their first
-    group, and name its column."""
+    """Lines of text, some of which describe a box. ``size`` and ``place`` are pairs: a regular expression that finds a
+    number in such a line as its first group, and the name of its column."""
 
     name: str
     lines: list[str]
@@ -154,8 +155,8 @@ class Text(Document):
 
 @dataclass
 class Arrays(Document):
-    """A .npy file of one array, or an .npz file of several. A box is a row of an array; ``size`` and ``place`` name an
-    array and a column, "" the box's own array."""
+    """A .npy file of one array, or an .npz file of several arrays. A box is a row of an array. ``size`` and ``place``
+    are pairs: the name of an array ("": the box's own array), and a column."""
 
     name: str
     arrays: dict[str, np.ndarray]
@@ -197,21 +198,21 @@ class Csv:
     thousands: str = ""
     encoding: str = "utf-8"
     mark: bool = False
-    """Excel's line ``sep=;`` before the table."""
+    """Whether Excel's line ``sep=;`` comes before the table."""
     quote: bool = False
     end: str = "\n"
 
 
 @dataclass
 class Table(Document):
-    """A table as text, workbook or Parquet, by the end of its name.
+    """A table as text, workbook or Parquet file. The ending of the name decides.
 
     Attributes:
-        sheets: title → rows of cells, with title rows, header and all. Only workbooks have several.
-        header: index of the row of headers; None: there is none, and columns are called by their number, from 1.
-        boxes: sheet and index of the row of each box.
-        size, place: index of the column of a size and of a coordinate.
-        text_numbers: workbooks have numbers as text, as imports leave them.
+        sheets: title → rows of cells, including title rows and the header. Only workbooks have several sheets.
+        header: index of the header row. If None, there is no header, and columns are named by their numbers, from 1.
+        boxes: for each box, its sheet and the index of its row.
+        size, place: indices of the columns of a size and of a coordinate.
+        text_numbers: whether a workbook has numbers as text, as after an import.
     """
 
     name: str
@@ -228,7 +229,7 @@ class Table(Document):
         self.n = len(self.boxes)
 
     def shown(self, cell: Any) -> str:
-        """A cell as text, in the table's locale."""
+        """A cell as text, with the decimal and thousands separators of the table."""
         if cell is None or isinstance(cell, str):
             return cell or ""
         if isinstance(cell, int | np.integer) and not self.csv.thousands:
@@ -276,7 +277,7 @@ class Table(Document):
             if self.name.rpartition(".")[2] in ("xlsx", "ods", "parquet"):
                 return Place(None, ""), self.content()[: len(self.content()) * 3 // 5]
             rows[index + 1 :] = []
-            cut = min(column, len(rows[index]) - 2)  # a row that ends with its last column would be a whole one
+            cut = min(column, len(rows[index]) - 2)  # a row that is cut within its last column would be a whole row
             rows[index][cut:] = [str(rows[index][cut])[:1]]
             return Place(place.row, ""), self.csv.end.join(self.lines()).encode(self.csv.encoding)
         value = rows[index][column]
@@ -288,7 +289,7 @@ class Table(Document):
         return place, self.content()
 
     def _cell(self, cell: Any) -> Any:
-        """A cell of a workbook."""
+        """The value of a cell in a workbook."""
         if isinstance(cell, np.generic):
             cell = cell.item()
         return self.shown(cell) if self.text_numbers and isinstance(cell, int | float) else cell
@@ -305,7 +306,7 @@ class Table(Document):
         return content.getvalue()
 
     def _ods(self) -> bytes:
-        """A workbook as LibreOffice writes it: blank cells and rows are counted, to the end of the sheet."""
+        """A workbook as LibreOffice writes it: blank cells and rows are counted up to the end of the sheet."""
         body = []
         for title, rows in self.sheets.items():
             body.append(f'<table:table table:name="{escape(title)}">')

@@ -1,9 +1,9 @@
-"""Files of packing plans in the conventions of other tools, with the right result of each: the corpus for
-``petmjx.load_plans``. It was written without a look at the reader.
+"""Files of packing plans in the conventions of other tools, each with its right result. Tests read them with
+``petmjx.load_plans``. This collection was written without looking at the code of the reader.
 
     PYTHONPATH=.:tests python -m support.foreign_files FOLDER
 
-writes all of them, each in a folder of its name, and the damaged ones under ``damaged``.
+writes all files, each into a folder of the same name, and the damaged files into ``damaged``.
 """
 
 from __future__ import annotations
@@ -544,7 +544,7 @@ def _without_places() -> list[Case]:
 def _of_boxes(
     *boxes: tuple[tuple[float, ...], tuple[float, ...]], turned: bool = False, deck: tuple[float, float] | None = None
 ) -> Packing:
-    """A packing of (size, corner), mm."""
+    """A packing of boxes that are given as (size, corner), mm."""
     size, corner = (np.array(values, float) for values in zip(*boxes, strict=True))
     names = tuple(f"B{k}" for k in range(1, len(boxes) + 1))
     plan = Packing("P1", size, corner, np.full(len(boxes), 6.0), names, names, np.full(len(boxes), turned))
@@ -552,19 +552,19 @@ def _of_boxes(
 
 
 def _cubes() -> Packing:
-    """Four cubes in a square: on the deck, or two and two above them."""
+    """Four cubes in a square. With one vertical axis, all four are on the deck; with another, two stand on two."""
     cube = (300.0, 300.0, 300.0)
     return _of_boxes(*((cube, (300.0 * x, 300.0 * y, 0.0)) for y in range(2) for x in range(2)), deck=(2000.0, 2000.0))
 
 
 def _far_apart() -> Packing:
-    """Two boxes with so much room that they may have been turned or not."""
+    """Two boxes with so much space between them that they may be turned or not."""
     size = (300.0, 400.0, 200.0)
     return _of_boxes((size, (0.0, 0.0, 0.0)), (size, (700.0, 300.0, 0.0)), turned=True)
 
 
 def _small() -> Packing:
-    """Eight boxes on a part of the deck, which as inches fill a pallet."""
+    """Eight boxes on a part of the deck. If the numbers are read as inches, they fill a pallet."""
     size = (200.0, 150.0, 100.0)
     return _of_boxes(*((size, (200.0 * x, 150.0 * y, 100.0 * z)) for z in range(2) for y in range(2) for x in range(2)))
 

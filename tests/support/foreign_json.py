@@ -1,5 +1,6 @@
-"""Writers of JSON as other tools write it: each takes packings as that tool sees them, and gives documents, the main
-one first. The forms are those of the tools' own output, documents or source; what is in the files is ours."""
+"""Writers of JSON files in the forms of other tools. Each writer takes packings in the units and axes of its tool, and
+returns documents (files), the main one first. The forms are those of the tools' output, documentation or source code;
+the contents are petmjx's own."""
 
 from __future__ import annotations
 
@@ -16,14 +17,14 @@ from support.foreign_plans import MM, View
 
 Box = dict[str, Any]
 PY3DBP = ("WHD", "HWD", "HDW", "DHW", "DWH", "WDH")
-"""Rotation type of py3dbp → the sides along x, y and z."""
+"""Rotation types of py3dbp, in their order: the letters of the sides along x, y and z."""
 LEVEL = [
     np.diag(signs)[list(axes)]
     for axes in itertools.permutations(range(3))
     for signs in itertools.product((1, -1), repeat=3)
 ]
 LEVEL = [matrix for matrix in LEVEL if np.linalg.det(matrix) > 0]
-"""The 24 rotations that leave a box level."""
+"""The 24 rotations after which a box is level."""
 
 
 def number(value: float) -> int | float:
@@ -40,7 +41,7 @@ def keyed(names: str, values: Sequence[float] | np.ndarray) -> dict[str, int | f
 
 
 def before_turn(view: View, k: int) -> np.ndarray:
-    """The sides of a box before it was turned about the vertical."""
+    """The sizes of a box before it was turned about the vertical."""
     size, flat = view.size[k].copy(), [axis for axis in range(3) if axis != view.vertical]
     if view.plan.turned[k]:
         size[flat] = size[flat[::-1]]
@@ -48,17 +49,18 @@ def before_turn(view: View, k: int) -> np.ndarray:
 
 
 def six_ways(view: View, k: int) -> tuple[list[int | float], int]:
-    """Width, height and depth of the article, and the rotation type with which they give the extents as placed."""
+    """Width, height and depth of the article, and the rotation type that turns them into the sizes of the placed
+    box."""
     placed = numbers(view.size[k])
     sides = sorted(placed)
-    letters = PY3DBP[zlib.crc32(view.plan.articles[k].encode()) % 6]  # of one article all boxes have the same sides
+    letters = PY3DBP[zlib.crc32(view.plan.articles[k].encode()) % 6]  # all boxes of one article have the same sides
     article = [sides["WHD".index(letter)] for letter in letters]
     rotated = [[article["WHD".index(letter)] for letter in letters] for letters in PY3DBP]
     return article, rotated.index(placed)
 
 
 def local(view: View, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """A level rotation, and the sides of the box in its own frame."""
+    """A rotation after which the box is level, and the sizes of the box in its own frame."""
     turn = LEVEL[(7 * k + 5) % 24]
     return turn, np.abs(turn).T @ view.size[k]
 
@@ -75,14 +77,14 @@ def tree(
     indent: int | None = None,
     lines: bool = False,
 ) -> list[Document]:
-    """JSON of boxes that ``item`` makes and ``wrap`` puts together."""
+    """A JSON file. ``item`` makes the value of each box, and ``wrap`` puts all boxes together."""
     boxes = [[item(view, k) for k in range(len(view))] for view in views]
     flat = [(k, box) for plan in boxes for k, box in enumerate(plan)]
     return [Json(name, wrap(boxes, views), flat, size, place, encoding, indent, lines)]
 
 
 def columns_json(name: str, views: Sequence[View]) -> list[Document]:
-    """A data frame's ``to_dict("list")``: one list for each column."""
+    """A data frame as ``to_dict("list")`` returns it: one list for each column."""
     (view,) = views
     root: dict[str, list[Any]] = {"id": list(view.plan.ids)}
     for names, values in (("x y z", view.place), ("length width height", view.size), ("weight", view.weight[:, None])):
@@ -91,7 +93,7 @@ def columns_json(name: str, views: Sequence[View]) -> list[Document]:
 
 
 class _ColumnBox:
-    """A box whose values stand in lists, one for each column."""
+    """A box whose values are in lists, one list for each column."""
 
     def __init__(self, root: dict[str, list[Any]], row: int) -> None:
         self.root, self.row = root, row
@@ -120,17 +122,18 @@ def json_boxes(
     indent: int | None = None,
     encoding: str = "utf-8",
 ) -> list[Document]:
-    """JSON as many programs write it.
+    """JSON in the forms of many programs.
 
     Args:
-        place, size: keys of three values: "x y z", in a dictionary of their own "position:x y z", or a list "position".
-        far: instead of sizes the far corners.
-        weight, ids, step: their keys; "": not written.
-        root: "": a list; the key of the list; "by id": a dictionary of boxes; "layers": pallets, layers, boxes;
-            "lines": JSON Lines.
-        deck: keys of the deck's extents, as those of sizes; "": not written.
-        unit: numbers are texts with units.
-        extra: more of the root.
+        place, size: keys of the three values: "x y z"; in a dictionary of their own, "position:x y z"; or as a list,
+            "position".
+        far: whether the far corners are written instead of sizes.
+        weight, ids, step: keys of these values. Empty if they are not written.
+        root: where the boxes are. An empty text: the file is a list of boxes. A key: the list with this key. "by id": a
+            dictionary of boxes; "layers": pallets, layers, boxes; "lines": JSON Lines.
+        deck: keys of the sizes of the deck, in the same form as those of boxes. Empty if they are not written.
+        unit: unit that follows each number, which is then a text. Empty if numbers are written as numbers.
+        extra: further entries of the root.
     """
 
     def shown(value: float) -> Any:
@@ -208,7 +211,8 @@ def bed_bpp(name: str, views: Sequence[View], *, length: str, mass: str, encodin
 
 
 def py3dbp_json(name: str, views: Sequence[View], *, strings: bool = False) -> list[Document]:
-    """The attributes of py3dbp's bins and items. ``strings``: decimals as ``json.dumps(default=str)`` leaves them."""
+    """The attributes of py3dbp's bins and items. ``strings``: whether decimals are texts, as
+    ``json.dumps(default=str)`` writes them."""
 
     def item(view: View, k: int) -> Box:
         sides, turn = six_ways(view, k)
@@ -237,8 +241,9 @@ def py3dbp_json(name: str, views: Sequence[View], *, strings: bool = False) -> l
 
 
 def web_api(name: str, views: Sequence[View], *, turned: bool) -> list[Document]:
-    """The answer of a fork's server: whole numbers. ``turned``: WHD as placed and the centre, as its code writes; else
-    WHD before the rotation and the corner, as its document shows."""
+    """The answer of a server that a fork of py3dbp has, in whole numbers. ``turned``: if True, WHD are the sizes as
+    placed, and positions are centres, as its code writes; if False, WHD are the sizes before the rotation, and
+    positions are corners, as its documentation shows."""
     whole = all((view.size % 2 == 0).all() for view in views)
     assert whole or not turned, "the server halves whole numbers"
 
@@ -279,7 +284,7 @@ def web_api(name: str, views: Sequence[View], *, turned: bool) -> list[Document]
 
 
 def java_containers(name: str, views: Sequence[View]) -> list[Document]:
-    """Containers of a Java container packer: a stack of placements each."""
+    """Containers of a Java program that packs containers. Each has a stack of placements."""
 
     def item(view: View, k: int) -> Box:
         goods = {
@@ -309,7 +314,8 @@ def java_containers(name: str, views: Sequence[View]) -> list[Document]:
 
 
 def packvium(name: str, views: Sequence[View], *, unit: str) -> list[Document]:
-    """A result of packvium: lengths as ticks of 1/16000 mm, and as text with a unit. It has no weights of items."""
+    """A result of packvium, with lengths as ticks of 1/16000 mm, and as texts with a unit. It has no weights of
+    items."""
 
     def length(value: float) -> Box:
         return {"ticks": round(float(value) * MM[unit] * 16000), "value": f"{number(value)}", "unit": unit}
@@ -346,8 +352,8 @@ def packvium(name: str, views: Sequence[View], *, unit: str) -> list[Document]:
 
 
 def benchmark(name: str, views: Sequence[View], *, sizes: bool = True, articles: bool = True) -> list[Document]:
-    """The newer benchmark: centres in metres, x along the width. Without ``sizes``: a submission, and a table of
-    articles (with sizes before the turn) beside it."""
+    """The newer benchmark: centres in metres, with x along the width. ``sizes``: if False, the file is a submission
+    without sizes, and a table of articles (with sizes before the turn) is beside it."""
     (view,) = views
 
     def item(view: View, k: int) -> Box:
@@ -378,8 +384,8 @@ def benchmark(name: str, views: Sequence[View], *, sizes: bool = True, articles:
 
 
 def poses(name: str, views: Sequence[View], *, way: str, tilt: bool = False) -> list[Document]:
-    """Poses of boxes' middles, in metres, of boxes turned in any of the 24 level ways. ``way``: "matrix", "wxyz",
-    "xyzw" or "words"; ``tilt``: one of them leans."""
+    """Poses of the boxes' centres, in metres. The boxes are turned by any of the 24 rotations after which they are
+    level. ``way``: how rotations are written, "matrix", "wxyz", "xyzw" or "words"; ``tilt``: whether one box leans."""
 
     def item(view: View, k: int) -> Box:
         turn, size = local(view, k)

@@ -1,4 +1,4 @@
-"""Packing plans for files of other tools: packed by petmjx's own packers, and seen in another tool's units and axes."""
+"""Packing plans for files of other tools: packed by petmjx's packers, and converted to a tool's units and axes."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from petmjx.plans.order_generator import draw_order, stream
 SEED = 59
 DECK_MM = (1200.0, 800.0)
 CUBE_MM = (1000.0, 1000.0)
-"""The base of the cubic bins of RL repositories: 10 units of 100 mm, or 100 units of 1 cm."""
+"""Length and width of the cubic bins in repositories of reinforcement learning, mm: 10 units of 100 mm, or 100 of 1
+cm."""
 HEIGHT_MM = 2000.0
 CONTACT_MM = 0.06
-"""Numbers of files are rounded, at most to a thousandth of an inch (0.025 mm): faces that touch are apart by less."""
+"""Largest distance between faces that touch, mm. Numbers in files are rounded, at most to a thousandth of an inch
+(0.025 mm)."""
 MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "dm": 100.0}
 KG = {"kg": 1.0, "g": 0.001, "lb": 0.45359237}
 DECIMALS = {"mm": 1, "cm": 2, "m": 4, "in": 3, "dm": 0}
@@ -30,22 +32,22 @@ ANCHORS = {
     "far-corner": (1, 1, 1),
 }
 ORIGINS = {"corner": (0.0, 0.0), "middle": (0.5, 0.5), "far": (1.0, 1.0), "right": (1.0, 0.0)}
-"""Name of a point of the deck → its place, as shares of the deck's length and width."""
+"""Name of a point of the deck → place of this point, as shares of the deck's length and width."""
 
 
 @dataclass(frozen=True, eq=False)
 class Packing:
-    """The right result: boxes in packing order, in the frame of the deck. Lengths in mm, masses in kg.
+    """The right result: boxes in packing order, in the coordinates of the deck. Lengths in mm, masses in kg.
 
     Attributes:
-        name: the pallet's name.
-        size: (n, 3) extents as placed.
-        corner: (n, 3) front-left-bottom corners; z = 0 is the top of the deck.
-        weight: (n,) masses; None: the file does not have them.
-        ids: n names of boxes; empty: the file does not have them.
-        articles: n names of articles.
-        turned: (n,) whether an article's length lies along y.
-        deck: extents of the deck along x and y.
+        name: name of the pallet.
+        size: (n, 3) sizes of the boxes as placed.
+        corner: (n, 3) front-left-bottom corners of the boxes. z = 0 is the top of the deck.
+        weight: (n,) masses of the boxes. None if the file does not have them.
+        ids: names of the n boxes. Empty if the file does not have them.
+        articles: names of the articles of the n boxes.
+        turned: (n,) whether the length of each box's article lies along y.
+        deck: sizes of the deck along x and y.
     """
 
     name: str
@@ -62,7 +64,7 @@ class Packing:
         return len(self.size)
 
     def take(self, boxes: Sequence[int] | np.ndarray) -> Packing:
-        """These boxes, in this order."""
+        """The packing with only these boxes, in this order."""
         rows = np.asarray(boxes, int)
         return replace(
             self,
@@ -75,7 +77,7 @@ class Packing:
         )
 
     def without(self, *fields: str) -> Packing:
-        """As it is known from a file that does not have these fields: weight or ids."""
+        """The packing as read from a file that does not have these fields: "weight" or "ids"."""
         blank: dict[str, Any] = {"weight": None, "ids": ()}
         return replace(self, **{name: blank[name] for name in fields})
 
@@ -90,11 +92,11 @@ def packing(
     packer: str = "baseline",
     prefix: str = "B",
 ) -> Packing:
-    """The first ``most`` boxes of the generator's order ``number``, packed by a packer of petmjx.
+    """The first ``most`` boxes of the generated order ``number``, packed by a packer of petmjx.
 
     Args:
         grid_mm: sizes are multiples of this, for tools that count in whole units.
-        prefix: of the names of boxes.
+        prefix: beginning of the names of boxes.
     """
     rounded = [
         replace(item, **{side: max(grid_mm, round(getattr(item, side) / grid_mm) * grid_mm) for side in SIDES})
@@ -124,16 +126,17 @@ SIDES = ("length_mm", "width_mm", "height_mm")
 
 @dataclass(frozen=True)
 class View:
-    """A packing in a tool's units and axes.
+    """A packing in the units and axes of a tool.
 
     Attributes:
         plan: the packing.
-        size, place: (n, 3) extents as placed, and the point that the tool calls a box's position.
-        weight: (n,) in the tool's unit.
-        deck: (3,) extents of the deck or bin along the tool's axes; the vertical one is its greatest height.
-        decimals: of lengths.
+        size: (n, 3) sizes of the boxes as placed.
+        place: (n, 3) the points that the tool calls the positions of the boxes.
+        weight: (n,) weights of the boxes in the tool's unit.
+        deck: (3,) sizes of the deck or bin along the tool's axes. The vertical one is its largest height.
+        decimals: number of decimals of lengths.
         vertical: index of the axis that points up.
-        step: (n,) place in packing order, from 1; None: rows are in packing order.
+        step: (n,) position of each box in packing order, from 1. If None, rows are in packing order.
     """
 
     plan: Packing
@@ -151,14 +154,14 @@ class View:
 
 @dataclass(frozen=True)
 class Convention:
-    """How a tool says where boxes are.
+    """The convention of a tool for places and sizes of boxes.
 
     Attributes:
-        length, mass: names of units.
+        length, mass: names of the units.
         anchor: the point of a box to which its position refers.
-        up: "z", or "y": then the second and third number of sizes and positions are exchanged.
+        up: the vertical axis, "z" or "y". With "y", the second and third numbers of sizes and positions are exchanged.
         origin: the point of the deck to which positions refer.
-        short_first: x runs along the deck's short side: the deck is turned about the vertical.
+        short_first: whether x runs along the short side of the deck. The deck is then turned about the vertical.
     """
 
     length: str = "mm"

@@ -1,5 +1,5 @@
-"""Writers of tables, texts, arrays and scenes as other tools write them. As in ``support.foreign_json``, each takes
-packings as that tool sees them, and gives documents, the main one first."""
+"""Writers of tables, texts, arrays and scenes in the forms of other tools. As in ``support.foreign_json``, each writer
+takes packings in the units and axes of its tool, and returns documents (files), the main one first."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from support.foreign_documents import Arrays, Csv, Document, Table, Text
 from support.foreign_json import before_turn, keyed, local, number, numbers, six_ways
 from support.foreign_plans import View
 
-# arrays
+# Arrays.
 
 
 def array(
     name: str, views: Sequence[View], *, columns: str, whole: bool = False, names: Sequence[str] = ()
 ) -> list[Document]:
-    """An array of one plan, or an .npz file of several. ``columns`` are words for groups of columns: size, place, high
-    (the far corner), article (sides before the turn), weight, turn, one, zero; "pad": rows of zeros at the end."""
+    """An array of one plan, or an .npz file of several plans. ``columns``: words for groups of columns: size, place,
+    high (the far corner), article (sizes before the turn), weight, turn, one, zero. "pad" adds rows of zeros at the
+    end."""
     arrays: dict[str, np.ndarray] = {}
     for view in views:
         article = np.array([before_turn(view, k) for k in range(len(view))])
@@ -49,7 +50,7 @@ def array(
 
 
 def named_arrays(name: str, views: Sequence[View], *, with_poses: bool = False) -> list[Document]:
-    """An .npz file with an array for each field."""
+    """An .npz file with one array for each field."""
     (view,) = views
     arrays = {"sizes": view.size, "positions": view.place, "weights": view.weight}
     place = ("positions", 1)
@@ -64,24 +65,25 @@ def named_arrays(name: str, views: Sequence[View], *, with_poses: bool = False) 
 
 
 def poses_alone(name: str, views: Sequence[View]) -> list[Document]:
-    """An array of (n, 4, 4) poses, and no sizes."""
+    """An array of (n, 4, 4) poses, without sizes."""
     (document,) = named_arrays(name, views, with_poses=True)
     return [Arrays(name, {"": document.arrays["poses"]}, document.boxes, ("", 0), ("", 3))]
 
 
 def pickled(name: str, views: Sequence[View]) -> list[Document]:
-    """Episodes of different lengths, as RL repositories save them: an array of Python objects, which is a pickle."""
+    """Episodes of different lengths, as repositories of reinforcement learning save them: an array of Python objects,
+    which is saved as a pickle."""
     episodes = np.empty(len(views), object)
     for k, view in enumerate(views):
         episodes[k] = np.hstack([view.size, view.place, np.zeros((len(view), 1))])
     return [Arrays(name, {"": episodes}, [], ("", 0), ("", 0))]
 
 
-# texts
+# Texts.
 
 
 def py3dbp_text(name: str, views: Sequence[View]) -> list[Document]:
-    """What the README's example prints of bins and items, with those that did not fit."""
+    """The bins and items that the example in py3dbp's README prints, including items that did not fit."""
     lines: list[str] = []
     boxes = []
     for view in views:
@@ -108,7 +110,7 @@ def py3dbp_text(name: str, views: Sequence[View]) -> list[Document]:
 
 
 def py3dbp_csv(name: str, views: Sequence[View], *, decimal_names: bool = False) -> list[Document]:
-    """Rows of items; with ``decimal_names`` numbers as Python shows decimals."""
+    """Rows of items. ``decimal_names``: whether numbers are written as Python shows decimals."""
     (view,) = views
     rows: list[list[Any]] = [["name", "width", "height", "depth", "weight", "x", "y", "z", "rotation_type"]]
     for k in range(len(view)):
@@ -121,14 +123,14 @@ def py3dbp_csv(name: str, views: Sequence[View], *, decimal_names: bool = False)
 
 
 def plain_numbers(name: str, views: Sequence[View]) -> list[Document]:
-    """What ``np.savetxt`` writes: numbers without headers, sizes and corners."""
+    """The text that ``np.savetxt`` writes: sizes and corners as numbers, without headers."""
     (view,) = views
     lines = [" ".join(f"{value:.18e}" for value in row) for row in np.hstack([view.size, view.place])]
     return [Text(name, lines, range(len(view)), (r"^(\S+)", "1"), (r"^(?:\S+ ){4}(\S+)", "5"))]
 
 
 def d_wave(name: str, views: Sequence[View]) -> list[Document]:
-    """The table of D-Wave's example. Bins stand in a row along x, each a length further."""
+    """The table of D-Wave's example. Bins stand in a row along x, one deck length apart."""
     lines = [f"# Number of bins used: {len(views)}", f"# Number of cases packed: {sum(map(len, views))}"]
     lines += [
         "# Objective value: 104.457",
@@ -160,15 +162,15 @@ def mjcf(
     default: bool = False,
     cylinder: bool = False,
 ) -> list[Document]:
-    """A scene of free boxes.
+    """An MJCF scene of free boxes.
 
     Args:
-        density: instead of masses.
-        base: a body's frame is in the middle of its box's base, the geom above it.
-        pallet_m: height of a static pallet, on which the boxes stand.
-        turn: "quat" or "euler": boxes that were turned have their own sides, and a turn by 90°.
-        default: mass and type stand in a default class, with half the words in the bodies.
-        cylinder: one body is no box.
+        density: whether densities are written instead of masses.
+        base: whether the frame of a body is at the centre of its box's base, with the geom above it.
+        pallet_m: height of a static pallet on which the boxes stand, m.
+        turn: "quat" or "euler": turned boxes have the sizes before the turn, and a rotation by 90°.
+        default: whether mass and type are in a default class, and are partly repeated in the bodies.
+        cylinder: whether one body is no box.
     """
     (view,) = views
     middle = view.deck[:2] / 2
@@ -206,7 +208,8 @@ def _words(values: Sequence[float] | np.ndarray) -> str:
 
 
 def thpack(name: str, views: Sequence[View]) -> list[Document]:
-    """An order in the form of Bischoff and Ratcliff's sets: a container, types of boxes, quantities; no places."""
+    """An order in the form of Bischoff and Ratcliff's data sets: a container, types of boxes, and quantities, without
+    places."""
     (view,) = views
     types: dict[tuple[int, ...], int] = {}
     for size in view.size:
@@ -218,7 +221,7 @@ def thpack(name: str, views: Sequence[View]) -> list[Document]:
     return [Text(name, lines, [], ("", ""), ("", ""))]
 
 
-# tables
+# Tables.
 
 HEADERS = {
     "en": "Pallet Step Box Article Length Width Height Weight X Y Z",
@@ -254,19 +257,20 @@ def table(
     text_numbers: bool = False,
     headers: bool = True,
 ) -> list[Document]:
-    """A table with a row for each box.
+    """A table with one row for each box.
 
     Args:
-        words: names of columns, of ``HEADERS``.
-        fields: the columns, in this order.
-        units: of lengths and of masses, in the headers; "": not named.
-        style: of a unit behind a header.
+        words: key of ``HEADERS``, which has the names of the columns.
+        fields: names of the columns' fields, in the order of the columns.
+        units: units of lengths and of masses in the headers. Empty if units are not named.
+        style: format of a unit behind a header.
         titles: rows above the header.
-        unit_row: units have a row of their own below the header.
-        turn: header of a column that says whether a box was turned, with its two values; sizes are those before.
-        sheet_each: a sheet for each plan.
-        interleaved: rows of several plans alternate.
-        total: a row of sums at the end.
+        unit_row: whether units are in a row of their own below the header.
+        turn: header of a column that tells whether a box was turned, and its two values. Sizes are then those before
+            the turn.
+        sheet_each: whether each plan has a sheet of its own.
+        interleaved: whether rows of several plans alternate.
+        total: whether a row of sums is at the end.
     """
     named = dict(
         zip(
@@ -330,7 +334,7 @@ def table(
 def types(
     name: str, views: Sequence[View], *, header: Sequence[str], csv: Csv | None = None, lines: int = 0
 ) -> list[Document]:
-    """Rows of articles with quantities (and layers), which have no places."""
+    """Rows of articles with quantities (and layers), without places."""
     (view,) = views
     kinds: dict[str, list[Any]] = {}
     for k, article in enumerate(view.plan.articles):
@@ -341,7 +345,8 @@ def types(
 
 
 def certificate(name: str, views: Sequence[View], *, items: bool = True) -> list[Document]:
-    """A certificate of packingsolver, and its table of items beside it, which has the weights. ID is the item's row."""
+    """A certificate (solution file) of packingsolver, and beside it the table of items, which has the weights. The
+    column ID is the row of the item in this table."""
     kinds: dict[str, list[Any]] = {}
     for view in views:
         for k, article in enumerate(view.plan.articles):

@@ -1,4 +1,5 @@
-"""Histories and stories compared, with one another and with the tables of a run; and an engine without histories."""
+"""Compares histories and stories with one another and with the tables of a run. Also has an engine without
+histories."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ def history_of(outcome: Outcome) -> History:
 
 
 def assert_equal(one: History | Contacts, other: History | Contacts) -> None:
-    """To the last bit."""
+    """Check that two histories are equal to the last bit."""
     for field in fields(one):
         values, others = getattr(one, field.name), getattr(other, field.name)
         if isinstance(values, Contacts):
@@ -33,7 +34,7 @@ def assert_equal(one: History | Contacts, other: History | Contacts) -> None:
 
 
 def assert_tells(story: petmjx.Story, run: petmjx.RunResults) -> None:
-    """A story is what the run's tables say."""
+    """Check that a story has the same values as the tables of the run."""
     worlds, boxes = (
         table[(table["plan_id"] == story.plan.plan_id) & (table["variant"] == story.variant)]
         for table in (run.worlds, run.boxes)
@@ -51,7 +52,7 @@ def assert_tells(story: petmjx.Story, run: petmjx.RunResults) -> None:
 
 
 class Forgetful(MujocoEngine):
-    """An engine that knows nothing of histories."""
+    """An engine that never records histories."""
 
     name = "forgetful"
 

@@ -10,7 +10,7 @@ from petmjx.world.job import Job
 
 
 def feedback_stream(jobs: Iterable[Job]) -> JobStream[Any]:
-    """A stream of these jobs, to which a test puts others that follow from outcomes."""
+    """A stream with these jobs, into which a test puts further jobs that follow from outcomes."""
     stream = JobStream[Any](feedback=True)
     put(stream, *jobs)
     stream.close()
@@ -18,14 +18,14 @@ def feedback_stream(jobs: Iterable[Job]) -> JobStream[Any]:
 
 
 def put(stream: JobStream[Any], *jobs: Job) -> None:
-    """Put jobs that follow from outcomes."""
+    """Put jobs into a stream as jobs that follow from outcomes."""
     for job in jobs:
         stream.put(job, None)
 
 
 class LateStream(JobStream[Any]):
-    """A stream whose source has some jobs at once, and the others when an engine has looked for them ``looks`` times in
-    vain, or waits for them."""
+    """A stream with some jobs at once. The other jobs come when an engine has asked for jobs ``looks`` times without
+    getting any, or waits for jobs."""
 
     def __init__(self, jobs: Sequence[Job], late: Sequence[Job], looks: int = 3) -> None:
         super().__init__(begin_with=len(jobs))

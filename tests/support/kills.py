@@ -1,10 +1,10 @@
-"""Kills runs at random moments (SIGKILL) and resumes them until they are done: nothing may be lost, nothing double.
+"""Kills runs at random moments (SIGKILL) and resumes them until they finish. No world may be lost or occur twice.
 
     python tests/support/kills.py FOLDER score 100 grid 20
 
-Children are forked from a process that has imported everything and started no thread, and worlds end without physics.
-So a run takes a tenth of a second, and kills hit it everywhere: while worlds end, while it reads what is there, writes
-a part or renames a file, or when it has just begun.
+Runs are child processes, forked from a process that has imported all modules and started no thread. Their worlds end
+without physics. So a run takes a tenth of a second, and kills hit it at all moments: while worlds end, while it reads
+its folder, writes a part or renames a file, or when it has just begun.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ PLANS = [make_plan(f"plan-{k:02}", stack(1 + k % 4, overhang_mm=k % 5 * 60.0)) f
 
 
 def run(kind: str, folder: Path, *, resume: bool) -> petmjx.RunResults:
-    """A short run with small parts."""
+    """Make or resume a short run with small parts."""
     engine = MujocoEngine(threads=2)
     if kind == "score":
         return petmjx.score(PLANS[:24], out=folder, resume=resume, engine=engine)
@@ -72,7 +72,7 @@ def run(kind: str, folder: Path, *, resume: bool) -> petmjx.RunResults:
 
 
 def tables(results: petmjx.RunResults) -> dict[str, pd.DataFrame]:
-    """All tables, sorted by their keys."""
+    """Name → table, for all tables of a run, sorted by their keys."""
     table_by_name = {}
     for name, keys in KEYS.items():
         frame = getattr(results, name)
@@ -83,7 +83,7 @@ def tables(results: petmjx.RunResults) -> dict[str, pd.DataFrame]:
 
 
 def assert_same(results: petmjx.RunResults, expected: dict[str, pd.DataFrame]) -> None:
-    """All tables are equal to the last bit."""
+    """Check that all tables are equal to the last bit."""
     ours = tables(results)
     assert ours.keys() == expected.keys()
     for name, frame in ours.items():
@@ -93,7 +93,7 @@ def assert_same(results: petmjx.RunResults, expected: dict[str, pd.DataFrame]) -
 
 
 def start(kind: str, folder: Path) -> int:
-    """A run that resumes what is there, in a child; its process id."""
+    """Start a child process whose run resumes the folder. Returns the id of the child process."""
     child = os.fork()
     if child:
         return child
@@ -106,16 +106,16 @@ def start(kind: str, folder: Path) -> int:
 
 
 def leftovers(folder: Path) -> bool:
-    """Whether a kill hit a part that was being written."""
+    """Whether a kill hit a part while it was being written."""
     worlds = {file.name for file in folder.glob("worlds/part-*")}
     boxes = {file.name for file in folder.glob("boxes/part-*")}
     return bool(boxes - worlds) or bool(list(folder.rglob("*.tmp")))
 
 
 def kill(folder: Path, kind: str, kills: int, rng: random.Random) -> None:
-    """Kill runs of a kind this often, and compare what they end with to a run that nobody disturbed."""
+    """Kill ``kills`` runs of one kind, and compare the resumed runs with an undisturbed run."""
     begin = time.monotonic()
-    child = start(kind, folder / f"{kind}-whole")  # in a child, as the others: this process starts no threads
+    child = start(kind, folder / f"{kind}-whole")  # in a child: this process starts no threads
     assert os.waitpid(child, 0)[1] == 0
     whole_s = time.monotonic() - begin
     expected = tables(petmjx.load_run(folder / f"{kind}-whole"))
@@ -146,7 +146,7 @@ def main(folder: Path, kills_by_kind: dict[str, int], seed: int = 0) -> None:
     assert defaults is not None
     defaults["worlds_per_part"] = WORLDS_PER_PART
     WorldRun.run = end_without_physics  # type: ignore[method-assign]
-    os.fsync = lambda descriptor: None  # a kill loses nothing that the kernel has
+    os.fsync = lambda descriptor: None  # a kill loses nothing that the kernel has received
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "grid.toml").write_text(GRID)
     (folder / "search.toml").write_text(SEARCH)

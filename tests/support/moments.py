@@ -1,10 +1,9 @@
-"""Runs of a few worlds, and the moments at which they ask something of the file system: a disk that is full then, or a
-kill.
+"""Disturbs small runs at each moment at which they use the file system, by a full disk or by a kill.
 
     python tests/support/moments.py FOLDER 0 1
 
-kills runs at each of their moments (at those from 3 on, every 20th: FOLDER 3 20), checks what is there, and lets them
-go on. Children are forked from a process that has imported everything and started no thread.
+kills runs at each of these moments (FOLDER 3 20: at moment 3 and every 20th after it), checks the folder, and lets the
+runs continue. Runs are child processes, forked from a process that has imported all modules and started no thread.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ from support.outcomes import make_outcome, make_plan
 KINDS: Final = ("in order", "unordered", "resumed", "other order", "merged")
 
 WRITING: Final = ("fsync", "replace", "mkdir", "pwrite", "ftruncate")
-"""Functions of ``os`` that need room on a disk; beside these, opening a new file, and writing a table."""
+"""Functions of ``os`` that need space on a disk. Opening a new file and writing a table also count as moments."""
 
 TAKING_AWAY: Final = ("unlink",)
 
@@ -47,11 +46,12 @@ PLANS: Final = [make_plan(f"p{number}", 2) for number in range(5)]
 
 @dataclass
 class Moments:
-    """Counts the moments, and acts at one.
+    """Counts the moments at which a run uses the file system, and disturbs the run at one of them.
 
     Attributes:
-        act: called at the moment number ``at``, and at all that follow if ``lasts``; None: nothing happens.
-        count: of the moments so far.
+        act: function that is called at the moment number ``at``, and, if ``lasts``, at all later moments. If None,
+            nothing happens.
+        count: number of moments so far.
     """
 
     act: Callable[[], None] | None = None
@@ -61,7 +61,7 @@ class Moments:
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def watch(self, monkeypatch: pytest.MonkeyPatch, *, taking_away: bool = False) -> None:
-        """Let all moments pass here from now on."""
+        """From now on, count all calls of these functions as moments."""
         for name in (*WRITING, *(TAKING_AWAY if taking_away else ())):
             monkeypatch.setattr(os, name, self._after_passing(getattr(os, name)))
         monkeypatch.setattr(run_folder.pq, "write_table", self._after_passing(run_folder.pq.write_table))
@@ -90,13 +90,13 @@ class Moments:
 
 @dataclass
 class Run:
-    """A run of five worlds, in parts of two.
+    """A run of five worlds, in parts of two worlds.
 
     Attributes:
-        kind: of ``KINDS``. ``in order``: worlds end in the order given; ``unordered``: they do not; ``resumed``: some
-            are there already; ``other order``: so they are, with the ranks of another order of plans; ``merged``: from
-            two other runs.
-        folder: where these others are.
+        kind: one of ``KINDS``. ``in order``: worlds end in the order of the plans; ``unordered``: in another order;
+            ``resumed``: some worlds exist already; ``other order``: the same, with ranks of another order of plans;
+            ``merged``: worlds are copied from two other runs.
+        folder: folder of these other runs.
         ended: ids of the plans whose worlds have ended.
     """
 
@@ -105,7 +105,7 @@ class Run:
     ended: list[str] = field(default_factory=list)
 
     def prepare(self, out: Path) -> None:
-        """What is there before the run begins."""
+        """Make the files that exist before the run begins."""
         if self.kind in ("resumed", "other order"):
             if not (self.folder / "half").exists():
                 self._write(
@@ -118,7 +118,7 @@ class Run:
         self.ended.clear()
 
     def write(self, out: Path) -> None:
-        """The run, or the rest of one that is there."""
+        """Make the run, or the missing rest of an existing run."""
         if self.kind == "merged" and not (out / run_folder.RUN_FILE).exists():
             with self._writer(out) as writer:
                 for name in ("one", "two"):
@@ -164,7 +164,7 @@ class Run:
 
 
 def worlds_said(out: Path) -> int:
-    """Worlds that a folder's run.json has; 0 where there is none."""
+    """Number of worlds according to the run.json of a folder. 0 if there is no run.json."""
     try:
         n_worlds: int = json.loads((out / run_folder.RUN_FILE).read_text())["counts"]["worlds"]
         return n_worlds
@@ -173,7 +173,7 @@ def worlds_said(out: Path) -> int:
 
 
 def assert_sound(out: Path, at_least: int, ended: list[str] | None = None) -> None:
-    """What a folder has is whole: each of its worlds once, with its boxes; and it has enough of them."""
+    """Check that a folder has each of its worlds once, with its boxes, and at least ``at_least`` worlds."""
     if not (out / run_folder.RUN_FILE).exists():
         assert at_least == 0
         return
@@ -185,7 +185,7 @@ def assert_sound(out: Path, at_least: int, ended: list[str] | None = None) -> No
 
 
 def assert_complete(out: Path) -> None:
-    """A finished run has all, and nothing that does not count."""
+    """Check that a finished run has all worlds and tables, and no file that is not listed."""
     results = load_run(out)
     assert results.info["status"] == "finished"
     ranks = {row["plan_id"]: row["rank"] for part in results.parts.table("worlds") for row in part.to_pylist()}
@@ -200,9 +200,11 @@ def assert_complete(out: Path) -> None:
 
 
 def fill(run: Run, out: Path, at: int, lasts: bool) -> bool:
-    """Let a run meet a full disk at a moment, check what is there, and let it go on; False: it has no such moment.
+    """Disturb a run by a full disk, check its folder, and let it continue. Returns False if the run has no moment
+    ``at``.
 
-    For a moment: no world is lost. From then on: none that run.json had at that moment.
+    If the disk is full at one moment only, no world is lost. If it stays full (``lasts``), no world is lost that
+    run.json had at that moment.
     """
     run.prepare(out)
     sizes: list[int] = []
@@ -234,7 +236,7 @@ def fill(run: Run, out: Path, at: int, lasts: bool) -> bool:
 
 
 def kill(run: Run, out: Path, at: int) -> bool:
-    """The same of a kill. Both runs are in processes of their own."""
+    """Kill a run at a moment, check its folder, and let it continue. Both runs are processes of their own."""
 
     def killed() -> None:
         run.prepare(out)
@@ -258,7 +260,7 @@ def _go_on(run: Run, out: Path) -> None:
 
 
 def _in_child(act: Callable[[], None]) -> int:
-    """How a call ends in a process of its own: 0, 1 after an error, 9 after a kill."""
+    """Call a function in a process of its own. Returns 0, 1 after an error, or 9 after a kill."""
     child = os.fork()
     if child:
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
@@ -272,7 +274,7 @@ def _in_child(act: Callable[[], None]) -> int:
 
 
 def main(folder: Path, first: int, every: int, most: int = 1000) -> None:
-    """Kill each kind of run at some of its moments, at most so many."""
+    """Kill each kind of run at some of its moments, at most ``most``."""
     for kind in KINDS:
         run = Run(kind, folder / kind)
         run.folder.mkdir(parents=True)

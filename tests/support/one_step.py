@@ -1,4 +1,4 @@
-"""One step of mjx-warp's kernel from a state that C MuJoCo has reached."""
+"""Takes one step in mjx-warp's kernel, from a state that C MuJoCo has reached."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from petmjx.world.scene import Scene
 
 @dataclass(frozen=True)
 class Stepped:
-    """A world after a step. Rows: carrier, boxes; ``force``: on top of each box, N."""
+    """A world after one step. Rows are the carrier and the boxes. ``force``: force on top of each box, N."""
 
     qpos: FloatArray
     qvel: FloatArray
@@ -39,10 +39,10 @@ class Stepped:
 
 
 class OneStep:
-    """Takes single steps of a scene whose boxes all stand.
+    """Takes single steps of a scene in which all boxes are placed.
 
     Args:
-        physics: a preset's name, or what a run has.
+        physics: name of a physics preset, or the physics of a run.
     """
 
     def __init__(self, scene: Scene, physics: str | Physics) -> None:
@@ -58,7 +58,7 @@ class OneStep:
         self.most_contacts = 0
 
     def __call__(self, data: mujoco.MjData) -> Stepped:
-        """The step after that of C's data. Forces are there, since the rest window has begun."""
+        """The step that follows the state in C MuJoCo's data. Forces are computed, since the rest window has begun."""
 
         def rows(values: FloatArray, width: int) -> tuple[jax.Array, jax.Array]:
             table = jnp.asarray(values.reshape(1, -1, width), jnp.float32)
@@ -102,6 +102,6 @@ class OneStep:
         )
 
     def _taken(self) -> NDArray[np.float64]:
-        """Steps and iterations so far, as the progress has them."""
+        """Numbers of steps and of solver iterations so far, as counted in the progress."""
         progress = self.table.run.progress
         return np.array([progress.world_steps, progress.extra.get("kernel iterations", 0)])

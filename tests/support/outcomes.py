@@ -1,4 +1,4 @@
-"""Outcomes made by hand, for tests of what is done with results."""
+"""Outcomes made by hand, for tests of code that handles results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def make_plan(plan_id: str = "00000001", n: int = 3) -> Plan:
 
 
 def make_boxes(n: int = 3, **changes: Any) -> BoxMetrics:
-    """Metrics of box k are k + 1 (shift in mm), at rest, upright; ``changes`` replaces some of them."""
+    """Metrics of n upright boxes at rest. Those of box k are multiples of k + 1 (shift in mm). ``changes``: replaces
+    some of them."""
     k = np.arange(1.0, n + 1)
     metrics = {
         "shift_m": np.stack([k, -2 * k, np.zeros(n)], axis=1) / 1000,
@@ -40,7 +41,7 @@ def make_boxes(n: int = 3, **changes: Any) -> BoxMetrics:
 def make_outcome(
     n: int = 3, verdict: Verdict = Verdict.STABLE, reason: Reason = Reason.NONE, **changes: Any
 ) -> Outcome:
-    """A world; ``changes`` may name fields of its boxes' metrics as well (``make_boxes``)."""
+    """The outcome of a world. ``changes`` may also name fields of its boxes' metrics (``make_boxes``)."""
     of_boxes = {name: changes.pop(name) for name in tuple(changes) if name in BoxMetrics.__dataclass_fields__}
     values: dict[str, Any] = {
         "job": 0,
@@ -62,7 +63,7 @@ def make_outcome(
 
 
 def dropped_outcome() -> Outcome:
-    """Box 1 of three failed first at 0.4 s and dropped at 0.8 s, before box 2 was placed."""
+    """An outcome in which box 1 of three failed first at 0.4 s and dropped at 0.8 s, before box 2 was placed."""
     return make_outcome(
         verdict=Verdict.UNSTABLE,
         reason=Reason.DROP,

@@ -1,4 +1,4 @@
-"""Packings, checked by geometry and statics of their own; and orders to pack."""
+"""Checks packings by geometry and statics, with code of its own. Also draws orders to pack."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ targets = st.sampled_from([*TARGET_EXTENT_MM.values()])
 
 
 def corners(placed: Sequence[PlacedBox]) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 3) low and high corners, mm."""
+    """(n, 3) low corners and (n, 3) high corners of the boxes, mm."""
     low = np.array([box.corner_mm for box in placed]).reshape(-1, 3)
     size = []
     for box in placed:
@@ -45,7 +45,7 @@ def corners(placed: Sequence[PlacedBox]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def contacts(low: np.ndarray, high: np.ndarray, box: int) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """(box below, low, high) of each rectangle that a box rests on."""
+    """(number of the box below, low corner, high corner) of each rectangle on which a box rests."""
     rectangles = []
     for other in range(len(low)):
         start, end = np.maximum(low[box, :2], low[other, :2]), np.minimum(high[box, :2], high[other, :2])
@@ -55,10 +55,11 @@ def contacts(low: np.ndarray, high: np.ndarray, box: int) -> list[tuple[int, np.
 
 
 def least_slack_mm(placed: Sequence[PlacedBox]) -> float:
-    """How much further inside the hull of its contacts than the margin the resultant of the worst box acts, mm.
+    """Smallest distance of a resultant load from the hull of its contacts over all boxes, minus the required margin,
+    mm.
 
-    Loads go down box by box; on several supports the pressure is the plane a + b·x + c·y that carries the load, found
-    by quadrature over a grid of points instead of integrals.
+    Loads are passed down box by box. If a box has several supports, the pressure is the plane a + b·x + c·y that
+    carries its load. The plane is found by numerical quadrature.
     """
     low, high = corners(placed)
     load = np.array([[1.0, *((low[k] + high[k]) / 2)[:2]] for k in range(len(placed))])
@@ -72,7 +73,7 @@ def least_slack_mm(placed: Sequence[PlacedBox]) -> float:
         at = Point(load[box, 1:] / load[box, 0])
         margin = min(1000 * MARGIN_M, MARGIN_SHARE * float((high[box] - low[box])[:2].min()))
         worst = min(worst, hull.exterior.distance(at) * (1 if hull.contains(at) else -1) - margin)
-        # Gauss's rule with two points a side is exact for products of two linear functions
+        # Gauss's rule with two points per side is exact for products of two linear functions
         points = [(np.array([1.0, x, y]), area, other) for other, a, b in below for x, y, area in gauss(a, b)]
         plane = np.linalg.solve(sum(area * np.outer(p, p) for p, area, _ in points), load[box])
         for point, area, other in points:
@@ -93,8 +94,8 @@ def check_sound(
     clearance_mm: float = 0.0,
     least_support: float = LEAST_SUPPORT,
 ) -> None:
-    """On the target, below 2 m, apart by the clearance, placed from above, borne and in balance at every moment, no box
-    twice."""
+    """Check that a packing is on its target, below 2 m, with clearances, placed from above, supported and balanced at
+    every moment, and has no box twice."""
     low, high = corners(placed)
     assert (low >= 0).all()
     assert (high <= np.array([*extent, MAX_HEIGHT_MM]) + EPS).all()
@@ -102,13 +103,13 @@ def check_sound(
     for first in range(len(placed)):
         shared = np.minimum(high[first], high[first + 1 :]) - np.maximum(low[first], low[first + 1 :])
         assert not (shared + free > EPS).all(axis=1).any(), "boxes overlap"
-        # let down from above: nothing that is placed later lies under it
+        # boxes are let down from above, so no box that is placed later lies under this box
         covered = (shared[:, :2] > EPS).all(axis=1) & (low[first, 2] >= high[first + 1 :, 2] - EPS)
         assert not covered.any()
     for box in range(len(placed)):
         if low[box, 2] > 0:
             area = sum(float((b - a).prod()) for _, a, b in contacts(low, high, box))
-            # the share is that of what boxes take up with their free space
+            # the required share is that of the boxes' base areas with their clearances
             sides = (high[box] - low[box])[:2]
             assert area >= (least_support - 1e-9) * sides.prod() - 2 * clearance_mm * sides.sum()
     # at every moment of the packing, not only at its end

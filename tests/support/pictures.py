@@ -1,4 +1,4 @@
-"""Stories for tests of pictures, and whether pictures can be drawn here."""
+"""Stories for tests of pictures, and a check whether pictures can be drawn on this machine."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 @functools.cache
 def needs_pictures() -> pytest.MarkDecorator:
-    """A test with this mark draws."""
+    """The mark of a test that draws pictures. Such a test is skipped if pictures cannot be drawn here."""
     missing = [name for name in ("PIL", "matplotlib", "OpenGL") if importlib.util.find_spec(name) is None]
     reason = f"{', '.join(missing)} not installed (extra: show)" if missing else why_no_pictures()
     return pytest.mark.skipif(bool(reason), reason=reason)
 
 
 def cube_plan(plan_id: str, corners_mm: list[tuple[float, float, float]], articles: list[str]) -> Plan:
-    """Cubes of 200 mm and 2 kg at these corners."""
+    """A plan of cubes of 200 mm and 2 kg at these corners."""
     n = len(corners_mm)
     return Plan(
         plan_id,
@@ -44,8 +44,9 @@ def cube_plan(plan_id: str, corners_mm: list[tuple[float, float, float]], articl
 
 
 def falling_story(plan_id: str = "tower", contacts: bool = True) -> Story:
-    """Three cubes: two side by side, and one on the first of them, placed at 0.5 s, which moves as is easily computed:
-    until 1 s it goes 300 mm to the right and turns by 90° about y. A frame every 0.1 s until 2 s."""
+    """A story of three cubes: two side by side, and a third on the first, placed at 0.5 s. Its motion is easily
+    computed: until 1 s, it moves 300 mm to the right and turns by 90° about y. There is a frame every 0.1 s until 2
+    s."""
     plan = cube_plan(plan_id, [(0, 0, 0), (200, 0, 0), (0, 0, 200)], ["tea", "salt", "tea"])
     scene = build_scene(plan, Simulation(size_reduction_mm=0.0))
     times = np.arange(21) / 10
@@ -93,7 +94,7 @@ def falling_story(plan_id: str = "tower", contacts: bool = True) -> Story:
 
 
 def standing_story(story: Story) -> Story:
-    """The same frames, of which nothing is said to have failed."""
+    """A story with the same frames, whose outcome is stable."""
     from dataclasses import replace
 
     calm = replace(

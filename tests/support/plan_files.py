@@ -1,4 +1,4 @@
-"""Placements as plan files hold them, and orders as order files do."""
+"""Placements as in plan files, and orders as in order files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def placement(
     sequence: int = 1,
     **item: Any,
 ) -> dict[str, Any]:
-    """One box; ``item`` replaces fields of its item."""
+    """One box. ``item``: replaces fields of its item."""
     length, width, height = size
     fields = {
         "article": "donut-00101843",
@@ -30,19 +30,20 @@ def placement(
 
 
 def tower(n: int) -> list[dict[str, Any]]:
-    """Boxes on top of each other."""
+    """Boxes on top of one another."""
     return [placement(corner=(0, 0, 220 * level), sequence=level + 1) for level in range(n)]
 
 
 def order(n: int = 3, **second: Any) -> dict[str, Any]:
-    """An order of n equal items; ``second`` replaces fields of item 2."""
+    """An order of n equal items. ``second``: replaces fields of item 2."""
     items = {str(k): placement(size=(400, 300, 200.5), sequence=k)["item"] for k in range(1, n + 1)}
     items["2"].update(second)
     return {"item_sequence": items, "properties": {"target": "euro-pallet"}}
 
 
 def order_of(plan: Plan, *more: str, without: int = 0) -> dict[str, Any]:
-    """An order of a plan's boxes, without the last ones, and with one box more of each of these articles."""
+    """An order of the boxes of a plan, without the last ``without`` boxes, and with one more box of each article
+    ``more``."""
     kept = slice(plan.n_boxes - without)
     sizes, masses = plan.item_size_mm[kept].tolist(), plan.mass_kg[kept].tolist()
     goods = list(zip(plan.item_ids[kept], plan.articles[kept], sizes, masses, strict=True))
@@ -55,7 +56,7 @@ def order_of(plan: Plan, *more: str, without: int = 0) -> dict[str, Any]:
 
 
 def order_for(plan: list[dict[str, Any]], more: int = 0, target: str = "euro-pallet") -> dict[str, Any]:
-    """An order of the boxes of a plan, and of so many more."""
+    """An order of the boxes of a plan, and of ``more`` further boxes."""
     items = [entry["item"] for entry in plan] + [placement(id="more")["item"]] * more
     sequence = {str(number): {**item, "sequence": number} for number, item in enumerate(items, start=1)}
     return {"item_sequence": sequence, "properties": {"target": target}}

@@ -1,4 +1,4 @@
-"""Plans in memory, and the scenes and worlds made of them. A box is written as ``Box``, the same way in every test."""
+"""Plans in memory, and scenes and worlds made from them. All tests write a box in the form of ``Box``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petmjx.world.scene import Scene, build_scene
 
 Triple = tuple[float, float, float]
 Box = tuple[Triple, Triple, float]
-"""Size in mm, front-left-bottom corner in mm, mass in kg."""
+"""Size in mm, front-left-bottom corner in mm, and mass in kg of a box."""
 
 CARTON_MM = (400.0, 300.0, 200.0)
 
@@ -29,14 +29,15 @@ def stack(
     kg: float | Sequence[float] = 5.0,
     at_mm: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Box, ...]:
-    """Boxes on top of each other, every second moved along x; from an overhang of half their length on they fall."""
+    """Boxes on top of one another, with every second box moved along x. If they overhang by half their length or more,
+    they fall."""
     x, y = at_mm
     masses = [kg] * n if isinstance(kg, int | float) else kg
     return tuple((size_mm, (x + overhang_mm * (k % 2), y, size_mm[2] * k), masses[k]) for k in range(n))
 
 
 def make_plan(plan_id: str = "00000001", boxes: int | Sequence[Box] = 3) -> Plan:
-    """A plan of these boxes; of a number: of that many cartons on top of each other."""
+    """A plan of these boxes. If ``boxes`` is a number, a plan of this number of cartons on top of one another."""
     if isinstance(boxes, int):
         boxes = stack(boxes)
     n = len(boxes)
@@ -53,7 +54,7 @@ def make_plan(plan_id: str = "00000001", boxes: int | Sequence[Box] = 3) -> Plan
 
 
 def heap(n: int = 40) -> tuple[Box, ...]:
-    """Boxes of random sizes in uneven layers, which fall a little, tip and slide."""
+    """Boxes of random sizes in uneven layers. They fall a little, tip and slide."""
     rng = np.random.default_rng(3)
     boxes = []
     for k in range(n):
@@ -67,12 +68,12 @@ def heap(n: int = 40) -> tuple[Box, ...]:
 
 
 def make_scene(boxes: int | Sequence[Box], sim: Simulation | None = None) -> Scene:
-    """The unchanged scene of these boxes."""
+    """The scene of these boxes, without changes."""
     return build_scene(make_plan(boxes=boxes), sim or Simulation())
 
 
 def on_boards(scene: Scene) -> Scene:
-    """The same boxes on two boards with a gap; every other box slippery and heavy on one side."""
+    """The same boxes on two boards with a gap between them. Every second box is slippery, and heavier on one side."""
     carrier, n = scene.carrier, scene.n_boxes
     half, low = carrier.half_size[0] * [0.45, 1.0, 1.0], carrier.low
     high = carrier.high - 2 * half
@@ -93,10 +94,11 @@ def on_boards(scene: Scene) -> Scene:
 
 
 def make_world(plan: Plan, sim: Simulation | None = None) -> World:
-    """The unchanged world of a plan, without a drive."""
+    """The world of a plan, without changes and without a drive (motion of the carrier)."""
     return World(plan, 0, Job(build_scene(plan, sim or Simulation())))
 
 
 def falling() -> Scene:
-    """The second box reaches over the first one's edge by more than half, and takes the third with it."""
+    """Three boxes. More than half of the second box overhangs the first box. So the second box falls, and the third box
+    falls with it."""
     return make_scene(stack(3, -200.0, size_mm=(300, 200, 150)))

@@ -1,4 +1,4 @@
-"""Real plans and what the reference implementation printed for them: facts, kept in tests/oracle."""
+"""Real plans, and the results that the reference implementation printed for them. Both are stored in tests/oracle."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from petmjx.plans.plan import Plan
 from support.plans import make_plan
 
 TILT_DEG = 0.1
-"""The reference rounds to 0.1°, so 0.05° are its own."""
+"""Largest difference of tilts that count as equal, degrees. The reference rounds to 0.1°."""
 FORCE_RELATIVE = 0.01
 FORCE_N = 0.01
-"""The reference rounds to 0.01 N."""
+"""Largest difference of forces that count as equal, N. The reference rounds to 0.01 N."""
 SHIFT_FLOOR_M = 0.001
-"""Both sides call smaller components 0, so a component near 1 mm may be 0 on one side only."""
+"""Both implementations set smaller shift components to 0. So a component near 1 mm may be 0 in only one of them."""
 
 
 @dataclass(frozen=True)
 class ReferenceRun:
-    """What the reference printed for one plan: (n, 3) final shifts in m, (n,) largest tilts and forces on top."""
+    """The results of the reference for one plan: (n, 3) final shifts in m, (n,) largest tilts in degrees, and (n,)
+    largest forces on tops in N."""
 
     steps: int
     stable: bool
@@ -45,7 +46,7 @@ def _figures() -> dict[str, Any]:
 
 @cache
 def real_plans() -> dict[str, Plan]:
-    """By id: the pallet of the paper, built by a robot, and five packed from orders of BED-BPP."""
+    """Plan id → plan: the pallet of the paper, which a robot built, and five pallets packed from orders of BED-BPP."""
     return {
         plan_id: make_plan(plan_id, [(tuple(row[:3]), tuple(row[3:6]), row[6]) for row in rows])
         for plan_id, rows in _figures()["plans"].items()
@@ -53,26 +54,29 @@ def real_plans() -> dict[str, Plan]:
 
 
 def reference_run(plan_id: str, check: Check, forces: bool = False) -> ReferenceRun:
-    """One run; with forces, seven radial profiles shake the carrier after placement."""
+    """The results of one run of the reference. ``forces``: whether seven radial profiles shake the carrier after
+    placement."""
     (run,) = (r for r in _figures()["runs"] if (r["plan"], r["check"], r["forces"]) == (plan_id, check.value, forces))
     boxes = np.array(run["boxes"], float)
     return ReferenceRun(run["steps"], run["stable"], boxes[:, :3], boxes[:, 3], boxes[:, 4])
 
 
 def shift_difference(ours: FloatArray, theirs: FloatArray) -> float:
-    """Largest difference of a component; one that is 0 on one side counts from the 1 mm it may have there."""
+    """Largest difference of a shift component, m. If a component is 0 in only one of the two results, its difference is
+    reduced by 1 mm."""
     one_zero = (ours == 0.0) != (theirs == 0.0)
     difference = np.abs(ours - theirs)
     return float(np.where(one_zero, np.maximum(difference - SHIFT_FLOOR_M, 0.0), difference).max())
 
 
 def assert_matches(outcome: Outcome, run: ReferenceRun, shift_m: float, force_n: float = FORCE_N) -> None:
-    """Verdict, steps, and every box's shift, tilt and force."""
+    """Check the verdict, the number of steps, and the shift, tilt and top force of every box."""
     assert outcome.verdict is not Verdict.INVALID
     assert (outcome.verdict is Verdict.STABLE) == run.stable
     assert outcome.n_steps == run.steps
     assert shift_difference(outcome.boxes.shift_m, run.shift_m) < shift_m
-    # the reference samples at its interval only; here the final pose, in which boxes may still fall, counts too
+    # The reference measures tilts only at samples. Here, the final pose counts, too, in which boxes may still be
+    # falling.
     max_tilt_deg = np.maximum(run.max_tilt_deg, tilt_deg(outcome.boxes.quat))
     assert np.abs(outcome.boxes.max_tilt_deg - max_tilt_deg).max() < TILT_DEG
     np.testing.assert_allclose(outcome.boxes.max_top_force_n, run.max_top_force_n, rtol=FORCE_RELATIVE, atol=force_n)

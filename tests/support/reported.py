@@ -1,4 +1,4 @@
-"""Runs made by hand for reports: no world is simulated, and what became of each one is known."""
+"""Runs made by hand for tests of reports. No world is simulated, so the outcome of each world is known."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ CONFIG = {"command": "score", "simulation": Simulation().model_dump(mode="json")
 
 
 def write_plans(file: Path, ids: Sequence[str], n_boxes: int = 12) -> list[Plan]:
-    """Plans of cartons in layers of six, as a file, and as petmjx reads them. Plan k has k % 3 boxes fewer."""
+    """Plans of cartons in layers of six, written to a file and read by petmjx. Plan k has k % 3 boxes fewer than
+    ``n_boxes``."""
     entries = {plan_id: [_carton(box, k) for box in range(n_boxes - k % 3)] for k, plan_id in enumerate(ids)}
     file.write_text(json.dumps(entries), encoding="utf-8")
     return load_plans(file).plans
@@ -41,13 +42,13 @@ def _carton(box: int, plan: int) -> dict[str, Any]:
 
 
 def standing(plan: Plan, seed: int = 0) -> Outcome:
-    """Every box moved by less than a tenth of a millimetre."""
+    """An outcome in which every box moved by less than a tenth of a millimetre."""
     return _ended(plan, np.random.default_rng(seed), 1e-4, 1e-4)
 
 
 def fallen(plan: Plan, seed: int = 0, *, reason: Reason = Reason.DROP, first: int | None = None) -> Outcome:
-    """Box ``first``, by default the last one, failed first at 3.2 s, and lies on the floor; the others moved a "
-    "little."""
+    """An outcome in which box ``first`` (by default the last box) failed first at 3.2 s and lies on the floor. The
+    other boxes moved a little."""
     box = plan.n_boxes - 1 if first is None else first
     outcome = _ended(plan, np.random.default_rng(seed), 0.01, 0.05)
     outcome.boxes.pos[box] = [1.6, 0.4, -0.1]
@@ -60,7 +61,7 @@ def fallen(plan: Plan, seed: int = 0, *, reason: Reason = Reason.DROP, first: in
 
 
 def invalid(plan: Plan) -> Outcome:
-    """No world came of it: all metrics are missing."""
+    """An invalid outcome, in which all metrics are missing."""
     n = plan.n_boxes
     nothing = {"shift_m": np.full((n, 3), np.nan), "pos": np.full((n, 3), np.nan), "quat": np.full((n, 4), np.nan)}
     names = ("max_tilt_deg", "max_lin_acc", "max_ang_acc", "max_top_force_n", "rest_top_force_n")
@@ -69,7 +70,7 @@ def invalid(plan: Plan) -> Outcome:
 
 
 def _ended(plan: Plan, random: np.random.Generator, move_m: float, turn: float) -> Outcome:
-    """All boxes a little beside their places, turned a little."""
+    """An outcome in which all boxes are a little displaced and turned."""
     n = plan.n_boxes
     moved = random.normal(0, move_m, (n, 3))
     quat = np.column_stack([np.ones(n), random.normal(0, turn, (n, 3))])
@@ -86,7 +87,7 @@ def _ended(plan: Plan, random: np.random.Generator, move_m: float, turn: float) 
 
 
 def write_run(folder: Path, plans: Sequence[Plan], outcomes: Sequence[Outcome], **options: Any) -> Path:
-    """A finished score of these plans; ``options`` go to ``RunWriter``."""
+    """Write the folder of a finished score of these plans. ``options``: arguments of ``RunWriter``."""
     config = options.pop("config", CONFIG)
     manifest = Manifest({"command": "score"}, records_of(plans))
     more: dict[str, Any] = {"manifest": manifest, "expected_worlds": len(plans), "device": "two threads"}
@@ -97,7 +98,8 @@ def write_run(folder: Path, plans: Sequence[Plan], outcomes: Sequence[Outcome], 
 
 
 def scored(folder: Path, n: int = 30, n_boxes: int = 12) -> Path:
-    """A run of n plans "plan-0" … in the folder ``run``. Of ten, 3 and 7 fall (7 by a tilt), and 9 is invalid."""
+    """A run of n plans "plan-0" … in the folder ``run``. Of each ten plans, numbers 3 and 7 fall (7 by a tilt), and
+    number 9 is invalid."""
     plans = write_plans(folder / "plans.json", [f"plan-{k}" for k in range(n)], n_boxes)
     return write_run(folder / "run", plans, [_outcome(plan, k) for k, plan in enumerate(plans)])
 

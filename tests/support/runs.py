@@ -1,4 +1,4 @@
-"""Runs as they are left behind, and as somebody changes them."""
+"""Changes the folders of finished runs, as users might."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from petmjx.results.run_folder import digest_of
 
 
 def edit_info(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
-    """Change what a folder's ``run.json`` says, as people do who mean it: its digest goes."""
+    """Change the ``run.json`` of a folder as users do on purpose: the digest is removed."""
     file = folder / "run.json"
     info = json.loads(file.read_text(encoding="utf-8"))
     info.pop("digest", None)
@@ -20,7 +20,7 @@ def edit_info(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
 
 
 def keep_nothing(folder: Path) -> None:
-    """Let a run be one as before runs kept their plans and their sweeps."""
+    """Make a run look like one of an earlier version, which did not store its plans and its sweep."""
 
     def forget(info: dict[str, Any]) -> None:
         info["parts"].pop("placements", None)
@@ -30,12 +30,12 @@ def keep_nothing(folder: Path) -> None:
 
 
 def leave_unfinished(folder: Path) -> None:
-    """Say of a run that it was interrupted."""
+    """Make a run look interrupted."""
     edit_info(folder, lambda info: info.update(status="interrupted"))
 
 
 def relisted(folder: Path) -> None:
-    """List a run's files as they are now, as somebody does who has changed them on purpose."""
+    """List the files of a run with the digests that they have now, as after a change on purpose."""
 
     def relist(info: dict[str, Any]) -> None:
         for table, files in info["parts"].items():

@@ -1,6 +1,7 @@
-"""The interface of Stable-Baselines3's vector environments, for machines without it: it needs PyTorch.
+"""The interface of Stable-Baselines3's vector environments, for machines without Stable-Baselines3, which needs
+PyTorch.
 
-After the documentation of ``VecEnv``: what ``petmjx.gym.PalletizingVecEnv`` gets from its base class.
+It follows the documentation of ``VecEnv``, and has what ``petmjx.gym.PalletizingVecEnv`` gets from its base class.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import pytest
 
 
 class VecEnv:
-    """Keeps the spaces, and what the next reset uses."""
+    """Stores the spaces, and the seeds and options for the next reset."""
 
     def __init__(self, num_envs: int, observation_space: Any, action_space: Any) -> None:
         self.num_envs, self.observation_space, self.action_space = num_envs, observation_space, action_space
@@ -50,11 +51,11 @@ class VecEnv:
 
 
 class Monitor:
-    """Its name is all that is asked for."""
+    """A class of which only the name is needed."""
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[Any]:
-    """``PalletizingVecEnv`` on this interface, and the class ``Monitor`` in its module."""
+    """The class ``PalletizingVecEnv`` based on this interface, with the class ``Monitor`` in its module."""
     for name, members in (
         ("stable_baselines3", {}),
         ("stable_baselines3.common", {}),
@@ -67,6 +68,6 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[Any]:
     monkeypatch.delitem(sys.modules, "petmjx.gym.sb3_vec_env", raising=False)
     from petmjx.gym import PalletizingVecEnv
 
-    del sys.modules["petmjx.gym.sb3_vec_env"]  # so that nothing else gets it
+    del sys.modules["petmjx.gym.sb3_vec_env"]  # so that no other test gets this module
     made: type[Any] = PalletizingVecEnv
     return made

@@ -1,4 +1,4 @@
-"""Sound files of each kind of input, drawn at random, and how each kind is loaded."""
+"""Random valid files of each kind of input, and how each kind is loaded."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ PLAN = Plan(
 )
 
 
-# What is loaded. A loader returns lines about what it refused.
+# Loaders. Each returns lines about the entries that it refused.
 
 
 def _plans(path: Path) -> list[str]:
@@ -78,7 +78,7 @@ def _psd(path: Path) -> list[str]:
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of input: the file's name, how it is loaded, and sound files."""
+    """One kind of input: the name of the file, the function that loads it, and a function that makes valid files."""
 
     file: str
     load: Callable[[Path], list[str]]
@@ -179,7 +179,7 @@ def _sound_parquet(rng: random.Random) -> bytes:
 
 
 def own_carrier() -> str:
-    """A pallet of five boards."""
+    """A carrier file with a pallet of five boards."""
     decks = (("left", 0, ""), ("middle", 227.5, "friction = 0.3\n"), ("right", 455, ""))
     feet = (("front", 0), ("back", 700))
     boards = [

@@ -1,4 +1,4 @@
-"""A story whose movements are known in closed form: two cartons stand, a third one falls off beside them."""
+"""A story whose movements have a closed form: two cartons stand, and a third carton falls off beside them."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ BOXES: Final[tuple[Box, ...]] = (
 
 
 def falling_story(plan_id: str = "plan-1", articles: tuple[str, ...] = ("tea", "tea", "milk"), **changes: Any) -> Story:
-    """Box 2 stands on the carrier until ``FALLS_FROM_S``, then flies off to the right, turning. ``changes`` are fields
-    of the story."""
+    """Box 2 stands on the carrier until ``FALLS_FROM_S``, then flies off to the right while it turns. ``changes``:
+    fields of the story."""
     plan = replace(make_plan(plan_id, BOXES), articles=articles)
     scene = build_scene(plan, Simulation())
     history = _history(scene)
@@ -44,7 +44,7 @@ def falling_story(plan_id: str = "plan-1", articles: tuple[str, ...] = ("tea", "
 
 
 def standing_story(plan_id: str = "plan-1") -> Story:
-    """The same plan without the fall."""
+    """A story of the same plan without the fall."""
     story = falling_story(plan_id)
     pos = np.where(np.isfinite(story.history.pos), story.scene.target, np.nan)
     quat = np.where(np.isfinite(story.history.quat), [1.0, 0.0, 0.0, 0.0], np.nan)
@@ -57,7 +57,7 @@ def standing_story(plan_id: str = "plan-1") -> Story:
 
 
 def shaken_story() -> Story:
-    """The carrier is accelerated along +x by 0.5 g while box 2 falls."""
+    """A story in which the carrier is accelerated along +x with 0.5 g while box 2 falls."""
     story = falling_story()
     drive = Drive(Excitation("half-a-g", ACCELERATION, np.tile([4.905, 0.0, 0.0], (200, 1))))
     level = np.where(story.history.time_s >= FALLS_FROM_S, 4.905, 0.0)
@@ -66,7 +66,7 @@ def shaken_story() -> Story:
 
 
 def long_story(n: int = 45, n_frames: int = 1200, pairs: int = 160) -> Story:
-    """A large story: n boxes, of which all tumble for the last quarter, with noisy contacts all the time."""
+    """A large story of n boxes. All boxes tumble in the last quarter, and the contacts are noisy all the time."""
     rng = np.random.default_rng(7)
     plan = make_plan("long", [((200, 200, 100), (200 * (k % 5), 0, 100 * (k // 5)), 5.0) for k in range(n)])
     scene = build_scene(plan, Simulation())
@@ -129,7 +129,7 @@ def _history(scene: Scene) -> History:
 
 
 def _contacts(n_placed: Any) -> Contacts:
-    """The weight of box 1 on box 0, at four corners, and of both on the carrier, at one place."""
+    """Contacts with the weight of box 1 on box 0 at four corners, and of both boxes on the carrier at one point."""
     rows: list[tuple[int, tuple[int, int], tuple[float, float, float], float]] = []
     for frame, placed in enumerate(n_placed):
         rows.append((frame, (CARRIER, 0), (0.2, 0.2, 0.0), 58.9 * min(placed, 2)))

@@ -1,4 +1,4 @@
-"""The page of a story in a browser: opened, looked at, asked."""
+"""Opens the page of a story in a browser, and reads pixels and texts of it."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from petmjx.show.pages.story_page import story_page
 from support.browser import Opened, OpenPage
 from support.stories import END_S
 
-# The first view of petmjx/show/pages/static/camera.js
+# The first view, as in petmjx/show/pages/static/camera.js.
 AZIMUTH, ELEVATION, SLOPE, MARGIN = -0.65, 0.4, np.tan(np.radians(16)), 1.06
 
 
 def opened_story(open_page: OpenPage, story: Story, *, at_end: bool = True, **options: Any) -> Opened:
-    """The page of a story, once it is drawn; led to the story's end, unless it is to be seen as it opens."""
+    """Open the page of a story and wait until it is drawn. ``at_end``: whether to move to the end of the story."""
     opened = open_page(story_page(story), **{"width": 900, "height": 560} | options)
     opened.page.wait_for_selector("#view:not([hidden])")
     if at_end:
@@ -28,19 +28,20 @@ def opened_story(open_page: OpenPage, story: Story, *, at_end: bool = True, **op
 
 
 def seen(opened: Opened) -> FloatArray:
-    """The picture, without labels and legends above it, as numbers that can be subtracted."""
+    """The pixels of the picture without labels and legends, as floats."""
     opened.page.evaluate("for (const label of document.querySelectorAll('#view > .label')) label.style.opacity = 0")
     opened.settled()
     return opened.pixels("#canvas").astype(float)
 
 
 def changed(before: FloatArray, after: FloatArray) -> float:
-    """Share of pixels that look different."""
+    """Share of the pixels that look different."""
     return float((np.abs(before - after).max(axis=2) > 24).mean())
 
 
 def on_canvas(opened: Opened, story: Story, point: FloatArray) -> tuple[float, float]:
-    """Where the first view shows a point, in pixels of the window: the camera once more, in closed form."""
+    """Where the first view shows a point, in pixels of the window. The camera is computed independently, in closed
+    form."""
     frame = opened.page.locator("#canvas").bounding_box()
     aspect = frame["width"] / frame["height"]
     back = np.array([np.sin(AZIMUTH) * np.cos(ELEVATION), -np.cos(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION)])
@@ -67,13 +68,13 @@ def text(opened: Opened, selector: str) -> str:
 
 
 def number_of(opened: Opened, name: str) -> str:
-    """A value from the list of the chosen box."""
+    """A value from the list of the selected box. ``name``: name of the value."""
     terms = opened.page.locator("#numbers dt").all_inner_texts()
     return str(opened.page.locator("#numbers dd").all_inner_texts()[terms.index(name)])
 
 
 def drag_time_to(opened: Opened, time_s: float) -> None:
-    """Drag the slider's thumb, which is at the end, with the mouse."""
+    """Drag the slider's thumb with the mouse from the end to this time."""
     box = opened.page.locator("#time").bounding_box()
     y = box["y"] + box["height"] / 2
     opened.page.mouse.move(box["x"] + box["width"] - 8, y)

@@ -1,4 +1,4 @@
-"""Small sweeps, and an engine that remembers what it was asked."""
+"""Small sweeps, and an engine that records its jobs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ early_stop = false
 
 
 def leaning(plan_id: str, n: int = 2, overhang_mm: float = 0.0) -> Plan:
-    """Cartons on top of each other, every second moved along x."""
+    """A plan of cartons on top of one another, with every second carton moved along x."""
     return make_plan(plan_id, stack(n, overhang_mm))
 
 
@@ -32,7 +32,7 @@ def write_sweep(folder: Path, text: str) -> Path:
 
 
 class Recorder(MujocoEngine):
-    """The engine, which remembers what it was asked."""
+    """The engine ``mujoco``, which also records the jobs and options that it gets."""
 
     def __init__(self, threads: int | None = None) -> None:
         super().__init__(threads)

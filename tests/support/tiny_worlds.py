@@ -1,4 +1,4 @@
-"""Tiny worlds for tests of mjx-warp on a CPU, where its kernel is slow, and what tests watch of its engine."""
+"""Tiny worlds for tests of mjx-warp on a CPU, where its kernel is slow, and helpers that observe the engine."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-falls-off", "co
 SHORT = Simulation(interval_s=0.1, rest_window_s=0.04, settle_s=0.3)
 
 LONG_NS = 10**15
-"""A time slice in which all worlds of a test end."""
+"""Length of a time slice in which all worlds of a test end, ns."""
 SOME_NS, STEP_NS = 100_000, 0
-"""One that the host ends, at the soonest after 0.1 ms: on a fast CPU tiny worlds take a few of them. And one in which
-each block takes a step, so that they take hundreds."""
+"""Lengths of time slices, ns. The first ends after 0.1 ms at the earliest: on a fast CPU, tiny worlds take a few such
+slices. In the second, each block takes one step, so tiny worlds take hundreds of slices."""
 
 CHANGING_NS = 1
-"""Programs are kept by the length of their slices. Those of this length belong to tests that set the length as they go
-on, which each of them does from the first slice on."""
+"""A length of time slices that only some tests use: tests that change the length of the engine's slices, from the first
+slice on. Programs are kept for each length, so these tests do not share programs with other tests."""
 
 devices = pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=pytest.mark.gpu)])
 
@@ -65,15 +65,16 @@ def in_one_slice() -> dict[str, Outcome]:
 
 
 def assert_equal_worlds(outcomes: dict[str, Outcome], expected: dict[str, Outcome]) -> None:
-    """To the last bit."""
+    """Check that outcomes and flags are equal to the last bit."""
     for name, outcome in outcomes.items():
         assert_same(outcome, expected[name])
         assert outcome.flags == expected[name].flags
 
 
 def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, int], None]) -> list[Rollout]:
-    """Before programs and buffers are made ``look`` sees each pool: most boxes, most contacts, blocks. It may raise.
-    Returns a list of what is made."""
+    """Call ``look`` for each block pool (largest number of boxes, largest number of contacts, number of blocks) before
+    programs and buffers are made. ``look`` may raise an error. Returns a list of the rollouts (buffers) that are
+    made."""
     made: list[Rollout] = []
 
     def rollout(run: Run, pools: Sequence[BlockPool], slice_ns: int) -> Rollout:
@@ -87,8 +88,8 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
 
 
 def room_for_one_pool(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """A device that holds blocks of one size, however few of them, but not of two. Returns a list of how many sizes
-    were tried."""
+    """Simulate a device with memory for blocks of one size, but not of two sizes, however few blocks there are. Returns
+    a list of the numbers of sizes that were tried."""
     tried: list[int] = []
 
     def rollout(run: Run, pools: Sequence[BlockPool], slice_ns: int) -> Rollout:
@@ -102,7 +103,7 @@ def room_for_one_pool(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
-    """Blocks of two sizes also for tiny worlds, with as many threads each."""
+    """Use blocks of two sizes for tiny worlds, too. Both sizes have the same number of threads."""
     small, large = block_launch.SIZES
     alike = replace(small, most_boxes=most_boxes), replace(small, most_boxes=large.most_boxes)
     monkeypatch.setattr(block_launch, "SIZES", alike)
@@ -115,7 +116,7 @@ def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
 
 
 def watched_queues(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
-    """Worlds that each pool has taken, slice after slice, with those that have ended."""
+    """A list with the numbers of worlds that each pool has taken, slice after slice. Ended worlds are included."""
     queue_counts: list[list[int]] = []
     wait = Rollout.wait
 

@@ -1,4 +1,4 @@
-"""What happened in a world, to the step: read from its frames, of which there is one after each step."""
+"""The events in a world with the number of their steps, read from a history with one frame per step."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def every_step(sim: Simulation) -> Record:
 
 @dataclass(frozen=True)
 class Trace:
-    """Events of a world; numbers are steps, −1: never.
+    """The events in a world. Numbers are numbers of steps, or −1 for events that never happen.
 
     Attributes:
         placed: the step after which each box was placed.
-        quiet: looks that found the pallet quiet, creep left out.
-        driven: the first and the last step that something shook the world.
-        sign: the first sign: step, box, and boxes that were placed then.
-        dropped: of each box.
+        quiet: the looks (checks whether the pallet is quiet) that found it quiet; creeping boxes are not considered.
+        driven: the first and the last step in which the carrier was shaken.
+        sign: the first sign of failure: step, box, and number of placed boxes.
+        dropped: the step at which each box had dropped.
         end: the last step.
     """
 
@@ -43,7 +43,7 @@ class Trace:
     flags: Flag
 
     def near(self, other: Trace, steps: int) -> bool:
-        """Whether the same happened, each event at most so many steps earlier or later. Looks are not compared."""
+        """Whether two traces have the same events, each at most ``steps`` steps apart. Looks are not compared."""
 
         def kinds(trace: Trace) -> tuple[object, ...]:
             never = [step < 0 for step in (*trace.driven, trace.sign[0], *trace.dropped)]
@@ -57,7 +57,8 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A recorded world, and what the rules (docs/rules.md) say of its frames, in plain words of their own."""
+    """A recorded world, and what the rules (docs/rules.md) require for its frames. The rules are written here once
+    more, independently."""
 
     job: Job
     sim: Simulation
@@ -96,13 +97,13 @@ class Seen:
 
     @cached_property
     def looks(self) -> dict[int, int]:
-        """Look → for how many steps boxes had been quiet then."""
+        """Step of each look → number of steps for which boxes had been quiet."""
         radius_m = np.linalg.norm(self.job.scene.half_size, axis=1)
         pose = np.concatenate([self.history.pos, self.history.quat], axis=-1)
         count, quiet_by_look, every = 0, {}, self.sim.quiet.poll_steps
         for frame, step in enumerate(self.steps[1:], start=1):
             if step % every == 0:
-                moved_m = box_motion.moved(pose[frame - 1], pose[frame], radius_m)  # NaN: not placed yet
+                moved_m = box_motion.moved(pose[frame - 1], pose[frame], radius_m)  # NaN if not placed yet
                 fast = (moved_m >= self.sim.quiet.quiet_m_s * self.sim.physics.timestep_s).any()
                 quiet_by_look[step] = count = 0 if fast else count + every
             if step in self.placed:
@@ -111,14 +112,14 @@ class Seen:
 
     @cached_property
     def samples(self) -> list[int]:
-        """Frames at the beginning of steps with a sample."""
+        """Frames at the beginning of the steps in which a sample is taken."""
         every = seconds_to_steps(self.sim.sample_interval_s, self.sim.physics.timestep_s)
         return [frame for frame, step in enumerate(self.steps[:-1]) if (step + 1) % every == 0]
 
     @cached_property
     def poses(self) -> list[tuple[int, int]]:
-        """Steps at which poses are looked at, and their frames: of samples, of looks in the drive, at the end of a
-        fixed schedule, and the last one."""
+        """Pairs (step, frame) at which poses are checked: at samples, at looks in the drive, at the end of a fixed
+        schedule, and at the last step."""
         frame_by_step, acts, first = {}, self.trace.driven[0], self.steps[0]
         if acts > 0 and self.sim.waits_for_rest:
             frame_by_step = {
@@ -126,12 +127,12 @@ class Seen:
             }
         fixed_end = seconds_to_steps((self.outcome.n_boxes + 1) * self.sim.interval_s, self.sim.physics.timestep_s)
         if self.sim.schedule is Schedule.FIXED and acts < 0 and fixed_end in self.steps:
-            frame_by_step[fixed_end] = fixed_end - first  # a world that moves there goes on
+            frame_by_step[fixed_end] = fixed_end - first  # a world that moves at this step continues
         frame_by_step |= {self.steps[frame] + 1: frame for frame in self.samples}
         return [*sorted(frame_by_step.items()), (self.steps[-1], len(self.steps) - 1)]
 
     def excess(self, frame: int) -> FloatArray:
-        """(placed,) of the boxes of a frame."""
+        """(placed,) excess of the boxes in a frame."""
         scene, limits, k = self.job.scene, self.sim.thresholds, int(self.history.n_placed[frame])
         pos, quat = self.history.pos[frame, :k], self.history.quat[frame, :k]
         dropped = box_motion.has_dropped(pos, quat, scene.half_size[:k], limits)
@@ -140,10 +141,10 @@ class Seen:
         return over
 
     def first_sign(self) -> tuple[int, int]:
-        """Step and box of the first sign: (−1, −1) where there is none."""
+        """Step and box of the first sign of failure. (−1, −1) if there is none."""
         begin = self.steps.index(self.trace.driven[0]) - 1 if self.trace.driven[0] > 0 else 0
         if (self.excess(begin) > 1).any():
-            begin = 0  # a sign of the placement is forgotten only where nothing is over a threshold
+            begin = 0  # a sign during the placement is forgotten only if no box is beyond a threshold
         for step, frame in [pose for pose in self.poses if pose[1] >= begin]:
             over = self.excess(frame)
             if (over > 1).any():
@@ -151,18 +152,18 @@ class Seen:
         return -1, -1
 
     def tilt_deg(self) -> FloatArray:
-        """(n,) the largest in all poses that are looked at."""
+        """(n,) largest tilt of each box over all checked poses, degrees."""
         quat = self.history.quat[[frame for _, frame in self.poses]]
         angles = np.array([box_motion.tilt_deg(orientation) for orientation in quat])
         return np.nan_to_num(np.fmax.reduce(angles, axis=0))
 
     def rest_force_n(self) -> FloatArray:
-        """(n,) the mean over the rest window."""
+        """(n,) mean force on top of each box over the rest window, N."""
         window = seconds_to_steps(self.sim.rest_window_s, self.sim.physics.timestep_s)
         mean: FloatArray = self.history.top_force_n[-window:].mean(axis=0)
         return mean
 
     def top_force_n(self) -> FloatArray:
-        """(n,) the largest of all steps after the soft start."""
+        """(n,) largest force on top of each box over all steps after the soft start, N."""
         largest: FloatArray = np.fmax.reduce(self.history.top_force_n[1:], axis=0, initial=0.0)
         return largest

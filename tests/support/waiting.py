@@ -1,4 +1,4 @@
-"""Waits for what other threads and processes do."""
+"""Waits for other threads and processes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 
 
 def wait_for(reached: Callable[[], object], seconds: float = 120.0) -> None:
-    """Wait until something is so; where it is not so in time, the test fails. The time is only that of a failure, so it
-    may be longer than the busiest machine takes."""
+    """Wait until a condition holds. If it does not hold in time, the test fails. Only failing tests wait for the whole
+    time, so it may be longer than the busiest machine needs."""
     until = time.monotonic() + seconds
     while not reached():
         if time.monotonic() > until:

@@ -19,7 +19,8 @@ from support.plans import make_plan as make_plan
 
 LANES = 8
 MOST_BOXES = 4
-"""A step costs as lanes × boxes⁴ on a CPU (MJX multiplies dense matrices of all candidate contacts)."""
+"""On a CPU, the time of a step is proportional to lanes × boxes⁴, since MJX multiplies dense matrices of all possible
+contacts."""
 
 MORE: dict[str, tuple[Box, ...]] = {
     "uneven pile": (
@@ -39,7 +40,7 @@ MORE: dict[str, tuple[Box, ...]] = {
     "falls 60 mm flat": (((400, 300, 200), (0, 0, 0), 6.0), ((300, 200, 150), (50, 50, 260), 3.0)),
     "two wings on a post": (
         ((200, 200, 200), (200, 0, 0), 5.0),
-        ((200, 200, 100), (40, 0, 200), 4.0),  # 20 mm less, and rounding decides whether it drops or leans
+        ((200, 200, 100), (40, 0, 200), 4.0),  # with 20 mm less, rounding decides whether it drops or leans
         ((200, 200, 100), (400, 0, 200), 4.0),
     ),
     "light under heavy": (((300, 300, 100), (0, 0, 0), 0.5), ((300, 300, 250), (0, 0, 100), 20.0)),
@@ -55,7 +56,7 @@ def _placed(entry: dict[str, object]) -> Box:
 
 
 def boxes_by_plan() -> dict[str, tuple[Box, ...]]:
-    """The hand-made samples of few boxes, then those above."""
+    """Plan id → boxes: the hand-made sample plans with few boxes, followed by ``MORE``."""
     small = {p.plan_id: tuple(map(_placed, p.placements)) for p in HANDMADE if len(p.placements) <= MOST_BOXES}
     return small | MORE
 
@@ -67,7 +68,7 @@ def scenes(physics: str = "pallet") -> dict[str, Scene]:
 
 
 def simulate(engine: Engine, some: dict[str, Scene], sim: Simulation) -> dict[str, Outcome]:
-    """Outcomes by name."""
+    """Name → outcome."""
     names = list(some)
     with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does
         return {names[o.job]: o for o in engine.run([Job(scene) for scene in some.values()], sim)}
@@ -75,13 +76,13 @@ def simulate(engine: Engine, some: dict[str, Scene], sim: Simulation) -> dict[st
 
 @functools.cache
 def jax_engine() -> MjxJaxEngine:
-    """The one engine of the session: its programs take half a minute to compile."""
+    """The only engine mjx-jax of the session, since its programs take half a minute to compile."""
     return MjxJaxEngine(LANES)
 
 
 @functools.cache
 def jax_outcomes() -> dict[str, Outcome]:
-    """In several batches."""
+    """The outcomes of mjx-jax, simulated in several batches."""
     return simulate(jax_engine(), scenes(), Simulation())
 
 
@@ -91,6 +92,6 @@ def exact_outcomes() -> dict[str, Outcome]:
 
 
 def run_one(job: Job, sim: Simulation) -> Outcome:
-    """One world on C MuJoCo."""
+    """The outcome of one world on C MuJoCo."""
     (outcome,) = MujocoEngine(1).run([job], sim)
     return outcome

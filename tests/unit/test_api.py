@@ -1,4 +1,4 @@
-"""Scoring from Python."""
+"""Tests of petmjx's functions for Python."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ FALLS = make_plan("falls", stack(2, 260.0))
 """The upper carton hangs over by more than half of its 400 mm."""
 PLANS = [STANDS, FALLS]
 STATIC = {"engine": "mujoco", "check": "static", "duration_s": 0.1}
-"""Options of a short run."""
+"""Options with which a run is short."""
 
 
 class Witness:
-    """A watcher that remembers what it was told."""
+    """A watcher of runs that remembers all calls of its methods."""
 
     def __init__(self) -> None:
         self.starts: list[RunStart] = []
@@ -105,7 +105,8 @@ def test_given_engines_and_physics_are_used(tmp_path: Path) -> None:
 
 
 def test_thresholds_decide() -> None:
-    """A box that floats half a box high: it comes down, and lands flat."""
+    """A box is planned 100 mm, half its height, above another box. It falls and lands flat, so only its shift can
+    exceed a threshold."""
     floats = make_plan("floats", [*stack(1), ((400.0, 300.0, 200.0), (0.0, 0.0, 300.0), 5.0)])
     limits: dict[str, Thresholds] = {"shift": Thresholds(), "": Thresholds(shift_m=0.2)}
     for reason, thresholds in limits.items():

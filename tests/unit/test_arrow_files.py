@@ -1,4 +1,5 @@
-"""Arrow reads all Parquet files by itself, whatever they are called: a stream of Python's may abort the process."""
+"""Parquet files are always opened by Arrow itself, whatever their names are: if Arrow reads from a Python stream, the
+process may abort."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ READERS: dict[str, Callable[[Path], int]] = {
 
 
 def table_of(reader: str) -> pa.Table:
-    """Two boxes of a plan, which are also an order or rows of results; or two articles."""
+    """A table with two articles, or with two boxes of a plan, which can also be read as an order or as results."""
     if reader == "articles":
         return pa.table({"article": ["a", "b"], "strength_n": [1.0, 2.0]})
     return plans_table([make_plan("p", 2)])

@@ -1,4 +1,4 @@
-"""Tables of articles, as plans take them: materials and centres of mass of boxes."""
+"""Tests of tables of articles, from which the boxes of plans get materials and centres of mass."""
 
 from __future__ import annotations
 
@@ -87,7 +87,8 @@ def test_a_centre_of_mass_outside_its_box_costs_the_plan(capsys: pytest.CaptureF
 
 
 def test_plans_say_it_themselves() -> None:
-    """In all forms; what a box has itself comes before what a table says of its article."""
+    """Plans in all file formats can contain the properties of their boxes. These take precedence over those in a table
+    of articles."""
     stated_plan = with_articles(plan(1), read_articles(write(Path("articles.csv"), TABLE)))
     table = write(Path("others.csv"), "article,material,com_length_mm\ncrate,steel,-9\nbread,wood,7\n")
     for name in ("a.json", "a.csv", "a.parquet"):
@@ -127,7 +128,7 @@ def test_a_run_with_articles() -> None:
     write(Path("articles.csv"), TABLE.replace("50,10", "40,10"))
     with pytest.raises(InputError, match="plan p differs"):
         petmjx.score("plans.json", **options, friction_pairs=pairs, out="run", resume=True)
-    kept = petmjx.tell("p", petmjx.load_run("run")).scene  # as the run had it, and not as the table is now
+    kept = petmjx.tell("p", petmjx.load_run("run")).scene  # from the run's copy, not from the changed table of articles
     assert kept.mass_center is not None
     assert kept.mass_center.tolist() == scene.mass_center.tolist()
 
@@ -157,5 +158,5 @@ def test_factors_of_sweeps_count_for_pairs_too() -> None:
     assert varied is not None
     assert varied[bread, crate] == pytest.approx(0.4 * 0.5)
     assert varied[bread, board] == varied[board, bread] == pytest.approx(0.3 * 0.8)
-    water = scene.surface[1]  # of which nothing is said
+    water = scene.surface[1]  # the table of articles does not contain this article
     assert varied[water, bread] == varied[water, board] == -1.0

@@ -1,4 +1,4 @@
-"""Files that users name appear whole or not at all."""
+"""A file that a user names is either written completely, or does not appear at all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The process in which further attempts are made beside a run: its answers, and how it ends."""
+"""Tests of the process in which further attempts (repeated simulations of doubtful worlds) run beside the engine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SIM = Simulation()
 TOWER = make_world(make_plan("tower", stack(3))).job
 
 LONG = make_world(make_plan("long", stack(60, size_mm=(400, 300, 20)))).job
-"""Takes seconds."""
+"""A job that takes seconds."""
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_its_answers_are_those_of_the_engine_and_it_is_kept_for_the_next_run(bes
     following = SubprocessSimulator()
     following.begin(Task(0, "mujoco", TOWER, SIM))
     assert pid_of(following) == first
-    following.close()  # with a task that is unanswered
+    following.close()  # while one task has no answer
     assert not lives(first)
 
 

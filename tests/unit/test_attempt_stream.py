@@ -1,4 +1,4 @@
-"""The retry procedure, on an engine that fails as planned."""
+"""Tests of attempts (repeated simulations of invalid or doubtful worlds), with engines whose results are prescribed."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ from petmjx.world.job import Drive, Excitation, Job
 
 @pytest.mark.parametrize("streams", [False, True])
 def test_worlds_that_follow_from_results_are_simulated_too(streams: bool) -> None:
-    """At once by an engine that takes jobs while it runs, else when those before have ended. Of an invalid world they
-    follow when its last attempt has ended."""
+    """New worlds may follow from results. An engine that takes jobs while it runs simulates them at once. Any other
+    engine simulates them when the earlier jobs have ended. If a world is invalid, new worlds follow from the result of
+    its last attempt."""
 
     class Taking(FailingEngine):
         @takes_stream
@@ -104,7 +105,7 @@ def test_what_looks_at_answers_is_waited_for_until_more_are_at_hand() -> None:
                 yield outcome
 
     class Waiting(CheckPool[Any]):
-        """While they wait, other answers are at hand."""
+        """A pool that has other answers while the caller waits."""
 
         def exchanged(self, came: Any, *_: Any, wait: bool, until: Callable[[], bool]) -> Any:
             assert wait
@@ -221,7 +222,7 @@ def test_second_attempts_change_what_the_c_engine_computes() -> None:
 
 @dataclass
 class AnsweringEngine(Engine):
-    """Answers the k-th run with the k-th of some reasons ("" for stable)."""
+    """An engine whose k-th run ends with the k-th of the given reasons. No reason means a stable world."""
 
     reasons: list[Reason]
     name: str = "answering"
@@ -263,7 +264,8 @@ def test_attempts_are_for_what_went_wrong(reasons: list[Reason], attempts: list[
 
 @pytest.mark.parametrize(("n_boxes", "asked"), [(12, {6, 7}), (13, {6}), (96, {6}), (97, set())])
 def test_stiff_contacts_are_asked_about_what_they_can_answer_in_time(n_boxes: int, asked: set[int]) -> None:
-    """A large world keeps its verdict and says that contacts may be why; one without is always asked again."""
+    """If a world may be unstable only because contacts are soft, it is simulated again with stiffer contacts, unless it
+    is so large that this would take too long. A world without a valid verdict is always simulated again."""
     leaning = make_outcome(n_boxes, Verdict.UNSTABLE, Reason.DROP, flags=Flag.SINKING)
     sunk = make_outcome(n_boxes, Verdict.INVALID, Reason.SINKING, flags=Flag.SINKING)
     assert {attempt.number for attempt in ATTEMPTS[1:] if attempt.is_for(leaning, Simulation())} == asked

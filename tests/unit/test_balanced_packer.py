@@ -1,4 +1,4 @@
-"""The packer ``balanced``: what every packing must keep, checked by geometry and statics of their own."""
+"""Tests of the packer ``balanced``. Independent computations of geometry and statics check the packings."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_every_packing_is_sound(items: list[Item], extent: tuple[int, int]) -> N
 
 @pytest.mark.parametrize("index", [1, 4, 6])
 def test_high_pallets_keep_their_balance_box_by_box(index: int) -> None:
-    """Dense pallets, on which the loads of boxes above decide."""
+    """On dense pallets, whether a box tips depends on the loads of the boxes above it."""
     drawn = draw_order(9, index)
     placed = pack_balanced(drawn.items, TARGET_EXTENT_MM[drawn.target])
     assert min(least_slack_mm(placed[:count]) for count in range(1, len(placed) + 1)) > -EPS
@@ -93,7 +93,7 @@ def packed_with(items: tuple[Item, ...], tastes: int, target: str, monkeypatch: 
     return pack_balanced(items, TARGET_EXTENT_MM[target])
 
 
-# -- the balance itself ------------------------------------------------------------------------------------------------
+# -- the class Balance -------------------------------------------------------------------------------------------------
 
 
 def put(pile: Balance, x: float, y: float, z: float, size: tuple[float, float, float], mass: float) -> bool:
@@ -104,7 +104,7 @@ def put(pile: Balance, x: float, y: float, z: float, size: tuple[float, float, f
 
 
 def test_a_bridge_shares_its_load_by_the_lever_rule() -> None:
-    """A weight of 3 kg a quarter of the way between two narrow supports presses 3:1."""
+    """If a weight of 3 kg is at a quarter of the distance between two narrow supports, the supports carry it 3:1."""
     pile = Balance(5)
     assert put(pile, 0, 0, 0, (100, 300, 200), 1.0)
     assert put(pile, 700, 0, 0, (100, 300, 200), 1.0)
@@ -113,7 +113,7 @@ def test_a_bridge_shares_its_load_by_the_lever_rule() -> None:
     left, right, bridge, weight = pile.loads
     assert weight[0] == pytest.approx(3.0)
     assert bridge[0] == pytest.approx(5.0)
-    # the supports are 100 mm wide, not lines: the plane of pressure bends the lever rule by (100 / 700)² / 3 at most
+    # the supports are 100 mm wide: their forces differ from those of the lever rule by at most (100 / 700)² / 3
     assert left[0] - 1.0 == pytest.approx(1.0 + 3 * 0.75, rel=0.01)
     assert right[0] - 1.0 == pytest.approx(1.0 + 3 * 0.25, rel=0.02)
     assert left[0] + right[0] == pytest.approx(7.0)
@@ -129,12 +129,13 @@ def test_an_overhang_is_judged_by_the_margin() -> None:
 
 
 def test_a_box_that_would_tip_one_below_is_refused() -> None:
-    """Each box alone is well supported; the third one's weight would turn the second over the edge of the first."""
+    """Each box alone is well supported, but the weight of the third box would tip the second box over the edge of the
+    first box."""
     pile = Balance(3)
     assert put(pile, 0, 0, 0, (400, 300, 200), 5.0)
     assert put(pile, 170, 0, 200, (400, 300, 200), 5.0)
     assert not put(pile, 300, 0, 400, (400, 300, 200), 5.0)
-    assert put(pile, 100, 0, 400, (400, 300, 200), 5.0)  # further back it is a counterweight
+    assert put(pile, 100, 0, 400, (400, 300, 200), 5.0)  # at this place, the box is a counterweight
 
 
 def test_nothing_below_is_no_support() -> None:
@@ -144,7 +145,7 @@ def test_nothing_below_is_no_support() -> None:
 @settings(max_examples=40, deadline=None)
 @given(items=orders)
 def test_no_weight_is_lost_on_its_way_down(items: list[Item]) -> None:
-    """Boxes on the carrier pass on all weight, and its moments."""
+    """The loads of the boxes on the carrier add up to the weight of all boxes, and to its moments."""
     placed = pack_balanced(items, EURO)
     pile = Balance(len(placed))
     low, high = corners(placed)

@@ -1,4 +1,4 @@
-"""Packings filled up in machine code are those that Python makes, to the last bit."""
+"""Packings that compiled code fills up are equal, to the last bit, to those that Python fills up."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ EXTENT = TARGET_EXTENT_MM[DRAWN.target]
 
 
 def grown(packing: Packing, boxes: int) -> Packing:
-    """With so many boxes more, not always the best candidates, if there are any."""
+    """The packing with more boxes, as long as there are candidates. Every second box is the second-best or third-best
+    candidate."""
     for number in range(boxes):
         if candidates := packing.next(2 + number % 2):
             packing.put(candidates[-1])
@@ -54,7 +55,7 @@ def test_one_that_becomes_too_high_is_given_up() -> None:
     assert filled is not None
     assert fills(packing, None, filled.top_mm) == filled
     assert fills(packing, None, filled.top_mm - 1) is None
-    assert fills(packing) == filled  # nothing is left of the one before
+    assert fills(packing) == filled  # the result does not depend on the packing that was filled up before
 
 
 def test_python_says_whether_a_box_tips_over_whose_weight_acts_on_an_edge(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,7 +96,7 @@ def test_areas_without_an_exact_sum_are_left_to_python(monkeypatch: pytest.Monke
 
 
 def test_a_search_finds_the_same_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also in steps of several boxes."""
+    """The beam search finds the same packings without compiled code, also if each step places several boxes."""
     items = DRAWN.items[:18]
     for steps in (80, 6):
         monkeypatch.setattr(beam_module, "MOST_STEPS", steps)
@@ -107,7 +108,7 @@ def test_a_search_finds_the_same_without_it(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize("broken", ["module", "compiler"])
 def test_where_warp_does_not_work_python_fills_up(broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is installed, but cannot be imported; or it compiles nothing here."""
+    """Python fills up packings if Warp is installed but cannot be imported, or cannot compile on this machine."""
     if broken == "module":
         monkeypatch.setitem(sys.modules, compiled.__name__, None)
     else:

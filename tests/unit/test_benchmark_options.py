@@ -1,4 +1,5 @@
-"""Benchmarks that run in several processes: bad options are one line, before anything is run; and their memory."""
+"""Tests of benchmarks that run in several processes: a wrong option gives a message of one line before anything runs;
+and the measured memory is that of all processes."""
 
 from __future__ import annotations
 
@@ -54,7 +55,7 @@ def test_memory_of_processes_that_were_started_counts() -> None:
     held = 40 << 20
     child = f"held = b'x' * {held}; print('held', flush=True); input()"
     parent = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {child!r}])"
-    # a fresh process, since the memory of this one changes beside the measurement
+    # in a new process, since the memory of this process may change during the measurement
     with subprocess.Popen([sys.executable, "-c", parent], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         process.stdout.readline()

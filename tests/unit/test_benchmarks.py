@@ -1,4 +1,4 @@
-"""The benchmark suite: what a result's line holds, agreement between runs, cases by name, and the tables."""
+"""Tests of the benchmark suite: the lines of results, the agreement between runs, the cases, and the tables."""
 
 from __future__ import annotations
 
@@ -42,12 +42,13 @@ FIELDS = {
     "counts", "agreement", "stages", "peak_rss_bytes", "peak_device_bytes", "schedule", "physics", "check", "sweep",
     "note", "repetition",
 }  # fmt: skip
-"""What every result has, whichever way it was measured."""
+"""Keys that every result has, however it was measured."""
 
 
 @pytest.fixture(scope="module")
 def plans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tower that stands, a box that overhangs and falls, and a tower of three."""
+    """A file with three plans: two boxes that stand, two boxes of which the upper one overhangs and falls, and a tower
+    of three boxes that stands."""
 
     def placement(x_mm: int, z_mm: int) -> dict[str, Any]:
         item = {"article": "carton", "id": "1", "product_group": "test", "sequence": 1, **SIZE}
@@ -69,7 +70,7 @@ def bench(*arguments: str | Path) -> None:
 
 @pytest.fixture(scope="module")
 def measured(plans: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of a workload with its oracle and of a plain loop, run twice."""
+    """A file with results of a workload that was run twice, with its oracle (C MuJoCo) and with a plain loop."""
     folder = tmp_path_factory.mktemp("bench")
     out = folder / "results.jsonl"
     with pytest.MonkeyPatch.context() as patch:
@@ -95,7 +96,7 @@ def test_a_result_is_one_line_with_all_fields(measured: Path) -> None:
         assert result["commit"] == "0123abc"
         assert (result["plans"], result["boxes"], result["threads"]) == (3, 7, 1)
         assert result["wall_s"] == pytest.approx(result["run_s"] + result["compile_s"])
-        assert result["plans_per_s"] == pytest.approx(3 / result["run_s"], rel=1e-4)  # numbers have 6 digits
+        assert result["plans_per_s"] == pytest.approx(3 / result["run_s"], rel=1e-4)  # numbers are stored with 6 digits
         assert result["versions"]["mujoco"]
         assert result["peak_rss_bytes"] > 1e7
     assert results[1]["counts"] == {"worlds": 3, "stable": 2, "unstable": 1, "invalid": 0, "by_reason": {"drop": 1}}
@@ -104,8 +105,8 @@ def test_a_result_is_one_line_with_all_fields(measured: Path) -> None:
 
 def test_steps_are_those_of_the_schedule(measured: Path) -> None:
     fixed, adaptive, loop, *_ = read_lines([measured])
-    # fixed: (n + 1) intervals of 0.7 s at 2 ms, for 2, 2 and 3 boxes, each cut to whole steps as the reference does
-    # (so one fewer); the box that tips over does not drop, so no world ends early
+    # with the schedule fixed, n boxes take n + 1 intervals of 0.7 s at 2 ms. Times are truncated to whole steps, as in
+    # the reference implementation, so each world has one step less. No box drops, so no world ends early.
     assert loop["world_steps"] == 350 * (3 + 3 + 4) - 3
     assert adaptive["world_steps"] < fixed["world_steps"] == loop["world_steps"]
 
@@ -119,7 +120,7 @@ def test_runs_are_kept_and_compared(measured: Path) -> None:
     assert first["agreement"]["mujoco-fixed"]["stable_here_dropped_there"] == []
     again = second["agreement"]["first run"]
     assert (again["common"], again["same"], again["plans_all_the_same"], again["flips"]) == (3, 3, 3, [])
-    # boxes with something on them, of the two plans that stand; the engine repeats itself bit for bit
+    # the two plans that stand have three boxes with a box on top; the engine's results are the same, bit for bit
     assert again["rest_top_force"] == {"boxes": 3, "median": 0, "p95": 0}
 
 
@@ -180,7 +181,7 @@ def test_sweeps_are_timed_by_placements_and_drives(plans: Path, tmp_path: Path) 
     assert first.keys() >= FIELDS
     assert (first["plans"], first["counts"]["worlds"], first["sweep"]) == (2, 4, "short")
     timings = first["timings"]
-    assert (timings["placements"], timings["drives"]) == (2, 2)  # the plan that tips over is not driven
+    assert (timings["placements"], timings["drives"]) == (2, 2)  # a plan that falls when it is placed is not shaken
     assert first["world_steps"] == timings["placement_steps"] + timings["drive_steps"]
     assert 0 < timings["drive_s"] < first["run_s"]
     assert second["agreement"]["first run"]["same"] == 4
@@ -201,7 +202,7 @@ def test_how_often_plans_stand_is_compared(plans: Path, tmp_path: Path) -> None:
 
 
 class Compiling:
-    """The engine mujoco with lanes instead of threads, which compiles when it is first run."""
+    """The engine ``mujoco`` as if it compiled in its first run, and had lanes instead of threads."""
 
     name = "mjx-jax"
     runs = 0
@@ -222,7 +223,7 @@ def test_what_compiles_is_run_before_it_is_timed(tmp_path: Path) -> None:
     assert engine.runs == 2
     assert (result["compile_s"], result["lanes"], result["threads"]) == (100, 2, None)
     assert result["run_s"] < 100
-    # the soft start and 1 s at 2 ms, two worlds
+    # two worlds with 200 steps of soft start, and 1 s at 2 ms
     assert result["world_steps"] == 2 * (200 + 500)
     assert result["counts"]["stable"] == 2
     assert "2 lanes" in table.tables([result])
@@ -233,7 +234,7 @@ def test_cases_by_name_and_group() -> None:
     assert [case.name for case in chosen] == [*(case.name for case in GROUPS["W"]), "stacks-8"]
     with pytest.raises(InputError, match="unknown case 'nonsense'"):
         chosen_cases(["nonsense"])
-    assert len(CASES) == sum(map(len, GROUPS.values()))  # no name twice
+    assert len(CASES) == sum(map(len, GROUPS.values()))  # no two cases have the same name
     assert GROUPS.keys() <= table.SECTIONS.keys()
     for case in CASES.values():
         assert case.sim.physics.timestep_s > 0
@@ -251,7 +252,7 @@ def test_an_oracle_differs_in_its_schedule_alone() -> None:
 
 @pytest.mark.parametrize("boxes", [3, 70])
 def test_stacks_have_as_many_boxes_as_their_case_and_stand(boxes: int, tmp_path: Path) -> None:
-    """Up to 67 boxes from a sample plan, and bricks beyond."""
+    """Stacks of up to 67 boxes are parts of a sample plan. Larger stacks are made of bricks."""
     assert len(generate_one(STACK_PLAN, 0, loose_share=0.0)[1]) == 67
     case = replace(CASES["stacks-8"], boxes=boxes, count=1)
     [result] = Bench(work=tmp_path, threads=1).run([case], ["mujoco"])
@@ -394,7 +395,7 @@ def test_a_million_worlds_in_small(tmp_path: Path) -> None:
     assert million.written(case.out) == million.load(case)["rows"] == 12
     assert million.report_of(case)["bytes"] == (tmp_path / "report.html").stat().st_size
     assert "boxes" not in million.tables(case.out)
-    assert vars(worker_pool)["Worker"] is Worker  # other runs of this process have workers that simulate
+    assert vars(worker_pool)["Worker"] is Worker  # later runs of this process have ordinary workers again
     boxes = [plan.n_boxes for plan in million.made(5)]
     assert boxes == sorted(boxes)
     assert (min(boxes), max(boxes)) == (million.FEWEST, million.MOST)

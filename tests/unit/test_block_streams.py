@@ -1,4 +1,4 @@
-"""Kernels side by side: what each stream waits for, on a device that is not there."""
+"""Tests of kernels that run side by side: for which kernels each stream waits. The device and its streams are mocks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petmjx.engines.warp.block_launch import HEAD_START_NS, side_by_side
 
 
 class Device:
-    """As Warp's: it can be compared, so it has no hash."""
+    """A mock of a Warp device. Like the original, it can be compared and has no hash."""
 
     is_cuda, alias = True, "cuda:7"
 
@@ -25,7 +25,7 @@ class Device:
 
 
 class Stream:
-    """Keeps in a list what is done, by the names of streams."""
+    """A mock of a Warp stream, which adds every call to a list, with the name of the stream."""
 
     done: list[tuple[Any, ...]]
 

@@ -1,4 +1,5 @@
-"""What boxes bear as they are stacked: walls on walls, over edges and gaps, under sheets; at rest and at the peak."""
+"""Tests of the strength of boxes in a stack. It depends on which walls stand on walls, on edges, gaps and sheets. Loads
+are forces at rest and at the peak."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ KG = 8.0
 
 
 def stacked(*places: tuple[float, float, float] | tuple[float, float, float, tuple[float, float, float]]) -> Plan:
-    """Boxes of one size, or of their own; those of 2 mm are sheets."""
+    """A plan with boxes at the given corners. A place may have a size of its own. Boxes of 2 mm height are sheets."""
     sizes = [place[3] if len(place) > 3 else SIZE for place in places]
     kinds = ["sheet" if size[2] == 2 else "box" for size in sizes]
     return Plan.from_boxes(
@@ -52,14 +53,15 @@ BASE = 1400.0
 
 
 def test_walls_that_walls_stand_on() -> None:
-    """Of a column all, also within the tolerance; of a box that is offset the parts of two; of a turned one none."""
+    """The share of a box's walls on which walls of the box above stand: 1 in a column, also with offsets within the
+    tolerance; parts of two walls if the upper box is offset; 0 if it is offset along both axes."""
     assert met((0, 0, 0), (0, 0, 200)) == [1.0, 1.0]
     assert met((0, 0, 0), (8, -9, 200)) == pytest.approx([(4 * BASE / 4 - 2 * 8 - 2 * 9) / BASE, 1.0])
     assert met((0, 0, 0), (100, 0, 200)) == pytest.approx([2 * 300 / BASE, 1.0])
     assert met((0, 0, 0), (100, 100, 200)) == [0.0, 1.0]
     assert met((0, 0, 0), (50, -50, 200, TURNED)) == [0.0, 1.0]
     assert met((0, 0, 0), (100, 0, 200, (200.0, 150.0, 200.0))) == pytest.approx([200 / BASE, 1.0])
-    # four on one: their outer walls; two that touch there count once
+    # four boxes on one: only their outer walls stand on walls, and two walls that touch count once
     small = (200.0, 150.0, 100.0)
     four = [(x, y, 200.0, small) for x in (0.0, 200.0) for y in (0.0, 150.0)]
     assert met((0, 0, 0), *four)[0] == pytest.approx(1.0)
@@ -67,29 +69,31 @@ def test_walls_that_walls_stand_on() -> None:
 
 
 def test_sheets_are_passed_through() -> None:
-    """However many there are, and whichever box is named first."""
+    """Walls stand on walls also through sheets, however many sheets there are, and in whichever order boxes are
+    given."""
     sheet = (800.0, 600.0, 2.0)
     assert met((0, 0, 0), (0, 0, 200, sheet), (0, 0, 202))[0] == 1.0
     assert met((0, 0, 204), (0, 0, 0), (0, 0, 200, sheet), (0, 0, 202, sheet))[1] == 1.0
     assert met((0, 0, 0), (0, 0, 200, sheet), (100, 0, 202))[0] == pytest.approx(600 / BASE)
-    # a box that the sheet bears beside another one does not stand on that
+    # a sheet extends beyond the lower box; a box on this part of the sheet does not stand on the lower box
     assert met((0, 0, 0), (0, 0, 200, sheet), (400, 0, 202))[0] == 1.0
     assert walls_of(stacked((0, 0, 0, sheet), (0, 0, 2)), None, None, 0.0).on_deck.tolist() == [True, True]
 
 
 def test_walls_over_nothing() -> None:
     assert hanging((0, 0, 0), (0, 0, 200)) == [0.0, 0.0]
-    # 100 mm of two walls, and all of a third
+    # 100 mm of each of two walls, and all of a third wall, hang over
     assert hanging((0, 0, 0), (100, 0, 200))[1] == pytest.approx((2 * 100 + 300) / BASE)
     assert hanging((0, 0, 0), (400, 0, 0), (200, 0, 200))[2] == 0.0
-    # between two boxes that stand apart: 100 mm of two walls
+    # on two boxes with a gap between them: 100 mm of each of two walls hang over
     assert hanging((0, 0, 0), (500, 0, 0), (250, 0, 200))[2] == pytest.approx(2 * 100 / BASE)
     assert hanging((-50, 0, 0), extent=(1200.0, 800.0))[0] == pytest.approx((2 * 50 + 300) / BASE)
-    assert hanging((0, 0, 500)) == [0.0]  # nobody knows on what it comes to stand
+    assert hanging((0, 0, 500)) == [0.0]  # the box floats, so its support is unknown
 
 
 def test_gaps_of_a_deck() -> None:
-    """On the Euro pallet's deck boards of 145 and 100 mm along x: a wall along y crosses gaps, one along x may not."""
+    """The deck boards of the Euro pallet are 145 and 100 mm wide and run along x. So a wall along y crosses gaps, and a
+    wall along x may stand on a single board."""
     deck = pallet(Carrier.EPAL_1)
     assert deck is not None
     boards = deck.deck_mm
@@ -102,7 +106,7 @@ def test_gaps_of_a_deck() -> None:
     assert walls.on_deck.tolist() == [True, False, True]
 
 
-# Strengths of runs.
+# strengths of the boxes of a run
 
 
 def loads_of(plan: Plan, carrier: str = "footprint", **stacking: Any) -> Any:
@@ -128,7 +132,8 @@ def test_strength_is_that_of_the_press_times_the_factors() -> None:
 
 
 def test_nobody_loses_more_than_the_sources_say() -> None:
-    """Half by interlocking, and all by no step of it: a turn further gives no more."""
+    """Interlocking reduces the strength by at most a half. The loss grows gradually with the offset of the upper box,
+    and rotating this box does not increase it."""
     shares = [loads_of(stacked((0, 0, 0), (offset, 0, 200))).boxes["wall_factor"][0] for offset in (0, 20, 100, 180)]
     assert shares == sorted(shares, reverse=True)
     assert shares[0] == 1.0
@@ -144,7 +149,7 @@ def cases(repository: Path) -> Path:
 
 
 def test_the_patterns_of_a_pallet(cases: Path) -> None:
-    """A column stays what it is, on tie sheets as well; one that is interlocked is overloaded."""
+    """A column keeps its strength, also with tie sheets between the boxes. An interlocked stack is overloaded."""
     plans = petmjx.load_plans(cases / "strength_patterns.csv")
     loads = petmjx.loads(petmjx.score(plans, engine="mujoco", threads=2), cases / "strength_articles.csv")
     assert loads.notes == ()
@@ -169,7 +174,8 @@ def test_a_sheet_is_no_box_of_unknown_strength() -> None:
 
 
 def test_forces_of_a_drive_are_set_against_strength(tmp_path: Path) -> None:
-    """A box on two is accelerated: the one behind bears more, by m · a · half of the height over their distance."""
+    """A box on two boxes is accelerated. The rear box then carries more, by m · a · (half of the upper box's height) /
+    (distance of the two boxes)."""
     half = (200.0, 300.0, 200.0)
     plan = stacked((0, 0, 0, half), (200, 0, 0, half), (0, 0, 200))
     sweep = tmp_path / "sweep.toml"
@@ -181,7 +187,7 @@ def test_forces_of_a_drive_are_set_against_strength(tmp_path: Path) -> None:
     assert boxes["rest_top_force_n"][behind] == pytest.approx(weight_n / 2, rel=0.05)
     peak_n = float(boxes["max_top_force_n"][behind])
     assert peak_n == pytest.approx(weight_n * (0.5 + 0.4 * 100 / 200), rel=0.1)
-    # a strength between the two is enough at rest, and not at the peak
+    # a strength between the force at rest and the peak is enough at rest, but not at the peak
     strength_n = 0.6 * weight_n / float(boxes["wall_factor"][behind])
     table = tmp_path / "articles.toml"
     table.write_text(f"[articles.carton]\nstrength_n = {strength_n}\n", encoding="utf-8")
@@ -193,7 +199,8 @@ def test_forces_of_a_drive_are_set_against_strength(tmp_path: Path) -> None:
 
 
 def test_what_film_does_to_forces_at_rest_is_said(tmp_path: Path) -> None:
-    """After a drive, and where there is film; the command prints it."""
+    """A note states that film changes forces at rest, if the run has film and the pallet was shaken. The command prints
+    this note."""
     sweep, out = tmp_path / "sweep.toml", tmp_path / "run"
     sweep.write_text('[axes]\nprofile = "eumos-40509"\nlevel = [0.2]\ndirection = ["+x"]\nwrap_turns = [0, 2]\n')
     results = petmjx.sweep(sweep, [stacked((0, 0, 0))], engine="mujoco", threads=1, carrier="euro-pallet", out=out)
@@ -229,7 +236,8 @@ def test_options_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_moisture_and_time_take_what_their_tables_say() -> None:
-    """At the rows of the tables their numbers, between them lines; of time over its logarithm from a minute on."""
+    """The losses are those in the tables of the sources. Between the rows of a table, losses are interpolated linearly:
+    over humidity, or over the logarithm of time, which begins at one minute."""
     losses = [Stacking(humidity_percent=percent).humidity_loss for percent in (0, 50, 65, 80, 100)]
     assert losses == pytest.approx([0, 0, 0.15, 0.32, 0.85])
     losses = [Stacking(storage_days=days).time_loss for days in (0, 10, np.sqrt(300), 180)]
@@ -242,8 +250,8 @@ def test_moisture_and_time_take_what_their_tables_say() -> None:
 
 
 def test_boxes_are_crushed_surely_possibly_or_not() -> None:
-    """The lower box bears the upper one, across it: with a loss of a half, give or take a fifth, 0.4 to 0.6 of its
-    strength in a press."""
+    """The lower box carries a box that lies across it. So its strength is reduced by a half, with an uncertainty of a
+    fifth: it is 0.4 to 0.6 of its strength in a press."""
     weight_n = KG * STANDARD_GRAVITY
     crushed = []
     for strength_n in (1.5 * weight_n, 1.8 * weight_n, 3.0 * weight_n, np.nan):
@@ -276,7 +284,8 @@ def test_pallets_of_a_chain_arrive_whole_or_not(tmp_path: Path) -> None:
     ways = loads.ways.set_index("remedy")
     assert ways["n_worlds"].to_dict() == {"": 2, "slower": 2}
     peaks = run.boxes.query("box == 0 and variant > 0")["max_top_force_n"]
-    over = peaks.gt(1.02 * weight_n).groupby(run.boxes["variant"].sub(1).mod(2)).sum()  # a column loses nothing
+    # in a column, the strength is not reduced
+    over = peaks.gt(1.02 * weight_n).groupby(run.boxes["variant"].sub(1).mod(2)).sum()
     assert ways["n_whole"].tolist() == [2 - over[0], 2 - over[1]]
     assert ways["n_possibly_whole"].tolist() == ways["n_whole"].tolist()
     loads.write(tmp_path / "loads")

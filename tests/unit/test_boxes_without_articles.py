@@ -1,4 +1,4 @@
-"""Boxes without articles have no holes where their names would be, in texts, tables, legends and scripts of pages."""
+"""If boxes have no article, texts, tables, legends and pages show another name instead of an empty place."""
 
 from __future__ import annotations
 
@@ -77,7 +77,8 @@ def test_the_tables_of_a_run() -> None:
 
 
 def test_names_in_scripts_of_pages(tmp_path: Path) -> None:
-    """The legend of a page says "no article (17)"; a card says "Box 9: 400 × 300 × 200 mm"."""
+    """If boxes have no article, the legend of a page shows "no article (17)", and the card of a box shows
+    "Box 9: 400 × 300 × 200 mm"."""
     if (node := shutil.which("node")) is None:
         pytest.skip("node is not installed")
     (tmp_path / "names.mjs").write_bytes((STATIC / "names.js").read_bytes())

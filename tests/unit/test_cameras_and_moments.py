@@ -1,4 +1,5 @@
-"""Cameras, options, moments, colours and forces of pictures, in closed form: nothing is drawn."""
+"""Tests of the cameras, options, moments, colours and forces of pictures. Results are known in closed form; nothing is
+drawn."""
 
 from __future__ import annotations
 
@@ -33,13 +34,15 @@ def test_all_points_are_in_the_picture_and_touch_its_margins(view: str, size: tu
     low, high = seen.min(axis=0), seen.max(axis=0)
     assert (low >= np.array([margins.left, margins.top]) - 1e-9).all()
     assert (high <= 1 - np.array([margins.right, margins.bottom]) + 1e-9).all()
-    # as near as it can be: in one direction both margins are touched, in the other the rest is shared out evenly
+    # the camera is as near as possible: in one direction, points touch both margins; in the other direction, the free
+    # space is equal on both sides
     free = [(low[0] - margins.left, 1 - margins.right - high[0]), (low[1] - margins.top, 1 - margins.bottom - high[1])]
     assert min(max(pair) for pair in free) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_front_view_in_closed_form() -> None:
-    """From the front a square of 1 m that fills the height is 1 / (2 tan(half the angle)) m away."""
+    """A square of 1 m that fills the height of the picture is 0.5 m / tan(half the angle of view) away from the
+    camera."""
     square = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
     camera = framing(square, View(0, 0), (500, 500), Margins(0, 0, 0, 0))
     away = 0.5 / np.tan(np.radians(FIELD_OF_VIEW_DEG / 2))
@@ -86,7 +89,7 @@ def test_options_of_python_may_be_numbers_and_lists() -> None:
 
 def test_moments_are_the_frames_that_their_names_say() -> None:
     assert [(moment.frame, moment.name) for moment in moments(STORY, None)] == [
-        (5, "before"),  # the third box is placed at 0.5 s
+        (5, "before"),  # frame 5, at 0.5 s, in which the third box is placed
         (7, "first-sign"),
         (20, "end"),
     ]
@@ -112,7 +115,8 @@ def test_at_takes_the_nearest_frame_and_of_equal_times_the_last() -> None:
 
 
 def test_poses_between_two_frames() -> None:
-    """At 0.75 s the box is half way: 150 mm to the right, and turned by 45° within the accuracy of a chord."""
+    """At 0.75 s, half of the box's motion is done: 150 mm to the right, and a rotation by 45°, within the accuracy of
+    linear interpolation."""
     poses = poses_at(STORY.history, 0.75)
     assert poses.pos[2] == pytest.approx([0.25, 0.1, 0.3])
     assert 2 * np.degrees(np.arctan2(poses.quat[2, 2], poses.quat[2, 0])) == pytest.approx(45.0, abs=1e-6)
@@ -163,7 +167,7 @@ def test_forces_between_two_bodies_are_on_the_lower_one() -> None:
 
 
 def test_what_is_framed() -> None:
-    """Planned places and boxes that lie near; not what has rolled away."""
+    """Pictures show the planned places and the boxes that are near, but not boxes that have rolled away."""
     near = framed_points(STORY, [20])
     assert near[:, 0].max() == pytest.approx(0.5), "the fallen box, from 0.3 to 0.5 m"
     far = STORY.history.pos.copy()

@@ -1,4 +1,5 @@
-"""What could be read wrong in silence in other tools' files: it is refused, asked, or named in a note."""
+"""Tests of files of other tools that could be read in several ways. petmjx refuses such a file, asks the user for an
+option, or names its choice in a note."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
 
 NAMES = "name,x [mm],y [mm],z [mm],length [mm],width [mm],height [mm],weight [kg]"
 BOXES = np.array([[0, 0, 0, 400, 300, 200], [400, 0, 0, 300, 300, 200], [200, 0, 200, 350, 300, 150.0]])
-"""x, y, z, and sizes, mm: two boxes on the deck, one across both."""
+"""(x, y, z, length, width, height), mm, of three boxes: two on the deck, and one that lies across both."""
 
 
 def load(tmp_path: Path, name: str, content: str | bytes, **options: object) -> petmjx.PlanSet:
@@ -29,7 +30,7 @@ def load(tmp_path: Path, name: str, content: str | bytes, **options: object) -> 
 
 
 def refusal(plan_set: petmjx.PlanSet) -> str:
-    """The one line about the file, of which nothing was read."""
+    """The message of one line about a file from which no plan was read."""
     assert not plan_set.plans
     (skipped,) = plan_set.skipped
     assert "\n" not in skipped.message
@@ -37,7 +38,7 @@ def refusal(plan_set: petmjx.PlanSet) -> str:
 
 
 def array_bytes(shape: str, dtype: str = "<f8", values: bytes = b"", version: int = 1) -> bytes:
-    """An .npy file whose header has this shape, whatever follows it."""
+    """An .npy file whose header states the given shape, followed by ``values``, which may not fit this shape."""
     header = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
     return (
         b"\x93NUMPY" + bytes([version, 0]) + struct.pack("<H" if version == 1 else "<I", len(header)) + header + values
@@ -94,7 +95,7 @@ def table(rows: list[list[object]], names: str = NAMES) -> str:
 
 
 def named(last: str, values: object) -> list[list[object]]:
-    """Four boxes of the unequal sizes, and a last row."""
+    """A table with four boxes of different sizes, and an additional last row."""
     boxes = [
         ["a", 0, 0, 0, 400, 300, 200, 6.5],
         ["b", 400, 0, 0, 300, 300, 200, 5],
@@ -151,7 +152,7 @@ def test_boxes_that_look_like_sums_or_means_are_boxes(tmp_path: Path) -> None:
 
 
 TOWER = [["b", 0, 0, 200, 400, 300, 200, 5], ["a", 0, 0, 0, 400, 300, 200, 6], ["c", 0, 0, 400, 400, 300, 200, 4]]
-"""The middle, the lowest and the highest box of a pile."""
+"""The rows of three boxes of a pile: the middle, the lowest and the highest box."""
 
 
 @pytest.mark.parametrize(
@@ -167,7 +168,7 @@ def test_a_column_that_counts_is_the_packing_order_where_rows_are_not(tmp_path: 
     again = load(tmp_path, "load.csv", table(rows, f"{NAMES},{name}"), reading=reading)
     assert again.plans[0].corner_mm[:, 2].tolist() == [0, 200, 400]
     beside = [[*TOWER[1], 1], ["d", 400, 0, 0, 400, 300, 200, 5, 0], ["e", 800, 0, 0, 400, 300, 200, 5, 2]]
-    if name in ("Pick", "#"):  # both orders are possible
+    if name in ("Pick", "#"):  # such a column may be the packing order, but the order of rows is also possible
         plan_set = load(tmp_path, "load.csv", table(beside, f"{NAMES},{name}"))
         (reading,) = plan_set.readings.values()
         assert any(note.startswith(f"{name} may be the packing order, too") for note in reading.notes)
@@ -181,7 +182,7 @@ def test_an_order_with_a_box_before_its_support_is_odd(tmp_path: Path) -> None:
 
 
 def grid(nx: int, ny: int, nz: int, size: tuple[float, float, float], weight: float) -> str:
-    """A block of equal boxes without units, as CSV."""
+    """CSV with nx × ny × nz equal boxes in a block. The headings do not state units."""
     a, b, c = size
     rows = [f"{i * a},{j * b},{k * c},{a},{b},{c},{weight}" for k in range(nz) for j in range(ny) for i in range(nx)]
     return "\n".join(["x,y,z,length,width,height,weight", *rows])
@@ -192,7 +193,7 @@ def grid(nx: int, ny: int, nz: int, size: tuple[float, float, float], weight: fl
     [
         ((4, 3, 3, (12, 10, 8), 2), ("inches", "centimetres")),  # 127 or 2,083 kg/m³
         ((2, 2, 4, (16, 12, 10), 1.2), ("centimetres", "inches")),  # 37 kg/m³ in inches, 606 in cm
-        ((1, 1, 4, (100, 80, 60), 40), ("centimetres", "millimetres")),  # a pile of large boxes, or of small ones
+        ((1, 1, 4, (100, 80, 60), 40), ("centimetres", "millimetres")),  # a pile of large boxes, or of small boxes
     ],
 )
 def test_units_that_masses_alone_would_decide_are_asked(
@@ -208,8 +209,8 @@ def test_units_that_masses_alone_would_decide_are_asked(
 @pytest.mark.parametrize(
     ("block", "unit"),
     [
-        ((3, 4, 3, (40, 20, 30), 7), "cm"),  # fills 1200 × 800 mm; 3 m in inches
-        ((2, 2, 3, (50, 35, 30), 7), "cm"),  # larger than pallets in inches
+        ((3, 4, 3, (40, 20, 30), 7), "cm"),  # in cm, the block fills 1200 × 800 mm; in inches, it is 3 m long
+        ((2, 2, 3, (50, 35, 30), 7), "cm"),  # in inches, the block is larger than pallets
         ((2, 2, 2, (390, 290, 300), 7), "mm"),
         ((3, 4, 3, (0.4, 0.2, 0.3), 7), "m"),
     ],
@@ -224,7 +225,7 @@ def test_units_by_what_fits_a_pallet(
 
 def test_lengths_in_inches_leave_pounds_and_kilograms_open(tmp_path: Path) -> None:
     text = grid(3, 4, 3, (16, 10, 12), 7)
-    for options in ({}, {"units": "in"}):  # 48 × 40 inches are a usual pallet
+    for options in ({}, {"units": "in"}):  # a pallet of 48 × 40 inches is usual
         message = refusal(load(tmp_path, "load.csv", text, **options))
         assert "weights in kilograms (boxes with sides of about 316 mm, 222 kg/m³), or weights in pounds" in message
     (plan,) = load(tmp_path, "load.csv", text.replace("weight", "weight [lb]"), units="in").plans
@@ -234,7 +235,7 @@ def test_lengths_in_inches_leave_pounds_and_kilograms_open(tmp_path: Path) -> No
 
 
 def test_converted_lengths_are_inches(tmp_path: Path) -> None:
-    """600 × 400 × 300 mm, written as inches, on no usual deck."""
+    """Boxes of 600 × 400 × 300 mm whose sizes are given in inches. The load has the size of no usual pallet."""
     text = grid(1, 2, 3, (23.622, 15.748, 11.811), 7).replace("weight", "weight [kg]")
     (reading,) = load(tmp_path, "load.csv", text).readings.values()
     assert (reading.units, reading.masses) == ("in", "kg")
@@ -264,7 +265,7 @@ def test_info_names_unused_columns_and_why_the_next_best_lost(tmp_path: Path) ->
 
 
 def two_pallets(first: object, second: object, step: bool) -> list[list[object]]:
-    """The four boxes of ``named`` on two pallets."""
+    """A table with the four boxes of ``named`` on each of two pallets."""
     boxes = named("", "sums")[:-1]
     rows = [[*box, pallet] for pallet in (first, second) for box in boxes]
     return [[*row, number % 4 + 1] for number, row in enumerate(rows)] if step else rows
@@ -321,7 +322,7 @@ def test_a_pallet_below_the_boxes_is_the_deck(tmp_path: Path, name: str, n_boxes
     assert ("row 2 is the pallet, and left out" in reading.notes) == (n_boxes == 4)
 
 
-# Forms of further tools.
+# formats of other tools
 
 PILE = ((0, 0, 0, 600, 400, 300, 12), (600, 0, 0, 600, 400, 300, 12), (0, 400, 0, 600, 400, 300, 12),
         (600, 400, 0, 600, 400, 300, 12), (0, 0, 300, 400, 300, 250, 6.5), (400, 0, 300, 400, 300, 250, 6.5),
@@ -331,7 +332,8 @@ FIELDS = ("x", "y", "z", "length", "width", "height", "weight")
 
 
 def of_scene() -> str:
-    """Unit cubes with scales, metres, centres, y upwards, as three.js and Unity have them. No cube is a container."""
+    """A scene as exported by three.js and Unity: scaled unit cubes, given by their centres in metres, with y upwards.
+    It has no cube for the container."""
     cubes = {}
     for number, (x, y, z, length, width, height, kg) in enumerate(PILE):
         middle = {"x": (x + length / 2) / 1e3, "y": (z + height / 2) / 1e3, "z": (y + width / 2) / 1e3}
@@ -341,7 +343,8 @@ def of_scene() -> str:
 
 
 def by_columns(hole: str = "") -> str:
-    """pandas' ``to_json()``: a value for each row by its label. ``hole``: a row without a z."""
+    """JSON as written by ``to_json()`` of pandas: for each column, a value for each label of a row. The row ``hole``
+    has no z."""
     columns = {name: {str(row): box[k] for row, box in enumerate(PILE)} for k, name in enumerate(FIELDS)}
     columns["z"].pop(hole, None)
     return json.dumps(columns)
@@ -373,7 +376,7 @@ def centre_and_bottom() -> str:
     ],
 )
 def test_forms_of_further_tools(name: str, text: str, tmp_path: Path) -> None:
-    up = {"up": "y"} if name == "scene.json" else {}  # 8 boxes of a scene stand either way
+    up = {"up": "y"} if name == "scene.json" else {}  # the boxes of the scene would also stand with z upwards
     (plan,) = load(tmp_path, name, text, **up)
     wanted = np.array(PILE, float)
     np.testing.assert_allclose(plan.corner_mm, wanted[:, :3], atol=0.05)
@@ -390,7 +393,7 @@ PALLETS = "Pallet,Box,X,Y,Z,Length,Width,Height,Weight\n"
 
 
 def stacked(*rows: str) -> str:
-    """A table of boxes of 400 × 300 × 200 mm; rows are "pallet,name,z"."""
+    """A CSV table of boxes of 400 × 300 × 200 mm. Each box is given as "pallet,name,z"."""
     cells = [row.split(",") for row in rows]
     return PALLETS + "".join(f"{pallet},{name},0,0,{z},400,300,200,6\n" for pallet, name, z in cells)
 
@@ -418,7 +421,7 @@ def test_a_unit_of_one_cell_says_nothing_about_the_others(tmp_path: Path) -> Non
     [
         (PLAIN.replace("200,400,300", "200,40 cm,300"), {"units": "mm"}),
         (PLAIN.replace("Length", "Length [mm]").replace("200,400,300", "200,40 cm,300"), {}),
-        (PLAIN.replace(",0,0,", ",0 mm,0,").replace(",400,300", ",400 mm,300"), {}),  # zero needs no unit
+        (PLAIN.replace(",0,0,", ",0 mm,0,").replace(",400,300", ",400 mm,300"), {}),  # a 0 needs no unit
         ("name,position,dimensions [mm]\na,0 0 0,400x300x200\nb,0 0 200,40x30x20 cm\n", {"up": "z"}),
     ],
 )
@@ -509,9 +512,11 @@ def test_a_plan_without_its_bottom_layer_floats_beside_others(tmp_path: Path) ->
     plan_set = load(tmp_path, "a.csv", content)
     assert [plan.corner_mm[0, 2] for plan in plan_set.plans] == [0, 200]
     assert [odd.n_floating for odd in plan_set.warnings] == [1]
-    raised = load(tmp_path, "b.csv", stacked("A,a,144", "A,b,344", "B,c,344", "B,d,544"), up="z")  # from the floor
+    # heights are measured from the floor
+    raised = load(tmp_path, "b.csv", stacked("A,a,144", "A,b,344", "B,c,344", "B,d,544"), up="z")
     assert [plan.corner_mm[0, 2] for plan in raised.plans] == [0, 200]
-    deep = load(tmp_path, "c.csv", stacked("A,a,-200", "A,b,0", "B,c,0", "B,d,200"), up="z")  # one wrong height
+    # one box has a wrong height
+    deep = load(tmp_path, "c.csv", stacked("A,a,-200", "A,b,0", "B,c,0", "B,d,200"), up="z")
     assert [plan.corner_mm[0, 2] for plan in deep.plans if plan.plan_id == "B"] == [0]
 
 
@@ -547,7 +552,8 @@ def test_info_takes_no_file_for_orders_that_has_places_or_no_order(tmp_path: Pat
 def test_a_bad_cell_is_told_where_all_rows_are_bad_and_columns_are_missing(
     tmp_path: Path, lacking: str, field: str, cell: str, fault: str
 ) -> None:
-    """The columns that only petmjx's own tables need would not have been asked for without the bad cell."""
+    """Without the bad cell, the file could be read. So the message names the bad cell, not the missing columns, which
+    only petmjx's own tables need."""
     names = (
         "plan_id",
         "sequence",

@@ -1,4 +1,5 @@
-"""The hand of the batched engines against that of C MuJoCo: the same beginnings, forces and decisions."""
+"""The hand that carries boxes has the same starting places, forces and decisions on the batched engines as on C
+MuJoCo."""
 
 from __future__ import annotations
 
@@ -25,11 +26,12 @@ SIM = Simulation(placing="hand")
 DT = SIM.physics.timestep_s
 SIZE = (300.0, 300.0, 300.0)
 SINGLE = {"rtol": 2e-4, "atol": 2e-4}
-"""Forces of single precision: the spring's is the difference of places of some decimetres, times up to 2,500 kg/s²."""
+"""Tolerances of forces in single precision. The spring's force is a difference of positions, which are some decimetres,
+times up to 2,500 kg/s²."""
 
 
 def crowded(sim: Simulation) -> Scene:
-    """The last box belongs 3 mm into one neighbour and beside another."""
+    """A scene whose last box overlaps one neighbour by 3 mm in the plan, and is beside another neighbour."""
     boxes: list[Box] = [
         (SIZE, (0.0, 0.0, 0.0), 6.0),
         (SIZE, (0.0, 300.0, 0.0), 6.0),
@@ -41,7 +43,7 @@ def crowded(sim: Simulation) -> Scene:
 
 @dataclass
 class Pair:
-    """The same world on both sides, with its last box just placed."""
+    """The same world on C MuJoCo (``live``) and on a batched engine, directly after its last box was placed."""
 
     live: LiveWorld
     worlds: Worlds
@@ -64,7 +66,7 @@ def placed(sim: Simulation) -> Pair:
     for _ in range(scene.n_boxes):
         live.hand = None
         live.place_next()
-        if live.n_placed < scene.n_boxes:  # those before stand at their places
+        if live.n_placed < scene.n_boxes:  # all boxes except the last one are at their planned places
             live._poses[live.n_placed - 1, :3] = scene.target[live.n_placed - 1]
     worlds = upload_worlds([Job(scene)], 1, scene.n_boxes, {}, sim)
     state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER, jnp.int32), rest_steps=1)
@@ -78,7 +80,7 @@ def test_boxes_begin_at_the_same_place(pair: Pair) -> None:
     assert path is not None
     place = pair.live.pose[2, :3]
     planned = pair.live.release.pos[2] + path.offset[2]
-    assert np.abs(place - planned).max() > 0.002  # it went aside
+    assert np.abs(place - planned).max() > 0.002  # the box's start was moved aside
     np.testing.assert_allclose(pair.state.qpos[0, 2, :3], place, atol=1e-6)
     assert int(pair.state.carried_steps[0]) == pair.of_c.steps
     length = np.linalg.norm(pair.of_c.end - pair.of_c.begin)
@@ -87,7 +89,8 @@ def test_boxes_begin_at_the_same_place(pair: Pair) -> None:
 
 @pytest.mark.parametrize(("gap_mm", "goes"), [(0.0, "up"), (8.0, "aside")])
 def test_a_box_goes_aside_no_further_than_to_a_wall(gap_mm: float, goes: str) -> None:
-    """Its neighbour is 3 mm in its way. It goes up where the wall leaves less."""
+    """A neighbour is in the way by 3 mm. The start of the box's path is moved aside, but at most to the wall. If there
+    is too little space, the start is moved up."""
     pair = placed(SIM.changed(walls={"sides": ["right"], "gap_mm": gap_mm}))
     place = pair.live.pose[2, :3]
     np.testing.assert_allclose(pair.state.qpos[0, 2, :3], place, atol=1e-6)
@@ -125,7 +128,8 @@ def test_hands_press_alike(pair: Pair, lowered: bool) -> None:
 
 
 def test_hands_let_go_alike(pair: Pair) -> None:
-    """At rest on the way, at its end, short of it, fast, and while the box is set down."""
+    """Both hands release boxes in the same situations: boxes at rest on their path, at its end, or before its end;
+    boxes that are fast; and boxes that are being set down."""
     of_c, pose = pair.of_c, np.concatenate([pair.of_c.end, pair.of_c.quat])
     state = pair.state._replace(qpos=pair.state.qpos.at[0, 2].set(jnp.asarray(pose, jnp.float32)))
     speeds = [0.0, 0.5]

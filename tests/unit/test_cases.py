@@ -1,6 +1,6 @@
-"""Plans that once had a wrong answer, as they were reported: each has the right one.
+"""Plans for which petmjx once gave a wrong answer, as users reported them. Each now has the right answer.
 
-Other cases of these kinds have tests of their own. So do those that are no plans: commands that replaced files
+Similar reports that do not concern single plans have tests in other files: commands that replaced files
 (test_overwrite_guard.py, test_overwriting.py), leaderboards (test_packer_rating.py), outcomes held back
 (test_outcomes_held_back.py), Parquet (test_parquet_bounds.py), read-only homes (test_compile_caches.py), Gymnasium
 (test_gym.py), strength (test_box_strength.py), rocking, landings and soft boxes (tests/physics).
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="needs ../shared/case
 
 MM = 1e-3
 EDGE_MM = 0.05
-"""Edges at rest are nearer or further by what contacts give, some hundredths of a millimetre."""
+"""Tolerance of distances from edges at rest, mm. Contacts give way by some hundredths of a millimetre."""
 
 
 @pytest.fixture(scope="module")
@@ -44,15 +44,15 @@ def worlds(results: petmjx.RunResults) -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("plan_id", "expected"),
     [
-        # falls before the counterweight, box 3, comes: the beam with the box on its end tips over from step 2 on
+        # the beam with a box on its end tips over from step 2 on, before the counterweight, box 3, is placed
         ("counterweight-last", {"verdict": "unstable", "build_edge_mm": -58.8, "of": (1, 2)}),
         ("counterweight-first", {"verdict": "stable", "plan_edge_mm": 19.95}),
-        # 0.25 mm inside its edge, alone or beside five others
+        # a load is 0.25 mm inside an edge, on a plan of its own or beside five other boxes
         ("edge-only", {"verdict": "stable", "plan_edge_mm": 0.25, "box": 1, "flags": Flag.KNIFE_EDGE}),
         ("both", {"verdict": "stable", "plan_edge_mm": 0.25, "box": 1, "flags": Flag.KNIFE_EDGE}),
-        # springs that pull had it at -338.6 mm; supports push
+        # with supports that can pull, this load was computed to be 338.6 mm beyond an edge; real supports only push
         ("pull", {"verdict": "stable", "plan_edge_mm": 19.95, "rest_edge_mm": 19.95, "flags": Flag.NONE}),
-        # the lid tips by 11 degrees onto its neighbour, and lies there
+        # the lid tips by 11 degrees onto its neighbour, and stays there
         ("tips-onto-neighbour", {"verdict": "stable", "tilt_deg": 11.4, "flags": Flag.LEANS}),
         ("flat", {"verdict": "stable", "tilt_deg": 0.0, "flags": Flag.NONE}),
     ],
@@ -74,7 +74,8 @@ def test_a_plan(plan_id: str, expected: dict[str, Any], worlds: pd.DataFrame) ->
 
 
 def test_sizes_that_were_turned_already_are_named(results: petmjx.RunResults) -> None:
-    """As they stand, the pallet is sound; and what the file says is another one."""
+    """The sizes in the file are those of the rotated boxes, but the file also gives an orientation. With the sizes as
+    given, the pallet stands. If boxes are rotated once more, as the file states, it is another pallet."""
     (note,) = (line for line in results.info["warnings"] if "look swapped" in line)
     assert "turned by their orientation look swapped: in plan mixed-turned 9 pairs of boxes overlap" in note
     frame = pd.read_csv(CASES / "turned_twice.csv").drop(columns="orientation")
@@ -83,7 +84,7 @@ def test_sizes_that_were_turned_already_are_named(results: petmjx.RunResults) ->
 
 @pytest.mark.parametrize("factor", [0.9, 1.0])
 def test_the_nearest_loads_are_looked_at_in_stiffer_contacts(factor: float) -> None:
-    """0.39 and 0.44 mm inside the edge: soft contacts let it tip, stiff ones do not."""
+    """The load is 0.39 or 0.44 mm inside the edge. With soft contacts the box tips, with stiff contacts it does not."""
     lines = (CASES / "edge_at_0_39_mm.py").read_text().splitlines()
     size, corner, mass = (
         np.array(ast.literal_eval(line.partition("np.array(")[2].removesuffix(")")))

@@ -1,4 +1,5 @@
-"""Chains: each leg begins where the one before left the boxes, and the summary says how likely a pallet arrives."""
+"""Tests of chains (journeys of a pallet in parts, called legs). A leg begins with the boxes where the previous leg left
+them. The summary gives the share of worlds in which a pallet arrives."""
 
 from __future__ import annotations
 
@@ -48,7 +49,7 @@ BACK = '{ profile = "eumos-40509", level = 0.45, direction = "-x" }'
 
 
 def legs(**events: str) -> str:
-    """Legs by name, each with its events as TOML."""
+    """TOML text of legs, given by their names and their events."""
     return "\n".join(f'[[legs]]\nname = "{name}"\nevents = [{text}]' for name, text in events.items())
 
 
@@ -78,17 +79,17 @@ shift_m = 0.5
 [axes]
 friction_factor = 0.6
 """
-"""A box with friction 0.3, which may slide half a metre."""
+"""TOML text of a sweep in which boxes have the friction 0.3 and may slide by half a metre."""
 
 BLOCK = make_plan("block", stack(1, at_mm=(600, 250)))
-"""It has half a metre of the pallet on the side to which it slides."""
+"""A plan with a single box. On the side to which the box slides, half a metre of the pallet is free."""
 
 
 WAY_M = slide_m(0.45 * eumos_40509().excitation(0.002).samples, 0.3, STANDARD_GRAVITY, 0.002)
-"""How far a block with friction 0.3 slides in ``PUSH``, by Coulomb."""
+"""Distance by which a block with friction 0.3 slides in ``PUSH`` according to Coulomb's law, m."""
 
 SLIDING = 0.03
-"""Share by which a simulated block may slide more or less than by Coulomb's law."""
+"""Largest relative difference between the distances by which a block slides in simulation and by Coulomb's law."""
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu"])
@@ -115,14 +116,14 @@ def test_a_world_says_in_which_leg_which_box_failed_and_when(tmp_path: Path) -> 
     shares = {
         world.plan.plan_id: progress.work_share for world in SweepRun(plan, MujocoEngine(1), progress=progress).worlds()
     }
-    # a placement and three legs of each; the stack of two ends with its placement, the box in its second leg
+    # each plan has a placement and three legs; the stack of two boxes falls in its placement, the single box in leg two
     assert shares == {"falls": pytest.approx((8 + 1) / 12), "stands": 1.0}
     worlds = petmjx.sweep(file, plans, engine="mujoco").worlds.set_index("plan_id")
     falls, stands = worlds.loc["falls"], worlds.loc["stands"]
     assert (falls["leg"], falls["n_steps"]) == ("placing", 0)
     assert (stands["leg"], stands["mode"]) == ("truck", "slide")
     assert 0.05 < stands["sign_in_profile_s"] < 0.4
-    conveyor_s = 0.002 * 315  # 200 steps of the profile, 115 until it rests
+    conveyor_s = 0.002 * 315  # 200 steps of the profile, and 115 steps until the pallet rests
     began_s = stands["sim_time_s"] - 0.002 * stands["n_steps"] + conveyor_s
     assert stands["first_sign_s"] == pytest.approx(began_s + stands["sign_in_profile_s"], abs=1e-9)
 
@@ -136,12 +137,15 @@ def test_film_is_around_the_pallet_from_its_leg_on(tmp_path: Path) -> None:
     run = petmjx.sweep(write_sweep(tmp_path, text), [BLOCK], engine=engine)
     assert run.worlds["remedy"].tolist() == ["", "more film"]
     turns = [[job.scene.wrap.turns for job in jobs] for jobs, _ in engine.batches]
-    assert turns == [[0], [0], [6, 9], [0, 0]]  # placed once; the leg before the film is shared
+    # turns of film: the placement and the leg before the film are simulated only once
+    assert turns == [[0], [0], [6, 9], [0, 0]]
     assert [job.poses is None for jobs, _ in engine.batches for job in jobs] == [True, True, *[False] * 4]
-    assert run.boxes["shift_x_m"].tolist() == pytest.approx([-2 * WAY_M] * 2, rel=SLIDING)  # film holds it in leg two
+    # in leg two, film holds the box
+    assert run.boxes["shift_x_m"].tolist() == pytest.approx([-2 * WAY_M] * 2, rel=SLIDING)
     edges = ["plan_edge_m", "plan_edge_box", "build_edge_m", "build_edge_box", "build_edge_step"]
     placed = petmjx.score([BLOCK], engine="mujoco").worlds[edges]
-    for row in range(2):  # edges of the plan are those of the first leg, though later ones do not compute them
+    # distances from edges, by the plan, are those of the first leg; later legs do not compute them
+    for row in range(2):
         pd.testing.assert_frame_equal(run.worlds[edges].iloc[[row]].reset_index(drop=True), placed, check_exact=True)
 
 
@@ -151,11 +155,12 @@ replicates = 5
 [axes]
 friction_tolerance_rel = { distribution = "uniform", low = -0.5, high = 0.3 }
 """
-"""Friction from 0.25 to 0.65."""
+"""TOML text of an axis with random friction, from 0.25 to 0.65."""
 
 
 def test_intervals_cover_known_probabilities() -> None:
-    """A block slides in a push that is stronger than its friction, which is drawn as in sweeps, in 40 worlds a plan."""
+    """Intervals contain the true probability as often as they should. A block slides if a push is stronger than its
+    random friction, so the probability is known. Each plan has 40 worlds."""
     n, distribution = 40, Distribution(DistributionShape.UNIFORM, -0.1, 0.4)
     level_g = np.linspace(0.26, 0.64, 200)
     known = (0.65 - level_g) / 0.4
@@ -188,8 +193,8 @@ wrap_turns = 8
 
 
 def test_a_summary_counts_leg_by_leg_and_what_remedies_gain(tmp_path: Path) -> None:
-    """A box slides too far in pushes of 0.2 g with no friction that is drawn, of 0.6 g with small ones; with film, or
-    with half of it, with none."""
+    """In pushes of 0.2 g, a box never slides too far, whatever its random friction is. In pushes of 0.6 g, it slides
+    too far if its friction is small. With film, or half of the film, it never slides too far."""
     weak, strong = PUSH.replace("0.45", "0.2"), PUSH.replace("0.45", "0.6")
     text = DRAWN + QUICK.replace("early_stop = false", "") + legs(conveyor=weak, truck=strong)
     file = write_sweep(tmp_path, text + REMEDIES)
@@ -213,7 +218,8 @@ def test_a_summary_counts_leg_by_leg_and_what_remedies_gain(tmp_path: Path) -> N
 
 
 def test_levels_are_drawn_once_a_world_and_shared_by_remedies(tmp_path: Path) -> None:
-    """A block with friction 0.5 slides by more than 20 mm from some level on; each world has its own level."""
+    """Each world has a random level, which it also has with remedies. Above a certain level, a block with friction 0.5
+    slides by more than 20 mm."""
     drawn = '{ profile = "eumos-40509", level = { from = 0.45, to = 0.75 } }'
     text = "replicates = 8\n" + QUICK.replace("early_stop = false", 'carrier = "euro-pallet"') + legs(truck=drawn)
     file = write_sweep(tmp_path, text + REMEDIES.partition('[[remedies]]\nname = "wrapped')[0])
@@ -228,7 +234,7 @@ def test_levels_are_drawn_once_a_world_and_shared_by_remedies(tmp_path: Path) ->
     samples = eumos_40509().excitation(0.002).samples
     ways_m = np.array([slide_m(level * samples, 0.5, STANDARD_GRAVITY, 0.002) for level in levels])
     assert 0 < (ways_m < 0.02).sum() < 8
-    assert (np.abs(ways_m - 0.02) > SLIDING * 0.02).all()  # none so near that it may be either way
+    assert (np.abs(ways_m - 0.02) > SLIDING * 0.02).all()  # no distance is so near to 20 mm that the verdict is open
     run = petmjx.sweep(file, [BLOCK], engine="mujoco")
     stands = run.worlds["verdict"].eq("stable").to_numpy().reshape(-1, 2)
     assert stands[:, 0].tolist() == (ways_m < 0.02).tolist()
@@ -258,7 +264,7 @@ def test_resumed_and_merged_runs_have_the_same_answers(tmp_path: Path) -> None:
 
 
 class _Interrupted(MujocoEngine):
-    """Is interrupted after 15 of 30 outcomes."""
+    """The engine ``mujoco``, interrupted after 15 of 30 outcomes."""
 
     @says_at_hand
     @takes_stream
@@ -270,7 +276,8 @@ class _Interrupted(MujocoEngine):
 
 
 def test_worlds_arrive_while_others_have_not_begun_and_an_interrupted_run_keeps_them(tmp_path: Path) -> None:
-    """Six placements, each with a leg and three second legs: not all placements come first."""
+    """There are six placements, each followed by a first leg and three variants of a second leg. Legs are simulated
+    before all placements are finished. If the run is interrupted, the finished worlds are kept."""
     text = DRAWN.replace("5\n[", "2\n[") + QUICK + legs(one=PUSH.replace("0.45", "0.1"), two=BACK)
     file = write_sweep(tmp_path, text + REMEDIES.replace("truck", "two"))
     plans = [make_plan(f"p{k}", stack(1)) for k in range(3)]
@@ -354,7 +361,7 @@ def test_packers_are_compared_by_how_likely_their_plans_arrive(tmp_path: Path) -
     gain = shares["high"] - shares["low"]
     assert gain.mean() < 0
     pair = compared.pairs.query("size == 'all'").iloc[0]
-    # Student's factor for three orders
+    # 4.302653 is Student's factor for three orders
     half = 4.302653 * gain.std() / np.sqrt(3)
     assert (pair["p_gain"], pair["p_gain_high"]) == pytest.approx((gain.mean(), gain.mean() + half))
     assert not compared.notes
@@ -364,13 +371,13 @@ def test_packers_are_compared_by_how_likely_their_plans_arrive(tmp_path: Path) -
 
 
 HAT_N = 200.0
-"""What film presses down on the top."""
+"""Force with which a hat of film presses on the top, N."""
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu"])
 def test_a_force_that_lasts_counts_after_any_leg(engine: str, tmp_path: Path) -> None:
-    """Film presses on a stack in the first leg, and is gone in the second. A carton bears that for a moment, but not
-    for a month, of which the forces at the end say nothing."""
+    """A force that lasts counts after any leg. Film presses on a stack in the first leg, and is removed in the second
+    leg, so the forces at the end do not show it. A carton carries this force for a moment, but not for a month."""
     gentle = '{ profile = "eumos-40509", level = 0.05 }'
     text = SLIDES.replace("settle_s = 0.4", f"settle_s = 0.4\nwrap = {{ hat_n = {HAT_N} }}")
     text += legs(wrapped=gentle).replace("[[legs]]", "[[legs]]\nwrap_turns = 1") + "\n"
@@ -389,10 +396,11 @@ def test_a_force_that_lasts_counts_after_any_leg(engine: str, tmp_path: Path) ->
 
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu"])
 def test_film_holds_a_block_in_a_truck_up_to_friction_and_hold(engine: str, tmp_path: Path) -> None:
-    """A block slides from friction + hold / weight on, in g. EN 12195-1 asks for 0.8 g forward and 0.5 g otherwise, so
-    film that holds up to 0.7 g fails in the truck, and film that holds up to 0.9 g brings it to the dock."""
+    """A wrapped block slides if the acceleration exceeds friction + (holding force of the film) / weight, in g. EN
+    12195-1 requires 0.8 g forward and 0.5 g in the other directions. So a block that film holds up to 0.7 g fails in
+    the truck, and a block that film holds up to 0.9 g arrives."""
     weight_n, friction = BLOCK.mass_kg[0] * STANDARD_GRAVITY, 0.3
-    hold_of_a_turn_n = 0.3 * 4 * 2 * 5.0 * BLOCK.size_mm[0, 2] / 500.0  # of 5 N, on four sides
+    hold_of_a_turn_n = 0.3 * 4 * 2 * 5.0 * BLOCK.size_mm[0, 2] / 500.0  # friction × four sides × force of 5 N per turn
     text = SLIDES.replace("settle_s = 0.4", "settle_s = 0.4\nwrap = { force_n = 5.0 }").replace("shift_m = 0.5", "")
     for holds_g, leg in ((0.7, "truck"), (0.9, "")):
         turns = (holds_g - friction) * weight_n / hold_of_a_turn_n
@@ -402,12 +410,13 @@ def test_film_holds_a_block_in_a_truck_up_to_friction_and_hold(engine: str, tmp_
 
 
 BALANCE = 0.02
-"""Peaks of a tower that rocks and stands, from a solver that is stopped early and one that is not: they take slightly
-different ways."""
+"""Largest relative difference of the peak forces in a rocking tower between two solvers, one of which is stopped early,
+so that the motions differ slightly."""
 
 
 def test_forces_of_a_solver_that_was_stopped_far_from_balance_do_not_count(tmp_path: Path) -> None:
-    """In a drive ``mjx-warp`` takes at most 7 iterations a step. Such forces were up to a hundred times too large."""
+    """While a pallet is shaken, ``mjx-warp`` makes at most 7 iterations of its solver per step. If the solver is then
+    far from balance, its forces are up to a hundred times too large, so they must not count as peaks."""
     axes = '[simulation.physics]\nkinetic_friction_share = 0.75\n[axes]\nprofile = "eumos-40509"\nlevel = {}\n'
     (tower,) = (plan for plan in petmjx.load_plans(bundled_path()).plans if plan.plan_id == "hand-tower")
     pile = make_plan("pile", stack(5))

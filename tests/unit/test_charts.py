@@ -1,4 +1,4 @@
-"""Charts without scripts: their ticks, scales and bars."""
+"""Tests of the ticks, scales and bars of charts, which are SVG pictures without scripts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Processes that look at outcomes beside a run: what they find is what the run would, also where one of them dies."""
+"""Tests of the processes that check outcomes during a run. Their findings are those of the run itself, even if one of
+the processes dies."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ JOBS = [make_world(make_plan(f"stack of {n}", stack(n))).job for n in (1, 3)]
 
 @pytest.fixture(scope="module")
 def raw() -> list[Outcome]:
-    """Outcomes of an engine, which has not looked at them."""
+    """Outcomes of an engine before they are checked."""
     return sorted(MujocoEngine(1).run(JOBS, SIM), key=lambda outcome: outcome.job)
 
 
@@ -59,14 +60,14 @@ def expected(raw: list[Outcome]) -> list[tuple[Any, ...]]:
 
 
 def given(raw: list[Outcome], key: Any) -> list[tuple[Any, Outcome]]:
-    """Outcomes with keys, of which nobody else has them."""
+    """Copies of outcomes, each with a key."""
     return [((key, outcome.job), outcome) for outcome in deepcopy(raw)]
 
 
 def test_they_find_what_the_run_would(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
     assert len(pids(check_pool)) == 2
     outcomes: dict[Any, Outcome] = {}
-    many = 2 * MOST_WAITING + 3  # more than may wait for them
+    many = 2 * MOST_WAITING + 3  # more outcomes than may wait for the processes
     for key in range(many):
         outcomes |= check_pool.exchanged(given(raw, key), JOBS, SIM, wait=False)
     outcomes |= check_pool.exchanged([], [], SIM, wait=True)
@@ -89,7 +90,7 @@ def test_what_was_measured_of_boxes_stays_with_the_run(check_pool: CheckPool[Any
 
 def test_the_run_looks_itself_where_they_do_not(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
     one, other = pids(check_pool)
-    # one look that cannot be sent, and some of processes that are stopped, and then killed
+    # one outcome cannot be sent to a process; others are sent to processes that are stopped and then killed
     os.kill(one, signal.SIGSTOP)
     os.kill(other, signal.SIGSTOP)
     unsendable = [Job(job.scene, record=lambda: None) for job in JOBS]  # type: ignore[arg-type]
@@ -110,14 +111,16 @@ def test_the_run_looks_itself_where_they_do_not(check_pool: CheckPool[Any], raw:
 def test_states_histories_and_samples_stay_here(
     check_pool: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch, driven: bool
 ) -> None:
-    """A process would have to import what states are of, and would take longer to read samples than to check."""
+    """Outcomes with states, histories or samples are checked in this process. Another process would have to import the
+    modules of the states, and would take longer to receive samples than to check them."""
     here: Any = lambda: None  # noqa: E731  # cannot be sent
     drive = Drive(Excitation("drive", ACCELERATION, here)) if driven else None
     jobs = [Job(job.scene, start=here, drive=drive) for job in JOBS]
     sent = given(raw, 0)
     for _, outcome in sent:
         outcome.state = outcome.history = here
-    monkeypatch.setattr("petmjx.engines.subprocess.check_pool.outcome_checks", None)  # processes do it
+    # the checks must run in other processes
+    monkeypatch.setattr("petmjx.engines.subprocess.check_pool.outcome_checks", None)
     assert check_pool.exchanged(sent, jobs, SIM, wait=False) == []
     outcomes = dict(check_pool.exchanged([], [], SIM, wait=True))
     assert [(outcomes[0, job].state, outcomes[0, job].history) for job in range(2)] == [(here, here)] * 2
@@ -189,7 +192,7 @@ def test_after_ctrl_c_all_that_hang_are_waited_for_a_moment_together(
     begin = time.monotonic()
     check_pool.hurry()
     outcomes = dict(check_pool.exchanged([], [], SIM, wait=True))
-    assert time.monotonic() - begin < 20  # a loaded machine; each would have had a minute
+    assert time.monotonic() - begin < 20  # generous, for a busy machine; each process would have had a minute
     for key in range(4):
         assert told([outcomes[key, job] for job in range(len(JOBS))]) == expected(raw), "nothing that came is lost"
     assert pids(check_pool) == []

@@ -1,4 +1,5 @@
-"""How jobs are dealt to workers, what a worker's death does to them, and how many workers fit. Without Ray."""
+"""Tests of the distribution of jobs in chunks to workers: the chunks, the death of a worker, and the number of workers
+that fit on nodes. Ray itself is not used."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ def finish(deal: Deal, chunk: Chunk) -> None:
 
 
 def simulated_s(costs: FloatArray, slots: int) -> float:
-    """Time until the last slot is done; each takes its next chunk when it has simulated the last one."""
+    """Time until the last slot has finished, s. A slot takes its next chunk when it has simulated its present chunk."""
     deal = Deal(costs, slots)
     busy = [(0.0, slot) for slot in range(slots)]
     end = 0.0
@@ -74,7 +75,7 @@ def test_slots_hold_a_reserve_only_while_there_is_plenty() -> None:
         (20_006, 1, [6669, 6669, 6668]),
         (16_384, 2, [8192, 8192]),
         (8_192, 2, [4096, 4096]),
-        (700, 4, [350, 350]),  # enough for two devices only
+        (700, 4, [350, 350]),  # so few worlds that only two devices are used
         (100, 4, [100]),
     ],
 )
@@ -84,7 +85,7 @@ def test_batches_are_as_few_as_keep_all_devices_busy(jobs: int, slots: int, size
     assert [len(chunk.jobs) for chunk in chunks] == sizes
     assert sorted(itertools.chain(*(chunk.jobs for chunk in chunks))) == list(range(jobs))
     means = [costs[list(chunk.jobs)].mean() for chunk in chunks]
-    assert np.ptp(means) <= len(chunks)  # the same mix of short and long in each
+    assert np.ptp(means) <= len(chunks)  # each chunk has the same mix of short and long jobs
     assert all(np.all(np.diff(costs[list(chunk.jobs)]) < 0) for chunk in chunks)
 
 
@@ -156,7 +157,8 @@ def test_the_cost_of_a_job_grows_with_its_boxes_and_its_drive() -> None:
 
 
 def test_a_drive_that_shakes_a_pallet_down_is_over_sooner() -> None:
-    """Gentle drives come first: few of them go on for long, and nobody knows which. Drives of a plan stay together."""
+    """A hard drive (shaking) soon makes a pallet fall, which ends the job. A few gentle drives take long, and it is not
+    known which, so gentle drives come first. Drives of the same plan stay together."""
     scene = fake_scene(1.0, 10.0, 20.0)
     shake = Excitation("shake", "acceleration", np.tile([3.0, 4.0, 9.0], (500, 1)))
     assert shake.peak_g == pytest.approx(5.0 / 9.81, rel=1e-3)
@@ -169,7 +171,8 @@ def test_a_drive_that_shakes_a_pallet_down_is_over_sooner() -> None:
 
 
 def test_on_a_device_gentle_drives_of_small_pallets_begin_before_hard_ones_of_large_pallets() -> None:
-    """A step of twice as many boxes takes twice as long there, on a CPU four times."""
+    """With twice as many boxes, a step takes twice as long on a device, but four times as long on a CPU. So the order
+    of jobs is different."""
     shake = Excitation("shake", "acceleration", np.tile([9.81, 0.0, 0.0], (200, 1)))
     small, large = fake_scene(*[1.0] * 40), fake_scene(*[1.0] * 60)
     pairs = [(small, 0.2), (large, 1.0)]
@@ -200,14 +203,14 @@ NODES = (Node(8, 2), Node(4, 0), Node(0, 0))
     [
         ("mujoco", "auto", None, [Place(8, 0, 8), Place(4, 0, 4)]),
         ("mujoco", "auto", 3, [Place(3, 0, 3)] * 3),
-        ("mujoco", 2, None, [Place(4, 0, 4)] * 2),  # of 6 CPUs only one would fit on each node
+        ("mujoco", 2, None, [Place(4, 0, 4)] * 2),  # only one worker with 6 CPUs would fit on each node
         ("mujoco", 3, None, [Place(4, 0, 4)] * 3),
         ("mujoco", 12, None, [Place(1, 0, 1)] * 12),
         ("mujoco", 2, 1, [Place(1, 0, 1)] * 2),
         ("mjx-warp", "auto", None, [Place(1, 1)] * 2),
         ("mjx-jax", 1, None, [Place(1, 1)]),
         ("mjx-warp", 4, None, [Place(1, 0.5)] * 4),
-        ("mjx-warp", 6, None, [Place(1, 0.3333)] * 6),  # Ray counts in ten-thousandths
+        ("mjx-warp", 6, None, [Place(1, 0.3333)] * 6),  # Ray rounds shares to ten-thousandths
     ],
 )
 def test_what_workers_take(engine: str, workers: int | str, threads: int | None, expected: list[Place]) -> None:
@@ -215,7 +218,7 @@ def test_what_workers_take(engine: str, workers: int | str, threads: int | None,
 
 
 def test_workers_that_share_a_gpu_have_a_cpu_each() -> None:
-    nodes = [Node(4, 1), Node(5, 2)]  # any two of three GPUs would have room for four
+    nodes = [Node(4, 1), Node(5, 2)]  # four workers would have room on any two of the three GPUs
     assert places("mjx-jax", nodes, 3) == [Place(1, 1)] * 3
     with pytest.raises(InputError, match="workers: no room for 9 workers of 1 CPU beside the GPUs; there are 9 CPUs"):
         places("mjx-jax", nodes, 9)
@@ -249,7 +252,7 @@ def test_more_workers_than_there_is_room_for(engine: str, workers: int | str, th
         ([Node(32, 2)], 2, 16),
         ([Node(32, 2)], 1, 32),
         ([Node(16, 1)], 4, 4),
-        ([Node(0), Node(4), Node(64, 2)], 2, 32),  # a head, and a machine without GPUs
+        ([Node(0), Node(4), Node(64, 2)], 2, 32),  # a head node, a node without GPUs, and a node with two GPUs
         ([Node(16, 2)] * 4, 8, 8),
         ([Node(16, 2), Node(12, 4)], 6, 3),
     ],

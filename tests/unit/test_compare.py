@@ -1,4 +1,4 @@
-"""Comparing runs and showing them: known differences come out as the numbers they are."""
+"""Tests of the comparison of two runs, and of its tables. The differences between the runs are known."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from petmjx.results.schema import Param
 from petmjx.show.compare_tables import comparison_tables
 
 FLOAT32 = 1e-6
-"""Relative rounding of what `boxes` holds as float32, with a margin of ten."""
+"""Tolerance of values that the table ``boxes`` stores as float32: ten times the relative rounding error."""
 
 CONFIG = {"sim": Simulation().model_dump(mode="json")}
 
@@ -39,7 +39,7 @@ def row_of(frame: pd.DataFrame, metric: str, group: str) -> dict[str, Any]:
 
 
 def shifted(by_m: float) -> Outcome:
-    """As `make_outcome`, with the last box further along x by ``by_m``."""
+    """The outcome of ``make_outcome`` with the last box moved along x by ``by_m``."""
     outcome = make_outcome()
     outcome.boxes.shift_m[2, 0] += by_m
     outcome.boxes.pos[2, 0] += by_m
@@ -65,12 +65,13 @@ def test_known_differences(tmp_path: Path) -> None:
     row = row_of(result.boxes, "shift_x_m", "both stable")
     assert row["n"] == 12
     assert row["median"] == 0.0
-    # differences 0 (nine times), 1, 2, 4 mm: 95 % lies at index 10.45 of the sorted 12
+    # the 12 differences are 0 (nine times), 1, 2 and 4 mm; the 95 % quantile is at index 10.45 of the sorted list
     assert row["p95"] == pytest.approx(0.0029, rel=FLOAT32)
     assert row["largest"] == pytest.approx(0.004, rel=FLOAT32)
     assert (row["plan_id"], row["variant"], row["box"]) == ("z", 0, 2)
     assert (row["a"], row["b"]) == pytest.approx((0.003, 0.007), rel=FLOAT32)
-    # world: the largest component was 6 mm in y; x of box 2 is 3, 4, 5, 7 mm in b, so that only z changes, by 1 mm
+    # the largest component was 6 mm, along y; x of box 2 is 3, 4, 5 and 7 mm in the worlds of run b, so only the
+    # largest component of world z changes, by 1 mm
     world = row_of(result.worlds, "max_shift_m", "both stable")
     assert (world["n"], world["plan_id"]) == (4, "z")
     assert world["largest"] == pytest.approx(0.001)
@@ -82,7 +83,7 @@ def test_angle_between_orientations(tmp_path: Path) -> None:
     half = np.radians(0.1) / 2
     turned = make_outcome(quat=np.tile([-np.cos(half), 0.0, 0.0, -np.sin(half)], (3, 1)))
     result = compare_runs(write(tmp_path / "a", {"w": make_outcome()}), write(tmp_path / "b", {"w": turned}))
-    # a quaternion and its negative are one orientation; 0.1° survives float32
+    # a quaternion and its negative are the same orientation; float32 is precise enough for 0.1°
     assert row_of(result.boxes, "orientation_deg", "both stable")["largest"] == pytest.approx(0.1, rel=1e-4)
 
 
@@ -92,7 +93,7 @@ def test_relative_force_differences_have_a_floor(tmp_path: Path) -> None:
     result = compare_runs(write(tmp_path / "a", {"w": a}), write(tmp_path / "b", {"w": b}))
     row = row_of(result.boxes, "max_top_force_n relative", "both stable")
     assert FORCE_FLOOR_N == 10.0
-    assert row["median"] == pytest.approx(0.1)  # of 1/10, 2/10 and 10/100
+    assert row["median"] == pytest.approx(0.1)  # the median of 1/10, 2/10 and 10/100
     assert row["largest"] == pytest.approx(0.2)
     assert row["box"] == 1
     assert row_of(result.boxes, "max_top_force_n", "both stable")["largest"] == pytest.approx(10.0)
@@ -119,7 +120,7 @@ def test_flips_say_how_far_from_the_thresholds(tmp_path: Path) -> None:
     assert flip["shift_margin_m_a"] == pytest.approx(0.006 - 0.02)
     assert flip["shift_margin_m_b"] == pytest.approx(0.001)
     assert flip["tilt_margin_deg_b"] == pytest.approx(3 - 20)
-    # metrics of a flipped world are no difference of the same behaviour
+    # metrics of a world with different verdicts are not compared
     assert row_of(result.worlds, "max_shift_m", "same verdict")["n"] == 1
 
 
@@ -133,7 +134,7 @@ def test_groups_keep_collapses_apart(tmp_path: Path) -> None:
     drop = row_of(result.worlds, "first_drop_s", "both stable")
     assert drop["n"] == 0
     assert pd.isna(drop["largest"])
-    # the third box of the collapse was never placed: it has no difference
+    # in the world that collapses, the third box was never placed, so it has no difference
     assert row_of(result.boxes, "shift_x_m", "same verdict")["n"] == 5
 
 
@@ -162,7 +163,7 @@ def test_nothing_in_common(tmp_path: Path, outcomes: dict[str, Outcome]) -> None
     assert (result.worlds.n == 0).all()
     assert "no world is in both runs" in result.notes
     lines = [str(table) for table in comparison_tables(result)]
-    assert not any("max(a" in line for line in lines)  # what % means is told below tables only
+    assert not any("max(a" in line for line in lines)  # only tables have a line that explains %
 
 
 def test_notes_on_what_does_not_fit(tmp_path: Path) -> None:

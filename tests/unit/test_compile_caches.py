@@ -1,4 +1,5 @@
-"""Compiled programs have a folder, whatever the home is like; where there is none, ``auto`` does without them."""
+"""Tests of the folder for compiled programs. petmjx finds a folder even if the home folder cannot be used. If there is
+no folder at all, ``auto`` chooses an engine that compiles nothing."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ from petmjx.show.doctor_report import _caches
 
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
-    """No folder is known yet, and temporary ones are below ``tmp_path``."""
+    """No folder has been chosen yet, and temporary folders are below ``tmp_path``."""
     for name in ("PETMJX_CACHE_DIR", *VARIABLES.values()):
         monkeypatch.delenv(name, raising=False)
     (tmp_path / "temporary").mkdir()
@@ -44,7 +45,7 @@ def test_the_folder_that_is_asked_for_is_made(monkeypatch: pytest.MonkeyPatch, t
 
 
 def unwritable(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Make the folder one that cannot be written, as root sees it too; returns what is said of it."""
+    """Make the folder for compiled programs impossible to write, even for root. Returns the expected message."""
     if kind == "a file":
         (tmp_path / "home").write_text("")
         return "home/.cache/petmjx/warp cannot be written: Not a directory"
@@ -58,12 +59,12 @@ def unwritable(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> st
     if kind == "read-only":
         monkeypatch.setenv("HOME", "/proc")
         return "/proc/.cache/petmjx/warp cannot be written: "
-    if kind == "a folder of a version":  # as root leaves it: what is in it cannot be written
+    if kind == "a folder of a version":  # as if root had made the folder, so that the user cannot write into it
         made = tmp_path / "home/.cache/petmjx/warp/1.9.0"
         made.mkdir(parents=True)
         real = tempfile.TemporaryFile
 
-        def refuse(dir: Path) -> object:  # as tempfile has it
+        def refuse(dir: Path) -> object:  # the name of the argument is that in tempfile
             if dir == made:
                 raise PermissionError(13, "Permission denied")
             return real(dir=dir)
@@ -98,7 +99,8 @@ def test_else_a_temporary_one_takes_its_place_and_doctor_says_why(
 
 @pytest.mark.parametrize("kind", ["link", "writable by others", "file"])
 def test_a_temporary_folder_of_others_is_not_taken(kind: str, tmp_path: Path) -> None:
-    """Whoever can write there could have the user run his programs."""
+    """A temporary folder is not used if other users can write into it: they could replace the compiled programs that
+    petmjx runs."""
     folder = tmp_path / "temporary" / f"petmjx-cache-{os.getuid()}"
     if kind == "link":
         (tmp_path / "elsewhere").mkdir()

@@ -1,4 +1,5 @@
-"""How sure a score is: shares of worlds with errors, coin tosses, and the errors that a file may state."""
+"""Tests of scores with confidence: shares of worlds with errors that stand, coin tosses (plans that may stand or fall),
+and files with errors."""
 
 from __future__ import annotations
 
@@ -122,11 +123,11 @@ GAP = petmjx.Plan.from_boxes(
     corner_mm=[(0, 0, 0), (600, 0, 0), (300, 0, 0)],
     mass_kg=[6.0] * 3,
 )
-"""The last carton goes between the two others."""
+"""A plan whose last carton is placed between the two others."""
 
 
 def room_m(scene: Scene) -> float:
-    """How much wider the gap between the first two boxes is than the third one, m."""
+    """Width of the gap between the first two boxes − width of the third box, m."""
     x, half = scene.start_pos[:, 0], scene.half_size[:, 0]
     return float((x[1] - half[1]) - (x[0] + half[0]) - 2 * half[2])
 
@@ -137,7 +138,7 @@ def test_a_box_could_not_be_placed_where_its_gap_is_too_narrow_and_stands_there_
     results = score(**options, exact_too=True, out=tmp_path / "both")
     every = SweepPlan(confidence_sweep(12, errors, {}), [GAP])
     room = np.array([room_m(scene) for _, scene in every.scenes(every.groups())])[1:]
-    sure = np.abs(room) > 0.001  # contacts of edges give way, and gaps are 0.1 mm
+    sure = np.abs(room) > 0.001  # nearer to 0, the verdict is open: contacts of edges give way, and gaps are 0.1 mm
     assert 2 < (sure & (room < 0)).sum() < 12
     carried = results.worlds[results.worlds["placing"] == "hand"]
     missed = (carried["flags"].to_numpy() & int(Flag.NOT_PLACED)) != 0
@@ -259,7 +260,7 @@ def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
 def written(
     folder: Path, counts: Sequence[int], nominal: Verdict = Verdict.STABLE, ids: Sequence[str] = "a"
 ) -> petmjx.RunResults:
-    """A run of plans that are all alike; ``counts``: worlds that stand, fall and are invalid."""
+    """A run of plans with equal results. ``counts`` has the numbers of worlds that stand, fall and are invalid."""
     kinds = zip(Verdict, counts, strict=False)
     verdicts = [nominal, *(verdict for verdict, count in kinds for _ in range(count))]
     with RunWriter(folder, {"command": "score"}) as run:

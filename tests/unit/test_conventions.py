@@ -1,4 +1,5 @@
-"""Mistakes of convention: what users give instead of petmjx's plans is named, in every form of input."""
+"""Tests of plans that follow other conventions than petmjx's (such as centres instead of corners). A message names the
+mistake, for every form of input."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ SIZES, CORNERS, MASS = ["length_mm", "width_mm", "height_mm"], ["x_mm", "y_mm", 
 
 
 class Boxes(NamedTuple):
-    """The numbers of a plan, as somebody gives them, in packing order."""
+    """The numbers of a plan, as a user gives them, in packing order."""
 
     size: FloatArray
     corner: FloatArray
@@ -42,7 +43,13 @@ class Boxes(NamedTuple):
 
 
 class Mistake(NamedTuple):
-    """What somebody makes of a right plan, the words that name it, and the options that read it rightly, if any."""
+    """A mistake of convention.
+
+    Attributes:
+        made: function that makes the mistake in a right plan.
+        named: words in petmjx's message.
+        options: options with which petmjx reads the plan rightly; None if there are none.
+    """
 
     made: Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
     named: str
@@ -120,7 +127,7 @@ FORMS: dict[str, Callable[[Boxes], Any]] = {"json": as_json, "csv": as_table, "f
 
 
 def gathered(plans: Any, **options: Any) -> list[str]:
-    """What a run says of these plans: lines about conventions, or why there is none."""
+    """The messages of a run about these plans: lines about conventions, or the reasons why plans are skipped."""
     plan_set = gather_plans(plans, Simulation(carrier=Carrier.EURO_PALLET), RunOptions(**options))
     return [*plan_set.conventions, *(skipped.message for skipped in plan_set.skipped)]
 
@@ -130,7 +137,7 @@ def gathered(plans: Any, **options: Any) -> list[str]:
 def test_each_mistake_is_named_in_each_form(mistake: Mistake, form: str) -> None:
     try:
         (line,) = gathered(FORMS[form](boxes(mistake)))
-    except InputError as error:  # of values that no box has
+    except InputError as error:  # a value that no box can have
         line = str(error)
     assert mistake.named in line
     assert "plan A" in line
@@ -172,21 +179,22 @@ def _columns(placements: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def test_plans_are_counted_and_told_once() -> None:
-    """Also behind more odd plans of no convention than are read in all ways."""
+    """There is one message for all plans with the same mistake, with their number. This also holds if so many other odd
+    plans come first that not all plans are checked for all conventions."""
     centres = boxes(MISTAKES["centres"])
     plans = [replace(as_plan(centres), plan_id=f"p{k}") for k in range(300)]
     floating = [((100.0, 100.0, 100.0), (300.0 * k, 0.0, 40.0 * k), 1.0) for k in range(3)]
     odd = [make_plan(f"q{k}", floating) for k in range(140)]
     plan_set = gather_plans([*odd, SOUND, *plans], Simulation(), RunOptions())
     (line,) = plan_set.conventions
-    assert "(290 of 441 plans)" in line  # the first ten only bring the next plan that is read in all ways nearer
+    assert "(290 of 441 plans)" in line  # ten plans are not counted: they were not checked for all conventions
     lowest = int(SOUND.corner_mm[:, 2].argmin())
     assert f"box {lowest} ({SOUND.articles[lowest]}), floats by half its height" in line
     assert len(plan_set.warnings) == 440
 
 
 def test_odd_plans_of_no_convention_are_not_explained() -> None:
-    """Boxes that float here and there, as packers do leave them."""
+    """Plans in which some boxes float, as in plans of real packers, are not taken for mistakes of convention."""
     rng = np.random.default_rng(0)
     odd = []
     for k, (_, placed) in enumerate(200 * list(generate(5, 3))):
@@ -206,7 +214,7 @@ def test_python_warns_where_it_was_called_and_once_of_a_set() -> None:
     quick = {"engine": "mujoco", "check": "static", "duration_s": 0.01}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        results = petmjx.score(plan_set, **quick)  # it was told when the plans were read
+        results = petmjx.score(plan_set, **quick)  # the message was issued when the plans were read
     assert results.info["warnings"][0] == plan_set.conventions[0] == str(caught[0].message)
     with pytest.warns(PlanWarning, match="anchor centre"):
         petmjx.score(plan_set.plans, **quick)
@@ -238,7 +246,8 @@ def test_the_command_line_tells_and_takes_the_option(capsys: pytest.CaptureFixtu
 
 
 def brickwork(rng: np.random.Generator, layers: int) -> list[dict[str, Any]]:
-    """A sound pallet of one article in rows along and across, with the item's own sizes and its orientation."""
+    """The boxes of a pallet that stands: one article, in rows of boxes along x and rows along y. Sizes are those of the
+    article, and each box has an orientation."""
     long, wide, high = (float(rng.choice(sides)) for sides in ((400, 450, 600), (200, 300), (150, 220)))
     count = int(rng.integers(2, 4))
     boxes = []
@@ -252,14 +261,15 @@ def brickwork(rng: np.random.Generator, layers: int) -> list[dict[str, Any]]:
 
 
 def as_they_stand(boxes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The same with lengths and widths swapped where boxes are turned."""
+    """The same boxes, but with length and width swapped if the box is rotated, so that sizes are those along x and
+    y."""
     sides = ("length_mm", "width_mm")
     return [{**box, sides[0]: box[sides[1]], sides[1]: box[sides[0]]} if box["orientation"] else box for box in boxes]
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_sizes_as_boxes_stand_beside_an_orientation_are_named(seed: int) -> None:
-    """In part of a plan's boxes, and in one plan of many that are right."""
+    """Sizes along x and y in spite of orientations are named in a plan, even if many other plans are right."""
     right = brickwork(np.random.default_rng(seed), 1 + seed % 3)
     sound = Plan.from_boxes("right", right)
     mistaken = Plan.from_boxes("A", as_they_stand(right))
@@ -274,7 +284,8 @@ def test_sizes_as_boxes_stand_beside_an_orientation_are_named(seed: int) -> None
 
 @pytest.mark.parametrize("seed", range(4))
 def test_sizes_as_boxes_stand_in_some_of_the_turned_boxes_are_named(seed: int) -> None:
-    """Those of the upper layers, or every second one; the others have the item's own."""
+    """Sizes along x and y are named if only some of the rotated boxes have them: those of the upper layers, or every
+    second box."""
     rng = np.random.default_rng(seed)
     right = brickwork(rng, 3)
     height = right[0]["height_mm"]
@@ -288,14 +299,14 @@ def test_sizes_as_boxes_stand_in_some_of_the_turned_boxes_are_named(seed: int) -
 
 @pytest.mark.parametrize("seed", range(8))
 def test_right_plans_whose_rows_are_flush_in_y_are_not_suspected(seed: int) -> None:
-    """Rows of boxes that touch in y from the edge on; upper layers with gaps of sheets, or a few boxes lifted or
-    pressed into others."""
+    """Right plans in which boxes form rows along y without gaps, beginning at the edge. Upper layers have gaps for
+    sheets, or a few boxes float or overlap others."""
     rng = np.random.default_rng(seed)
     size = np.array([float(rng.choice([200, 300, 400])), float(rng.choice([200, 300])), 150.0])
     places = np.array([(x, y, z) for z in range(3) for y in range(3) for x in range(3)], float)
     corner = places * size
     if seed % 2:
-        corner[:, 2] += places[:, 2] * rng.integers(1, 6)  # a sheet under each upper layer
+        corner[:, 2] += places[:, 2] * rng.integers(1, 6)  # space for a sheet under each upper layer
     else:
         upper = rng.choice(np.arange(18, 27), 3, replace=False)
         corner[upper, 2] += rng.choice([-12.0, 8.0, 60.0], 3)
@@ -306,22 +317,24 @@ def test_right_plans_whose_rows_are_flush_in_y_are_not_suspected(seed: int) -> N
 
 
 def _columns_of(size: tuple[float, float, float], step: tuple[float, float, float], numbers: tuple[int, int]) -> Plan:
-    """``numbers``: boxes in x and in the direction of ``step``."""
+    """A plan with boxes of one size in a grid. ``numbers`` has the numbers of boxes along x and in the direction of
+    ``step``."""
     corner = np.array([(x * size[0], 0, 0) + k * np.array(step) for k in range(numbers[1]) for x in range(numbers[0])])
     return Plan.from_boxes("A", size_mm=np.tile(size, (len(corner), 1)), corner_mm=corner, mass_kg=[8.0] * len(corner))
 
 
 def test_heights_in_y_are_named_if_all_boxes_stand_on_the_carrier() -> None:
-    """Columns whose boxes overlap, and a wall whose boxes lie in a row that is longer than the carrier."""
+    """Swapped y and z are named for columns, which become boxes that overlap, and for a wall, which becomes a row of
+    boxes that is longer than the carrier."""
     sim = Simulation(carrier=Carrier.EURO_PALLET)
     for plan in (_columns_of((400, 300, 200), (0, 200, 0), (2, 5)), _columns_of((400, 200, 300), (0, 200, 0), (3, 7))):
         (line,) = gather_plans([plan], sim, RunOptions()).conventions
         assert line.startswith("y and z look swapped: in plan A ")
     right = (
-        _columns_of((400, 200, 300), (0, 200, 0), (3, 4)),  # fits
-        _columns_of((400, 200, 300), (0, 200, 0), (2, 6)),  # fits a carrier that is turned
+        _columns_of((400, 200, 300), (0, 200, 0), (3, 4)),  # fits on the carrier
+        _columns_of((400, 200, 300), (0, 200, 0), (2, 6)),  # fits on a carrier with swapped length and width
         _columns_of((300, 270, 200), (0, 270, 0), (4, 3)),  # hangs over by 10 mm
-        _columns_of((400, 300, 200), (0, 290, 0), (2, 2)),  # overlaps a little
+        _columns_of((400, 300, 200), (0, 290, 0), (2, 2)),  # has small overlaps
     )
     for plan in right:
         assert gather_plans([plan], sim, RunOptions()).conventions == []

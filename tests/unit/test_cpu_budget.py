@@ -1,4 +1,4 @@
-"""The time that a world on C MuJoCo may take, and what is shown meanwhile."""
+"""Tests of the computing time that a world on C MuJoCo may take, and of the message that is shown meanwhile."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STATIC = Simulation(check="static")
 
 
 class Clock:
-    """Stands for the module ``time``."""
+    """A mock of the module ``time``."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -40,7 +40,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 def spent_after(budget: Budget, clock: Clock) -> float:
-    """When it is spent, s."""
+    """The time at which the budget is spent, s."""
     while not budget.is_spent(0, 3):
         clock.now_s += 0.5
     return clock.now_s
@@ -71,7 +71,8 @@ def test_slow_steps_are_looked_at_one_by_one(clock: Clock) -> None:
 
 
 def test_a_static_check_ends_with_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Boxes in one place: thousands of contacts, and steps that take a tenth of a second and more."""
+    """If many boxes are at the same place, there are thousands of contacts, and a step takes a tenth of a second or
+    more. The static check of such a plan ends with a message."""
     monkeypatch.setitem(LEAST_S, Check.STATIC, 0.2)
     monkeypatch.setattr(budgets, "MOST_TIMES", 0.0)
     plan = make_plan("heap", [((400, 300, 200), (0, 0, 0), 5.0)] * 40)
@@ -85,7 +86,7 @@ def test_a_static_check_ends_with_a_word(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_what_has_fallen_by_then_is_unstable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time is up a while after a box has dropped, in a world that would go on."""
+    """If a box has dropped before the time is up, the world is unstable, even without early stop."""
     plan = make_plan("falls", [((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (380, 0, 200), 5.0)])
     world = petmjx.score([plan], engine="mujoco", early_stop=False, threads=1).worlds.iloc[0]
     looks = iter(range(10_000))

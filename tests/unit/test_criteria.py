@@ -1,4 +1,5 @@
-"""Closed-form criteria against answers by hand, and force balance against an independent formulation."""
+"""Tests of the closed-form criteria: their answers are compared with results computed by hand, and those of force
+balance with an independent formulation."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ def asked(boxes: Sequence[Box], friction: Friction = MU) -> Answers:
 
 
 def says(answers: Answers, box: int = -1) -> dict[str, bool]:
-    """What each criterion says of a box (of the last one)."""
+    """Name of a criterion → whether it accepts a box, by default the last box."""
     return {name: bool(answers.stable[box, number] == YES) for number, name in enumerate(NAMES)}
 
 
@@ -57,7 +58,8 @@ def box(x: float, y: float, z: float, dx: float, dy: float, dz: float, kg: float
 
 
 def beam(x: float, x_end: float, z: float, z_end: float, kg: float = 1.0) -> Box:
-    """A box of a plan in one plane: all are 300 mm wide."""
+    """A box from x to x_end and from z to z_end. All such boxes are 300 mm wide along y, so the problem is
+    two-dimensional."""
     return box(x, 0, z, x_end - x, 300, z_end - z, kg)
 
 
@@ -73,7 +75,7 @@ def test_overhang_below_half_stands() -> None:
     assert plan_answers.share[1] == pytest.approx(210 / 400)
     for name in HULL[:4]:
         assert slack(plan_answers, name) == pytest.approx(10)
-    # the centre is 95 mm from the middle of a contact that is 210 mm long
+    # the box's centre is 95 mm from the middle of the contact, which is 210 mm long
     assert slack(plan_answers, "force_balance") == pytest.approx(1 - 95 / 105)
     assert plan_answers.corners.tolist() == [4, 2]
 
@@ -97,7 +99,7 @@ def test_bridge() -> None:
     answers = says(plan_answers)
     assert all(answers[name] for name in (*HULL, "three_corners", "support_50"))
     assert not answers["support_60"]
-    # 4 corners and exactly half of the base: more than half is asked for
+    # 4 corners and exactly half of the base are supported, but the criterion requires more than half
     assert slack(plan_answers, "corner_area_code") == 0
     assert not answers["corner_area_code"]
     assert slack(plan_answers, "centre") == pytest.approx(150)
@@ -110,17 +112,17 @@ def test_l_shaped_support_is_the_hull_of_two_rectangles() -> None:
     assert plan_answers.share[2] == pytest.approx(0.4375)
     assert plan_answers.corners[2] == 3
     assert says(plan_answers)["three_corners"]
-    # the hull's slanting edge is x + y = 500, the centre (200, 200)
+    # the slanted edge of the hull is x + y = 500, and the box's centre is at (200, 200)
     for name in HULL[:2]:
         assert slack(plan_answers, name) == pytest.approx(100 / np.sqrt(2))
-    for name in HULL[2:4]:  # the supports, on 100 mm of the carrier, are asked again
+    for name in HULL[2:4]:  # these criteria also check the supports, which stand on 100 mm of the carrier
         assert 0 < slack(plan_answers, name) <= 50
 
 
 def test_l_shaped_support_beside_the_centre_falls() -> None:
     supports = [box(0, 0, 0, 50, 400, 200), box(50, 0, 0, 350, 50, 200)]
     answers = asked([*supports, box(0, 0, 200, 400, 400, 100), box(300, 300, 300, 100, 100, 100, kg=3)])
-    # hull's edge x + y = 450: the box stands, and tips under the load at (350, 350)
+    # the edge of the hull is x + y = 450: the box stands alone, and tips under the load at (350, 350)
     assert all(says(answers, 2)[name] for name in HULL)
     assert says(answers)["centre"]
     assert not any(says(answers)[name] for name in HULL[1:])
@@ -142,14 +144,14 @@ COUNTERWEIGHT = beam(-100, 0, 300, 400, kg=3)
 
 
 def test_counterweight_holds_a_plank_only_if_it_is_there_first() -> None:
-    # about the support's right edge: 2·50 + 3·200 hold, 3·100 tip
+    # moments about the right edge of the support: 2·50 + 3·200 hold the plank, 3·100 tips it
     held = asked([SUPPORT, PLANK, COUNTERWEIGHT, LOAD])
     falls = asked([SUPPORT, PLANK, LOAD, COUNTERWEIGHT])
     for name in ("stacking_tree", "equilibrium", "force_balance"):
         assert (says(held)[name], says(falls, 2)[name]) == (True, False), name
     total = 2 * 100 + 3 * -50 + 3 * 250
     assert slack(held, "equilibrium") == pytest.approx(min(150 - total / 8, total / 8, 50))
-    # with both in place the stack would stand again; for a load polygon it never does, for the centre always
+    # with both boxes in place, the stack would be in balance; criteria with load polygons refuse it, ``centre`` accepts
     assert says(falls)["equilibrium"]
     assert falls.stable[3, NAMES.index("force_balance")] == NOT_ASKED
     assert not says(held)["load_polygon"]
@@ -157,12 +159,14 @@ def test_counterweight_holds_a_plank_only_if_it_is_there_first() -> None:
 
 
 def test_cantilever_held_down_from_above() -> None:
-    """What lies across the plank's tail and a column can press on the tail with all its weight, if it must."""
+    """A box lies on the plank's tail and on a column. If this is needed for balance, the box can press on the tail with
+    its whole weight."""
     column, across = beam(-200, -20, 0, 300), beam(-100, 120, 300, 400, kg=10)
     end = beam(250, 300, 300, 400, kg=20)
     boxes = [beam(100, 200, 0, 200), column, beam(0, 300, 200, 300, kg=2), across, end]
     answers = asked(boxes)
-    # about x = 200: the plank's 2·50 and 10·190 hold against 20·75; shared out evenly, 10 holds less
+    # moments about x = 200: the plank's 2·50 and the box's 10·190 hold against 20·75; if the box's weight were shared
+    # evenly with the column, the box would hold less
     assert says(answers)["force_balance"]
     assert says(answers)["equilibrium"]
     contacts = find_contacts(make_plan(boxes=boxes))
@@ -176,14 +180,15 @@ LEANING = [beam(0, 400, 0, 200, kg=5), beam(630, 1030, 0, 400, kg=10), beam(230,
 
 
 def test_a_box_leans_on_its_neighbour() -> None:
-    """Its centre is 30 mm beyond the edge; pressing 200 mm above it, the neighbour needs 0.15 of its weight."""
+    """The centre of the leaning box is 30 mm beyond the edge. Its neighbour must press with 0.15 of the box's weight,
+    200 mm above the edge."""
     answers = asked(LEANING)
     assert says(answers)["force_balance_leaning"]
     assert not says(answers)["force_balance"]
     assert not says(asked(LEANING, Friction(0.14)))["force_balance_leaning"]
     assert says(asked(LEANING, Friction(0.16)))["force_balance_leaning"]
     light = [LEANING[0], (*LEANING[1][:2], 1.0), LEANING[2]]
-    assert not says(asked(light))["force_balance_leaning"]  # the neighbour slides: 0.75 N / g against 0.5 of 1 kg
+    assert not says(asked(light))["force_balance_leaning"]  # the neighbour slides: it is pushed with 0.75 kg · g
 
 
 @pytest.mark.parametrize("friction", [MU, Friction(0.5, 0.5)])
@@ -221,7 +226,8 @@ def test_load_polygons_are_cut_by_those_below() -> None:
 
 
 def test_what_is_too_much_for_a_box_below_is_refused() -> None:
-    """Three boxes of 10 kg on top of each other: the lowest bears 196 N, the one above it 98 N, if it can."""
+    """Three boxes of 10 kg are on top of each other. The lowest box must carry 196 N, and the middle box 98 N. A load
+    above a box's strength is refused."""
     plan = make_plan(boxes=[box(0, 0, 200.0 * level, 400, 300, 200, 10.0) for level in range(3)])
     known = replace(plan, strength_n=np.array([150.0, np.nan, np.nan]))
     answers = answer(known, CRITERIA, MU, 0.5)
@@ -236,7 +242,7 @@ def test_an_unknown_criterion_is_refused_with_a_hint() -> None:
 
 
 def random_stack(rng: np.random.Generator, n: int = 7) -> list[Box]:
-    """Boxes let down at random places of a grid, so that many touch side by side and some overhang a lot."""
+    """Boxes that are lowered at random places of a grid. Many boxes touch side by side, and some overhang far."""
     placed: list[tuple[Triple, Triple]] = []
     boxes: list[Box] = []
     for _ in range(n):
@@ -252,8 +258,9 @@ def random_stack(rng: np.random.Generator, n: int = 7) -> list[Box]:
 
 
 def balanced_by_rays(boxes: Sequence[Box], friction: float, lean: bool) -> bool:
-    """Whether all boxes can be balanced, by another formulation and another solver: at each corner of each contact a
-    force is a sum of the edges of its friction pyramid with weights that non-negative least squares finds."""
+    """Whether all boxes can be balanced, according to another formulation and another solver. At each corner of each
+    contact, the force is a sum of the edges of a friction pyramid, with weights that non-negative least squares
+    finds."""
     rays, n = [], len(boxes)
     low = np.array([corner for _, corner, _ in boxes])
     high = low + np.array([size for size, _, _ in boxes])
@@ -283,7 +290,7 @@ def balanced_by_rays(boxes: Sequence[Box], friction: float, lean: bool) -> bool:
     weights = np.zeros((n, 6))
     weights[:, 2] = [kg for _, _, kg in boxes]
     matrix = np.array(rays).T
-    # the residual that nnls itself gives is 0 for some programmes without a solution (SciPy 1.17.1)
+    # the residual is computed here, since nnls of SciPy 1.17.1 returns 0 for some problems without a solution
     left_over = matrix @ nnls(matrix, weights.ravel(), maxiter=10_000)[0] - weights.ravel()
     return bool(np.linalg.norm(left_over) < 1e-6)
 
@@ -296,7 +303,7 @@ def test_force_balance_agrees_with_rays_on_random_stacks(lean: bool) -> None:
         boxes = random_stack(rng)
         contacts = find_contacts(make_plan(boxes=boxes))
         slacks = balance_slack(contacts, contact_hulls(contacts), Friction(0.3), lean)[int(lean)]
-        # up to the first failure, or some placement before it; a random box never floats
+        # the slacks up to a random placement, at most up to the first failure; no box floats
         slacks = slacks[: rng.integers(1, np.count_nonzero(~np.isnan(slacks)) + 1)]
         if abs(slacks.min()) >= 1e-6:
             answers.append(bool(slacks.min() > 0))
@@ -312,18 +319,18 @@ def test_the_closed_form_of_one_box_is_what_its_linear_programme_finds() -> None
         system, alone = _VerticalSystem(contacts), _slack_alone(contacts, contact_hulls(contacts))
         for box_number in np.flatnonzero(~contacts.grounded):
             if not contacts.grounded[contacts.lower[contacts.upper == box_number]].all():
-                continue  # part of a larger structure
+                continue  # the box is part of a larger structure
             assert system.slack(np.array([box_number])) == pytest.approx(min(alone[box_number], 1), abs=1e-6)
             compared += 1
     assert compared > 60
 
 
 def test_boards_bear_as_boxes_would_that_stand_fast() -> None:
-    """What is asked of a box on a deck of boards is what is asked of it on boxes in the boards' places.
+    """The answers for a box on a deck of boards are those for the same box on boxes at the boards' places.
 
-    Criteria that pass loads down also ask boxes in the boards' places, which may be lifted, and the tolerable
-    acceleration of the load and its points count them. And force balance takes a box that stands on the deck with all
-    its corners for part of the carrier, with a slack of 1.
+    There are exceptions. Criteria that pass loads down also check the boxes at the boards' places, and the tolerable
+    acceleration of the load and its points include them. Force balance treats a box that stands on the deck with all
+    its corners as part of the carrier, with a slack of 1.
     """
     rng, compared, unstable = np.random.default_rng(4), 0, 0
     loads = [NAMES.index(name) for name in ("stacking_tree", "equilibrium")]
@@ -349,7 +356,7 @@ def test_boards_bear_as_boxes_would_that_stand_fast() -> None:
 
 def test_a_box_over_a_gap_is_judged_by_what_bears_it() -> None:
     deck = np.array([((0.0, 0.0), (1000.0, 145.0)), ((0.0, 186.0), (1000.0, 286.0))])
-    post = ((60.0, 60.0, 200.0), (100.0, 119.0, 0.0), 1.0)  # its centre 4 mm beyond the edge of the first board
+    post = ((60.0, 60.0, 200.0), (100.0, 119.0, 0.0), 1.0)  # the centre is 4 mm beyond the edge of the first board
     answers = answer(make_plan(boxes=[post]), CRITERIA, MU, 0.5, deck)
     assert not any(says(answers)[name] for name in HULL)
     assert slack(answers, "centre") == pytest.approx(-4)
@@ -364,7 +371,8 @@ def test_a_box_over_a_gap_is_judged_by_what_bears_it() -> None:
 
 
 def test_friction_can_hold_what_vertical_forces_cannot() -> None:
-    """A board on the edge of its support tips under what lies across it and a cube, which ties it by friction."""
+    """Friction can hold a board that vertical forces cannot hold. The board is at the edge of its support. A box that
+    lies across the board and a cube would tip the board, but its friction also ties board and cube together."""
     boxes = [box(0, 0, 0, 400, 400, 200, 1.7), box(0, 200, 200, 200, 400, 100, 3.4)]
     boxes += [box(350, 150, 200, 100, 100, 100, 3.8), box(100, 200, 300, 400, 300, 200, 1.9)]
     assert [says(asked(boxes, Friction(mu)))["force_balance"] for mu in (0.0, 0.8)] == [False, True]
@@ -380,7 +388,8 @@ def test_answers_do_not_depend_on_where_the_plan_is() -> None:
 
 
 def test_equilibrium_has_the_sign_of_vertical_forces_that_balance() -> None:
-    """Boxes on several others, in 40 random piles, each after its placement, until one has no balance."""
+    """The slack of ``equilibrium`` is positive exactly if vertical forces can balance the boxes. This is checked in 40
+    random piles, after each placement until a box has no balance."""
     rng = np.random.default_rng(11)
     accepted = []
     for _ in range(40):
@@ -406,7 +415,8 @@ def test_equilibrium_has_the_sign_of_vertical_forces_that_balance() -> None:
 
 
 def test_the_tolerable_acceleration_by_hand() -> None:
-    """A carton of 400 × 300 × 200 mm slides; one on it, moved by 150 mm, tips over an edge; a tower tips as a whole."""
+    """The tolerable acceleration, computed by hand. With little friction, cartons of 400 × 300 × 200 mm slide. With
+    much friction, a carton on another carton, offset by 150 mm, tips over an edge, and a tower tips as a whole."""
     boxes = make_plan(boxes=stack(2, 150.0))
     tower = make_plan(boxes=stack(8))
     for friction, of_boxes in ((0.4, [0.4, 0.4]), (3.0, [150 / 100, 50 / 100])):
@@ -415,10 +425,11 @@ def test_the_tolerable_acceleration_by_hand() -> None:
         assert found == pytest.approx(of_boxes)
     contacts = find_contacts(tower, 0.5)
     found = tolerable_acceleration_g(contacts, contact_hulls(contacts), 3.0)
-    assert found == pytest.approx([150 / (100 * k) for k in range(1, 9)])  # its centre is half as high as its top
+    assert found == pytest.approx([150 / (100 * k) for k in range(1, 9)])  # the tower's centre is at half of its height
     names = chosen_criteria(("tolerable_acceleration",))
     answers = answer(tower, names, Friction(0.6), 0.5)
-    assert answers.stable[:, 0].tolist() == [YES, YES, YES, NO, NO, NO, NO, NO]  # 0.5 g from three boxes on
+    # a tower of three boxes tolerates exactly 0.5 g
+    assert answers.stable[:, 0].tolist() == [YES, YES, YES, NO, NO, NO, NO, NO]
     assert not {"tolerable_acceleration", "load_points"} & {criterion.name for criterion in chosen_criteria()}
 
 
@@ -430,9 +441,10 @@ LEANING_OUT = stack(2, 100.0, kg=(2.0, 6.0))
     ("boxes", "points"),
     [
         (stack(1), [25, 25, 10, 10, 15, 15]),
-        (stack(5), [25, 25, 10, 0, 15, 15]),  # each box lies on one
+        (stack(5), [25, 25, 10, 0, 15, 15]),  # each box lies on one box
         (BESIDE, [25, 12.5, 10, 10, 15, 15]),  # the right half has a quarter of the mass
-        # centre at 250 of 400 mm; 2.5 of 8 kg left of the middle; 4/5 filled; a quarter overhangs; the heavier is above
+        # the centre is at 250 of 400 mm; 2.5 of 8 kg are left of the middle; 4/5 of the volume is filled; a quarter of
+        # the base overhangs; the heavier box is above
         (LEANING_OUT, [18.75, 15.625, 8, 0, 11.25, 0]),
     ],
     ids=["carton", "tower", "beside", "leaning out"],
@@ -464,5 +476,5 @@ def test_criteria_are_judged_by_how_often_plans_arrive(tmp_path: Path) -> None:
     means = judged.set_index("criterion")[[*ARRIVES]]
     assert means.loc["tolerable_acceleration"].tolist() == [shares["low"], shares["tower"]]
     assert means.loc["centre"].iloc[0] == shares.mean()
-    assert np.isnan(means.loc["centre"].iloc[1])  # it refuses none
+    assert np.isnan(means.loc["centre"].iloc[1])  # the criterion ``centre`` refuses no plan
     assert petmjx.criteria(plans, run=run, only=names, p_arrives=0.0).judged[[*CELLS]].iloc[0].tolist() == [2, 0, 0, 0]

@@ -1,4 +1,5 @@
-"""Criteria judged by physics: scores, intervals, thresholds, and the tables of ``petmjx.criteria``."""
+"""Tests of the comparison of criteria with simulations: scores, intervals, thresholds, and the tables of
+``petmjx.criteria``."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ def test_scores_are_those_of_their_definitions() -> None:
     precision, recall, mcc = scores(confusion(accepted, stands))
     assert precision == stands[accepted].mean()
     assert recall == accepted[stands].mean()
-    # MCC is the correlation of the two answers
+    # MCC is the correlation between the answers of criterion and simulation
     assert mcc == pytest.approx(np.corrcoef(accepted, stands)[0, 1])
 
 
@@ -61,7 +62,7 @@ def test_plans_that_all_stand_or_all_fall_tell_nothing_of_a_criterion(cells: lis
 
 @pytest.mark.parametrize("stands", [[True] * 4, [False] * 4, [True, True, False, False]])
 def test_no_threshold_where_none_tells_anything(stands: list[bool]) -> None:
-    """All stand, all fall, or those with the larger numbers fall."""
+    """There is no threshold if all plans stand, if all fall, or if the plans with the larger slacks fall."""
     threshold, score = best_threshold(np.arange(4.0), np.array(stands))
     assert np.isnan(threshold)
     assert score == 0
@@ -155,7 +156,7 @@ def test_thresholds_are_judged_on_the_other_half() -> None:
     overhangs = rng.uniform(0, 390, size=120)
     plans = [make_plan(f"p{k}", stack(2, overhang_mm=float(x))) for k, x in enumerate(overhangs)]
     results = petmjx.criteria(plans, only=("support_100", "centre"))
-    # a physics in which boxes fall from an overhang of 120 mm on
+    # an invented simulation in which boxes with an overhang of at least 120 mm fall
     physics = worlds(**{f"p{k}": "stable" if x < 120 else "unstable" for k, x in enumerate(overhangs)})
     thresholds = best_thresholds(results.plans, physics, results.criteria).set_index("criterion")
     assert thresholds.loc["support_100", "threshold"] == pytest.approx(1 - 120 / 400, abs=0.03)
@@ -234,8 +235,9 @@ def test_unusable_options_are_one_line(options: dict[str, object], line: str) ->
 
 
 def test_hand_made_plans_fall_where_force_balance_says() -> None:
-    """Physics lets a box fall by 5 mm, which no criterion does. The lever rule puts forces at the middle of contacts,
-    too far in for a staircase."""
+    """The hand-made plans fall if force balance refuses them, with two exceptions. In simulation, a box may fall by 5
+    mm, but no criterion accepts this. The lever rule assumes forces in the middle of contacts, which is too far inside
+    for a staircase."""
     plans = [plan for plan in petmjx.load_plans(bundled_path()) if plan.plan_id.startswith("hand-")]
     run = petmjx.score(plans, engine="mujoco")
     stands = run.worlds.set_index("plan_id")["verdict"] == "stable"

@@ -1,4 +1,5 @@
-"""The referees' sieve and the driver of their worlds, with simulators made up here."""
+"""Tests of the comparison with other simulators (referees): which plans each referee gets, and how their worlds are
+run. The simulators are mocks."""
 
 from __future__ import annotations
 
@@ -24,20 +25,21 @@ STABLE, UNSTABLE, INVALID = (verdict.value for verdict in Verdict)
 @pytest.mark.parametrize(
     ("ours", "verdicts", "asked", "against"),
     [
-        # if the first agrees that is the end, and with two referees also if its answer changes with the timestep
+        # a plan is decided if the first referee agrees; of two referees, also if the first one's answer depends on the
+        # timestep
         (STABLE, [(STABLE, UNSTABLE), (UNSTABLE, UNSTABLE), (UNSTABLE, UNSTABLE)], [[STABLE]], []),
         (STABLE, [(UNSTABLE, STABLE), (UNSTABLE, UNSTABLE)], [[UNSTABLE, STABLE]], []),
-        # one converged referee is not enough
+        # a single referee whose answer does not depend on the timestep is not enough
         (STABLE, [(UNSTABLE, UNSTABLE), (STABLE, UNSTABLE)], [[UNSTABLE, UNSTABLE], [STABLE]], ["0"]),
         (UNSTABLE, [(STABLE, STABLE), (STABLE, STABLE)], [[STABLE, STABLE], [STABLE, STABLE]], ["0", "1"]),
-        # with three the second may fail
+        # with three referees, the second one may fail
         (
             STABLE,
             [(UNSTABLE, UNSTABLE), (UNSTABLE, STABLE), (UNSTABLE, UNSTABLE)],
             [[UNSTABLE, UNSTABLE], [UNSTABLE, STABLE], [UNSTABLE, UNSTABLE]],
             ["0", "2"],
         ),
-        # a world that exploded says nothing, and nothing contradicts a plan without a verdict
+        # an invalid world is no answer, and a plan without a valid verdict cannot be contradicted
         (STABLE, [(INVALID, INVALID), (UNSTABLE, UNSTABLE)], [[INVALID, INVALID]], []),
         (INVALID, [(STABLE, STABLE), (STABLE, STABLE)], [[STABLE, STABLE]], []),
     ],
@@ -53,7 +55,8 @@ def test_two_converged_referees_overrule_petmjx(
 
 
 class MadeUp:
-    """A world in which each box moves along a path of its own, from its placement on: (box, seconds) → metres."""
+    """A mock world in which each box moves along a given path after its placement: (number of the box, time in s) →
+    displacement in m."""
 
     timestep_s = 0.001
 
@@ -87,7 +90,7 @@ def test_boxes_that_rest_stand_and_are_placed_one_by_one() -> None:
     outcome = stand(world, scene, sim)
     assert (outcome.verdict, outcome.margin, outcome.moving) == (Verdict.STABLE, 1.0, False)
     assert outcome.boxes.rest_top_force_n.tolist() == [0.0, 1.0, 2.0]
-    # as petmjx: after three looks, 15 steps of 2 ms
+    # boxes are placed as by petmjx: after three checks, that is, 15 steps of 2 ms
     assert np.diff(world.placed_at).tolist() == [30, 30]
     together = MadeUp(scene, lambda box, seconds: (0.0, 0.0, 0.0))
     stand(together, scene, sim.changed(check="static"))
@@ -97,12 +100,12 @@ def test_boxes_that_rest_stand_and_are_placed_one_by_one() -> None:
 @pytest.mark.parametrize(
     ("path", "verdict", "reason", "moving"),
     [
-        # it slides by 50 mm within a second, and rests
+        # the box slides by 50 mm within a second, and then rests
         (lambda box, s: (0.05 * min(s, 1.0), 0.0, 0.0), Verdict.UNSTABLE, Reason.SHIFT, False),
         (lambda box, s: (0.0, 0.0, -0.5 * 9.81 * s * s), Verdict.UNSTABLE, Reason.DROP, True),
-        # it begins to topple, so slowly that it is quiet, and must be waited for
+        # the box begins to topple so slowly that it counts as quiet; the world must not end yet
         (lambda box, s: (1e-4 * (np.exp(2 * s) - 1), 0.0, 0.0), Verdict.UNSTABLE, Reason.SHIFT, True),
-        # it creeps for ever
+        # the box creeps for ever
         (lambda box, s: (0.0015 * s, 0.0, 0.0), Verdict.STABLE, Reason.NONE, True),
         (lambda box, s: (np.nan, 0.0, 0.0), Verdict.INVALID, Reason.NONFINITE, True),
     ],

@@ -1,4 +1,5 @@
-"""Input is bounded: whatever a path leads to and a file holds costs a line, and neither time nor memory."""
+"""Tests of damaged and huge input. Whatever a path leads to, and whatever a file contains, petmjx prints one line, and
+takes neither much time nor much memory."""
 
 from __future__ import annotations
 
@@ -39,12 +40,12 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 N_EACH = 190
 QUICK_S = 2.0
-"""Of CPU time: other processes do not count."""
+"""Longest CPU time of this process for a quick refusal, s."""
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_a_sample_of_damaged_files_costs_at_most_a_line_each(kind: str, tmp_path: Path) -> None:
-    """``PYTHONPATH=.:tests python -m support.damage`` tries 50,000."""
+    """A sample of damaged files. ``PYTHONPATH=.:tests python -m support.damage`` tries 50,000 damaged files."""
     messages = [(seed, try_one(kind, seed, tmp_path)[1]) for seed in range(N_EACH)]
     assert [(seed, message) for seed, message in messages if message is not None] == []
 
@@ -89,7 +90,7 @@ def test_folders_and_fifos_among_plan_files_do_not_stop_the_others() -> None:
 
 def test_a_file_that_is_too_large_is_refused_before_it_is_read() -> None:
     with open("huge.json", "wb") as stream:
-        stream.truncate(json_reader.MOST_BYTES + 1)  # sparse: it takes no room on the disk
+        stream.truncate(json_reader.MOST_BYTES + 1)  # a sparse file, which takes no space on the disk
     begin = time.process_time()
     (skipped,) = load_plans("huge.json").skipped
     assert str(skipped) == "huge.json: cannot be read (it is larger than 4 GiB)"
@@ -140,7 +141,7 @@ MB = 1_000_000
             '{"€🍞": [], "x": ',
             '"xxxxxxxx", ',
             60 * MB,
-        ),  # one letter beyond ASCII would make all text four times as long
+        ),  # because of one letter beyond ASCII, Python would store the text with four bytes per letter
         ('{"a": [', "[],", 60 * MB),
         ("{", '"a":1,', 3 * MB),
         ('{"a": "', "a", 60 * MB),
@@ -180,7 +181,8 @@ def test_damage_is_found_in_linear_time(case: str) -> None:
 
 
 def test_values_of_very_different_lengths_are_read_in_linear_time() -> None:
-    """What is decoded first of a value is twice as long as the value before."""
+    """Values of very different lengths are read in linear time: for each value, the reader first decodes twice the
+    length of the previous value."""
     long = json.dumps([placement()] * 4_000)
     text = "{" + ", ".join(f'"{k}": {long if k % 100 == 0 else 0}' for k in range(2_000)) + "}"
     begin = time.process_time()
@@ -287,7 +289,8 @@ def test_sweeps_beyond_a_physical_range_are_refused_with_the_range(case: str) ->
 
 @pytest.mark.parametrize("axis", [(1e300, 1e300, 0.0), (1e-300, 1e-300, 0.0), (5e-324, 5e-324, 0.0)])
 def test_an_axis_of_any_length_has_its_direction(axis: tuple[float, float, float]) -> None:
-    """An axis whose square is no float64 shook nothing, and every plan was stable."""
+    """An axis of any length has its direction. Earlier, an axis whose square exceeds float64 shook nothing, so every
+    plan was stable."""
     of_length_one = HalfSine(axis=(1.0, 1.0, 0.0)).excitation(0.002).samples
     np.testing.assert_allclose(HalfSine(axis=axis).excitation(0.002).samples, of_length_one, rtol=1e-12)
 
@@ -344,7 +347,8 @@ def test_psd_tables_beyond_any_range_are_one_line(text: str, message: str) -> No
 
 
 def test_what_costs_more_than_a_line_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The check of damaged files can fail: on tracebacks, time, memory, and lines that are none."""
+    """The check of damaged files finds tracebacks, too much time, too much memory, and messages that are not one
+    line."""
 
     def crash(path: Path) -> list[str]:
         raise KeyError("x")

@@ -1,4 +1,5 @@
-"""Damaged run folders are noticed: no traceback, no number that differs; and what is not the run's is not read."""
+"""Tests of damaged folders of runs. petmjx notices the damage: there is no traceback, and no number changes. Files that
+do not belong to the run are not read."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ def run(tmp_path: Path) -> Path:
 
 
 def test_parts_that_the_run_did_not_list_are_not_read(run: Path) -> None:
-    """A kill leaves them, or somebody puts them there."""
+    """Parts that the run did not list are not read. Such files are left behind if a run is killed, or put there by
+    somebody."""
     worlds = petmjx.load_run(run).worlds
     shutil.copy(run / "worlds/part-00000.parquet", run / "worlds/part-00001.parquet")
     assert petmjx.load_run(run).worlds.equals(worlds)
@@ -46,7 +48,7 @@ def test_worlds_that_were_taken_away_are_simulated_again(run: Path) -> None:
 
 
 def test_worlds_without_boxes_are_simulated_again(run: Path) -> None:
-    """As a merge of petmjx 0.2 left them that was cut short."""
+    """Worlds without boxes are simulated again. An interrupted merge of petmjx 0.2 left such worlds."""
     complete_run = petmjx.load_run(run)
     worlds, boxes = complete_run.worlds, complete_run.boxes
     (run / "boxes/part-00000.parquet").unlink()

@@ -1,4 +1,4 @@
-"""Examples in the documents run, and what they say of refusals is what petmjx says."""
+"""The examples in the documents run, and the error messages that they show are those of petmjx."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_the_examples_of_both_forms_are_the_same_plan(with_the_minimal_plan: Pat
 
 
 def test_examples_of_kpis_and_loads_run(with_the_minimal_plan: Path) -> None:
-    """After the commands that their pages begin with."""
+    """The examples of KPIs and loads run after the commands at the beginning of their pages."""
     item = json.loads(blocks("plan-format.md", "json")[0])["my-first-plan"][0]["item"]
     order = {"item_sequence": {"1": item, "2": item}, "properties": {"target": "euro-pallet"}}
     (with_the_minimal_plan / "orders.json").write_text(json.dumps({"my-first-plan": order}), encoding="utf-8")
@@ -80,7 +80,7 @@ def test_the_example_of_a_carrier_runs(tmp_path: Path) -> None:
 
 
 def test_examples_of_extending_run(with_the_minimal_plan: Path) -> None:
-    """All blocks as one program."""
+    """All Python blocks of the page about extending petmjx run as one program."""
     printed = run_in(with_the_minimal_plan, "\n".join(blocks("extending.md", "python")))
     assert "hand-bridge" in printed
     assert "level_g" in printed
@@ -105,7 +105,7 @@ def program_of_blocks(document: Path) -> str:
 
 
 def test_examples_of_the_readme_and_of_results_run(tmp_path: Path) -> None:
-    """As one program, in a folder where ``make demo`` has left its results."""
+    """The examples of README and results run as one program, in a folder with the results of ``make demo``."""
     pytest.importorskip("duckdb")
     demo = "import petmjx\npetmjx.score(limit=6, engine='mujoco', out='petmjx-results/demo')"
     documents = (REPOSITORY / "README.md", *(REPOSITORY / "docs" / name for name in ("results.md", "python.md")))
@@ -122,7 +122,8 @@ def test_examples_of_the_loop_run(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", range(4))
 def test_examples_of_training_run(number: int, tmp_path: Path) -> None:
-    """Each in a fresh interpreter, after the command of the page; those of libraries that are not here are skipped."""
+    """Each example of the page about training runs in a new interpreter, after the command on the page. Examples with
+    libraries that are not installed are skipped."""
     pytest.importorskip("gymnasium")
     programs = blocks("training.md", "python")
     assert len(programs) == 4
@@ -132,7 +133,7 @@ def test_examples_of_training_run(number: int, tmp_path: Path) -> None:
     if "labels/" in programs[number]:
         few = {"length_mm": [400, 300] * 20, "width_mm": 300, "height_mm": [200, 250] * 20, "weight_kg": 5}
         orders = pd.DataFrame({"order_id": [order for order in range(20) for _ in range(2)], **few})
-        orders["length_mm"] += orders["order_id"]  # all different
+        orders["length_mm"] += orders["order_id"]  # so that no two orders are equal
         orders.to_csv(tmp_path / "orders.csv", index=False)
         (command,) = re.findall(r"^\$ petmjx (label .+)$", blocks("training.md", "console")[0], flags=re.MULTILINE)
         run_in(tmp_path, f"from petmjx.cli import main; assert main({shlex.split(command)!r}) == 0")
@@ -163,7 +164,7 @@ def program_of(document: str) -> str:
 @needs_pictures()
 @pytest.mark.parametrize("document", LESSONS)
 def test_lessons_run(document: str, tmp_path: Path) -> None:
-    """As a newcomer types them, in an empty folder with the files that the pages show."""
+    """The lessons run as a new user types them, in a folder that contains only the files shown on the pages."""
     pytest.importorskip("scipy")
     pytest.importorskip("gymnasium")
     (tmp_path / "plans.csv").write_text(blocks("start.md", "csv")[0], encoding="utf-8")
@@ -176,7 +177,7 @@ def test_lessons_run(document: str, tmp_path: Path) -> None:
 
 
 def edited(field: str, value: Any) -> list[dict[str, Any]]:
-    """Eight placements, the last with another value of one field; None takes the field away."""
+    """Eight placements. One field of the last placement has another value, or is removed if ``value`` is None."""
     plan = [placement() for _ in range(8)]
     holder = plan[7] if field in plan[7] else plan[7]["item"]
     holder[field] = value
@@ -186,7 +187,7 @@ def edited(field: str, value: Any) -> list[dict[str, Any]]:
 
 
 def lacking(*fields: tuple[int, str]) -> list[dict[str, Any]]:
-    """Three placements without some fields."""
+    """Three placements without the given fields (number of the placement, name of the field)."""
     plan = [placement() for _ in range(3)]
     for number, field in fields:
         del (plan[number] if field in plan[number] else plan[number]["item"])[field]
@@ -219,7 +220,7 @@ HEADER, ROW = blocks("plan-format.md", "csv")[0].splitlines()[:2]
 
 
 def table_row(plan_id: str, sequence: int = 1, **changes: object) -> str:
-    """The first row of the example with other values."""
+    """The first row of the example table, with some values changed."""
     values = dict(zip(HEADER.split(","), ROW.split(","), strict=True)) | {"plan_id": plan_id, "sequence": sequence}
     return ",".join(map(str, (values | changes).values()))
 

@@ -1,4 +1,4 @@
-"""Documents and docstrings name what exists, point nowhere outside the repository, and their examples run."""
+"""Tests of documents and docstrings: names and links refer to things that exist in the repository, and examples run."""
 
 from __future__ import annotations
 
@@ -36,17 +36,18 @@ CODE_BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
 HEADING = re.compile(r"^#+ (.+)$", flags=re.MULTILINE)
 
 OUTSIDE = re.compile(r"\b[Tt]he spec\b|\bspec,? section|(?<!\]\()(?<!\]\(\.\./)\.\./|\b[Tt]he issue\b|\bissue \d")
-"""What readers of the repository do not have. Links that go up are for `test_links_lead_somewhere`."""
+"""References to things that readers of the repository do not have. Links to parent folders are checked by
+``test_links_lead_somewhere``."""
 
 ENDS = ("", ".py")
-"""A module may be named without its ending."""
+"""Suffixes that the name of a file may lack: a module may be named without ``.py``."""
 
 MADE_BY_THE_BUILD = {"petmjx/ready_sweeps", "petmjx/_version.py"}
-"""Paths of the wheel alone (pyproject.toml)."""
+"""Paths that exist only in the wheel (pyproject.toml)."""
 
 
 NO_PATHS = {"petmjx/Palletizing-v0"}
-"""Names that look like one."""
+"""Names that look like paths but are not paths."""
 
 
 def relative(path: Path) -> str:
@@ -58,16 +59,16 @@ def lines_of(text: str) -> Iterator[tuple[int, str]]:
 
 
 Members = dict[str, "Members | str | None"]
-"""Names that a module or class defines or imports. A class has members of its own, what is imported from a module the
-name of that module, and other names None."""
+"""Names that a module or class defines or imports. The value of a class is its own members. The value of an imported
+name is the module from which it is imported. The value of any other name is None."""
 
 
 class Source(NamedTuple):
-    """What tests need of a source file. Its syntax tree has a hundred times as many objects, which garbage collections
-    of all later tests would visit."""
+    """The parts of a source file that tests need. The syntax tree is not kept: it has a hundred times as many objects,
+    which would slow down garbage collection in all later tests."""
 
     texts: tuple[tuple[int, str], ...]
-    """(line, text) of every comment, and of every string that stands as a statement (docstrings of fields too)."""
+    """(line, text) of every comment, and of every string that is a statement, such as a docstring."""
     members: Members
     names_in_classes: frozenset[str]
 
@@ -110,7 +111,8 @@ def members_of(body: list[ast.stmt]) -> Members:
 
 
 def all_texts() -> Iterator[tuple[str, str]]:
-    """(where, line) of documents, docstrings and comments. What a diff adds is not there yet."""
+    """(place, line) of each line of documents, docstrings and comments. Lines that a diff in a document adds are left
+    out, since the repository does not have them."""
     for document in DOCUMENTS:
         for number, line in lines_of(document.read_text(encoding="utf-8")):
             if not line.startswith("+"):
@@ -121,7 +123,7 @@ def all_texts() -> Iterator[tuple[str, str]]:
 
 
 def anchors_of(document: Path) -> set[str]:
-    """Anchors of a document's headings, as GitHub makes them."""
+    """The anchors that GitHub makes from the headings of a document."""
     headings = HEADING.findall(document.read_text(encoding="utf-8"))
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
@@ -141,7 +143,7 @@ def test_links_lead_somewhere(document: Path) -> None:
 
 @functools.cache
 def exists(path: str) -> bool:
-    """Whether a path, or a pattern of paths, is in the repository."""
+    """Whether the repository has a file or folder with this path or pattern."""
     return any(any(REPOSITORY.glob(path.rstrip("/") + end)) for end in ENDS)
 
 
@@ -162,9 +164,10 @@ def module_path(parts: list[str]) -> Path | None:
 
 @functools.cache
 def resolves(name: str) -> bool:
-    """Whether a dotted name below petmjx is a module, or something in one. Nothing is imported for it.
+    """Whether a name such as "petmjx.world.scene" is a module, or is defined in a module. Nothing is imported.
 
-    Public names (``petmjx.score``) are imports of ``petmjx/__init__.py``, and are followed to where they are defined.
+    Public names such as ``petmjx.score`` are imported by ``petmjx/__init__.py``. For them, the module that defines the
+    name is checked.
     """
     parts = name.split(".")
     depth = max((depth for depth in range(1, len(parts) + 1) if module_path(parts[:depth])), default=0)
@@ -190,7 +193,7 @@ def test_names_of_petmjx_exist() -> None:
 
 
 def test_roles_in_docstrings_resolve() -> None:
-    """A Sphinx role has a name of petmjx, or one that its own file defines or imports."""
+    """The name in a Sphinx role is a name of petmjx, or is defined or imported in the same file."""
     unknown = []
     for source in SOURCES:
         known = source_of(source).names_in_classes | set(source_of(source).members)
@@ -210,7 +213,7 @@ def test_no_text_points_outside_the_repository() -> None:
 
 
 def test_the_readme_is_short_and_its_table_is_that_of_the_page() -> None:
-    """It shows some lines of what ``make demo`` prints; docs/results.md explains them all."""
+    """The README is short. It shows some lines of the output of ``make demo``; docs/results.md explains all lines."""
     lines = (REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 150
     shown = lines[lines.index("$ make demo") : lines.index("results in petmjx-results/demo") + 1]

@@ -1,4 +1,4 @@
-"""The unit of a profile's samples: the same on every engine, whatever gravity the physics has."""
+"""Tests of the unit of a profile's samples. It is the same on every engine, and does not depend on gravity."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BOXES = (((400, 300, 200), (0, 0, 0), 6.0), ((400, 300, 200), (0, 0, 200), 4.0))
 
 
 def pushed(kind: str, scale: float, gravity_m_s2: float) -> tuple[Job, Simulation]:
-    """A push along +z for 0.1 s."""
+    """A job with a push along +z for 0.1 s, and its options."""
     sim = Simulation(physics={"gravity_m_s2": gravity_m_s2}, longest_wait_s=0.0)
     samples = np.tile([0.0, 0.0, 0.5], (50, 1))
     drive = Drive(Excitation("push", kind, samples), scale=scale, rest_s=0.0)
@@ -35,7 +35,8 @@ def test_the_unit_does_not_depend_on_gravity(kind: str, unit: float) -> None:
 
 
 def test_mujoco_pushes_with_half_of_the_weight_on_earth() -> None:
-    """0.5 × 9.81 m/s² lifts what gravity pulls with 4 m/s², and would not if the force were scaled by that gravity."""
+    """A push of 0.5 units accelerates the pallet with 0.5 × 9.81 m/s², more than the gravity of 4 m/s², so the pallet
+    rises. If the unit depended on gravity, the pallet would not rise."""
     job, sim = pushed("force", 1.0, GRAVITY_M_S2)
     (outcome,) = MujocoEngine(1).run([job], sim)
     rise_m = 0.5 * (0.5 * 9.81 - GRAVITY_M_S2) * 0.1**2

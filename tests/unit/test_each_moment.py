@@ -1,6 +1,7 @@
-"""A disk that is full, and a kill, at moments of a run: what had been written is there, and the run can go on.
+"""Tests of runs that are killed, or whose disk becomes full, at certain moments. The results written before are kept,
+and the run can be continued.
 
-All moments take minutes: tests/support/moments.py.
+tests/support/moments.py tests all moments, which takes minutes.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from support.moments import KINDS, Run, fill
 @pytest.mark.parametrize(
     ("kind", "lasts", "at"),
     [
-        ("unordered", False, 12),  # run.json
-        ("unordered", False, 20),  # placements
-        ("unordered", False, 40),  # a part
+        ("unordered", False, 12),  # while run.json is written
+        ("unordered", False, 20),  # during placements
+        ("unordered", False, 40),  # while a part of a table is written
         ("unordered", True, 60),
-        ("in order", False, 80),  # run.json of the end
+        ("in order", False, 80),  # while run.json is written at the end
         ("resumed", False, 9),
         ("resumed", True, 25),
-        ("other order", False, 30),  # rows that get other ranks
+        ("other order", False, 30),  # while rows get other ranks (positions in the table)
         ("other order", True, 40),
         ("merged", False, 50),
     ],

@@ -1,4 +1,5 @@
-"""Verdicts on a knife's edge, and those that the timestep decides, say so."""
+"""Tests of the flags for doubtful verdicts: worlds in which a load acts at the edge of its supports, and worlds whose
+verdict depends on the timestep."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ MM = 1e-3
 
 @pytest.mark.parametrize(("overhang_mm", "flagged"), [(199.4, False), (199.6, True), (200.0, True), (200.6, False)])
 def test_a_load_within_half_a_millimetre_of_an_edge_is_on_a_knife_s_edge(overhang_mm: float, flagged: bool) -> None:
-    """A box of 400 mm, whose size is reduced by 0.1 mm at its far end, as the edge below is."""
+    """A box of 400 mm overhangs another box of 400 mm. The flag ``knife-edge`` is set if the load is within half a
+    millimetre of the edge."""
     boxes: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (overhang_mm, 0, 200), 5.0))
     worlds = petmjx.score(make_plan("edge", boxes), engine="mujoco", size_reduction_mm=0.0).worlds
     assert worlds.plan_edge_m[0] == pytest.approx((200 - overhang_mm) * MM, abs=1e-9)
@@ -42,19 +44,19 @@ def test_a_load_within_half_a_millimetre_of_an_edge_is_on_a_knife_s_edge(overhan
 
 
 def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:
-    """The plank would fall when it is placed; the weight on its inner end holds it afterwards, by the plan, and comes
-    too late for it."""
+    """A plank would fall when it is placed. According to the complete plan, a weight on its inner end holds it, but the
+    weight is placed too late. Distances are computed for the whole load of a box, and for its own weight alone."""
     plank: Box = ((1000, 300, 100), (0, 0, 300), 5.0)
     weight: Box = ((200, 300, 200), (0, 0, 400), 50.0)
     scene = make_scene([((400, 300, 300), (0, 0, 0), 5.0), plank, weight], Simulation(size_reduction_mm=0.0))
     outcome = replace(make_outcome(3, Verdict.UNSTABLE, Reason.DROP), n_placed=3)
     first = replace(outcome, n_placed=1)
     note_edges([outcome, first], [Job(scene), Job(scene)], Simulation())
-    # with the weight the plank's load acts at 136 mm, alone at 500 mm; the weight itself is 100 mm inside
+    # with the weight, the plank's load acts at 136 mm, without it at 500 mm; the weight's own load is 100 mm inside
     assert outcome.boxes.plan_edge_m[1] == pytest.approx((5 * 0.5 + 50 * 0.1) / 55)
     assert (outcome.plan_edge_m, outcome.plan_edge_box) == (pytest.approx(0.1), 2)
     assert (outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step) == (pytest.approx(-0.1), 1, 1)
-    assert first.plan_edge_m == pytest.approx(0.15)  # a box alone on the carrier
+    assert first.plan_edge_m == pytest.approx(0.15)  # half of the width of the only box
     assert np.isnan(first.boxes.plan_edge_m[1:]).all()
     at_once = replace(outcome, build_edge_m=np.nan, build_edge_box=-1)
     note_edges([at_once], [Job(scene)], Simulation(check="static"))
@@ -63,7 +65,7 @@ def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:
 
 
 def near(margin: float, **changes: Any) -> Outcome:
-    """One box that used its threshold but for this margin."""
+    """The outcome of a world with one box and the given margin: its shift is the threshold × (1 − margin)."""
     return make_outcome(1, shift_m=np.array([[0.02 * (1 - margin), 0.0, 0.0]]), **changes)
 
 
@@ -113,7 +115,7 @@ def test_an_engine_computes_what_is_checked() -> None:
 
 
 EDGE: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 10.0), ((400, 300, 200), (199.7, 0, 200), 5.0))
-"""The upper box is 0.3 mm inside its edge, or 0.25 mm, less what boxes are smaller by."""
+"""Two boxes. The upper box's centre is 0.3 mm inside the edge, or 0.25 mm after the reduction of sizes."""
 
 PULL: Sequence[Box] = (
     ((400, 300, 300), (0, 600, 0), 10.0),
@@ -128,17 +130,18 @@ LATE: Sequence[Box] = (
     ((150, 300, 200), (210, 0, 400), 6.0),
     ((200, 300, 300), (0, 0, 400), 12.0),
 )
-"""A beam, what hangs on its far end, and then its counterweight."""
+"""A beam, a box on its far end, and then its counterweight."""
 LID: Sequence[Box] = (
     ((100, 300, 200), (0, 0, 0), 5.0),
     ((200, 300, 170), (160, 0, 0), 8.0),
     ((250, 300, 100), (0, 0, 200), 2.0),
 )
-"""A lid that tips onto a neighbour that is 30 mm lower."""
+"""Three boxes. The last box is a lid that tips onto a neighbour, which is 30 mm lower."""
 
 
 def test_any_box_within_reach_sets_the_flag() -> None:
-    """Alone, beside loads that are further inside, and beside a box that is 3 mm from its edge."""
+    """A single load near an edge sets the flag, also if all other loads are farther inside. A load 3 mm from an edge
+    does not set it."""
     far: Sequence[Box] = (((400, 300, 200), (0, 400, 0), 10.0), ((400, 300, 200), (197, 400, 200), 5.0))
     plans = [make_plan("alone", EDGE), make_plan("beside", (*EDGE, *PULL)), make_plan("far", (*far, *PULL))]
     results = petmjx.score(plans, engine="mujoco", check="static", duration_s=0.2)
@@ -154,7 +157,8 @@ def test_any_box_within_reach_sets_the_flag() -> None:
     ("inside_mm", "again"), [(0.1, True), (0.39, True), (0.7, True), (0.99, True), (3.0, False), (-0.7, False)]
 )
 def test_an_unstable_load_within_a_millimetre_is_tried_in_stiffer_contacts(inside_mm: float, again: bool) -> None:
-    """On whichever floor of a tower it is."""
+    """If a load within a millimetre of an edge falls, the world is simulated again with stiffer contacts, in whichever
+    level of a tower the load is."""
     sim = Simulation(size_reduction_mm=0.0)
     upper: Box = ((400, 300, 200), (200 - inside_mm, 0, 200), 5.0)
     tower = (((400, 300, 200), (0, 0, 0), 5.0), upper, ((400, 300, 200), (200 - inside_mm, 0, 400), 5.0))
@@ -168,7 +172,8 @@ def test_an_unstable_load_within_a_millimetre_is_tried_in_stiffer_contacts(insid
 
 
 def test_a_verdict_against_a_load_within_a_millimetre_has_the_flag() -> None:
-    """It stands 0.8 mm beyond the edge, or falls 0.8 mm inside; the other way round nothing is odd."""
+    """The flag is set if a box stands although its load is 0.8 mm beyond the edge, or falls although it is 0.8 mm
+    inside. In the opposite cases, the flag is not set."""
     for inside_mm, falls in ((0.8, True), (-0.8, False), (0.8, False), (-0.8, True)):
         scene = make_scene(
             (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (200 - inside_mm, 0, 200), 5.0)),
@@ -176,7 +181,8 @@ def test_a_verdict_against_a_load_within_a_millimetre_has_the_flag() -> None:
         )
         verdict = (Verdict.UNSTABLE, Reason.TILT) if falls else (Verdict.STABLE, Reason.NONE)
         tilt_deg = np.full(2, 90.0 * falls)
-        outcome = make_outcome(2, *verdict, max_tilt_deg=tilt_deg, pos=np.full((2, 3), 10.0))  # nothing bears anything
+        # at the end, boxes do not touch
+        outcome = make_outcome(2, *verdict, max_tilt_deg=tilt_deg, pos=np.full((2, 3), 10.0))
         note_edges([outcome], [Job(scene)], Simulation())
         assert bool(outcome.flags & Flag.KNIFE_EDGE) is (falls == (inside_mm > 0))
 
@@ -186,7 +192,7 @@ def test_a_counterweight_that_comes_too_late_is_named() -> None:
     worlds = petmjx.score(plans, engine="mujoco").worlds
     assert worlds.verdict.tolist() == ["unstable", "stable"]
     assert (worlds.build_edge_box[0], worlds.build_edge_step[0]) == (1, 2)
-    # 2 kg at 179.95 mm and 6 kg at 284.95 mm on a base that ends at 199.9 mm
+    # masses of 2 kg at 179.95 mm and of 6 kg at 284.95 mm, on a base that ends at 199.9 mm
     assert worlds.build_edge_m[0] == pytest.approx((199.9 - (2 * 179.95 + 6 * 284.95) / 8) * MM, abs=1e-9)
     assert worlds.build_edge_m[1] == pytest.approx(19.95 * MM, abs=1e-9)
     (note,) = notes_in_words(petmjx.tell("late", plans, engine="mujoco"))
@@ -198,7 +204,8 @@ def test_a_counterweight_that_comes_too_late_is_named() -> None:
 
 
 def test_a_world_that_stands_otherwise_than_planned_leans() -> None:
-    """A lid that tips by 11°, a box that comes down by 12 mm, and both as planned."""
+    """The flag ``leans`` is set for a lid that tips by 11°, and for a box that sinks by 12 mm. It is not set if lid and
+    box are where they are planned."""
     flat = (LID[0], ((200, 300, 200), (160, 0, 0), 8.0), LID[2])
     floats: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 212), 5.0))
     near: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 202), 5.0))
@@ -213,7 +220,7 @@ def test_a_world_that_stands_otherwise_than_planned_leans() -> None:
 
 
 def test_what_an_engine_needed_twice_is_not_in_results() -> None:
-    """Flag 32 depends on the worlds beside one."""
+    """Results do not contain flag 32 (``RERUN_AFTER_OVERFLOW``), since it depends on the other worlds of the run."""
     scene = make_scene(EDGE, Simulation())
     outcome = make_outcome(2, flags=Flag.RERUN_AFTER_OVERFLOW | Flag.EARLY_STOP)
     (noted,) = outcome_checks([outcome], [Job(scene)], Simulation())
@@ -221,7 +228,8 @@ def test_what_an_engine_needed_twice_is_not_in_results() -> None:
 
 
 def test_the_table_names_the_box_on_the_edge() -> None:
-    """Only where a world is on a knife's edge; the others have their edges, too."""
+    """If a world has the flag ``knife-edge``, the table has a column with the distance from the edge, for all
+    worlds."""
     plans = [make_plan("edge", (*EDGE, *PULL)), make_plan("flat", LID[:2])]
     results = petmjx.score(plans, engine="mujoco")
     console = Console(width=140, record=True, file=StringIO())
@@ -239,14 +247,14 @@ BESIDE: Sequence[Box] = (
     ((400, 300, 200), (0, 600, 0), 10.0),
     ((400, 300, 200), (230, 600, 200), 5.0),
 )
-"""A tower with a load 0.25 mm inside, and one beside it that hangs over by 30 mm."""
+"""A tower with a load 0.25 mm inside an edge, and beside it a tower that overhangs by 30 mm."""
 HELD: Sequence[Box] = (
     ((400, 300, 200), (0, 0, 0), 5.0),
     ((400, 300, 194), (400, 0, 0), 5.0),
     ((800, 300, 100), (0, 0, 200), 3.0),
     ((400, 300, 100), (400, 0, 300), 8.0),
 )
-"""A lid whose own weight alone acts at the edge of its only support."""
+"""Boxes with a lid on a single support. The lid's own weight, without its load, acts at the edge of this support."""
 
 
 def test_the_box_that_sets_the_flag_is_named_and_not_the_one_that_is_furthest_beyond() -> None:
@@ -262,7 +270,8 @@ def test_the_box_that_sets_the_flag_is_named_and_not_the_one_that_is_furthest_be
 
 
 def test_a_box_is_named_whose_own_weight_sets_the_flag() -> None:
-    """No table keeps the distance of its own weight alone: it is computed again."""
+    """If a box's own weight sets the flag, a note names the box. The tables do not contain the distance of the own
+    weight, so it is computed again."""
     results = petmjx.score([make_plan("held", HELD)], engine="mujoco")
     assert results.worlds["flags"][0] & Flag.KNIFE_EDGE
     note = notes_in_words(petmjx.tell("held", results))[0]
@@ -274,7 +283,8 @@ def test_a_box_is_named_whose_own_weight_sets_the_flag() -> None:
 
 
 def test_the_nearest_load_while_a_plan_is_built_is_named() -> None:
-    """A beam whose end is 0.25 mm inside until a box moves the load inwards, beside a tower that hangs over."""
+    """A note names the load that is nearest to an edge while the plan is built: a beam's load is 0.25 mm inside, until
+    the next box moves it inwards. A tower beside the beam overhangs."""
     scene = make_scene(
         (
             ((400, 300, 200), (0, 0, 0), 10.0),
@@ -307,7 +317,7 @@ def test_a_load_sets_the_flag_near_an_edge_and_less_near_on_the_wrong_side(
 ) -> None:
     edge_m = np.array([0.0005, -0.0005, 0.0008, -0.0008, 0.0012, -0.0012, np.nan])
     assert sets_flag(edge_m, verdict).tolist() == expected
-    if verdict is not None:  # tables have rounded the distances
+    if verdict is not None:  # with a verdict, distances come from tables, which round them
         for k in range(2):
             rounded = KnifeEdge(float(edge_m[k]) * (1 + 1e-7), 3, BY_PLAN)
             assert nearest_edge([rounded], verdict) is rounded
@@ -316,13 +326,13 @@ def test_a_load_sets_the_flag_near_an_edge_and_less_near_on_the_wrong_side(
 
 
 def test_outcomes_that_are_checked_together_are_those_checked_alone() -> None:
-    """Heaps and stacks that stand, that fell with all boxes or some of them, and with errors: all values to the last
-    bit, though one table has the loads of all."""
+    """Outcomes that are checked together get the same values, to the last bit, as if each were checked alone. There are
+    heaps and stacks that stand, that fell with all or some boxes, and with errors."""
     rng = np.random.default_rng(12)
     sim, jobs, outcomes = Simulation(), list[Job](), list[Outcome]()
     for number in range(48):
         n = int(rng.integers(2, 14))
-        slender = stack(n, size_mm=(60, 60, 400), kg=[0.2] + [5.0] * (n - 1))  # they lean in soft contacts
+        slender = stack(n, size_mm=(60, 60, 400), kg=[0.2] + [5.0] * (n - 1))  # these lean because contacts are soft
         boxes, has_errors = slender if number % 5 == 0 else random_heap(rng, n), number % 3 == 2
         scene = make_scene(boxes, sim)
         if has_errors:
@@ -350,7 +360,7 @@ def test_outcomes_that_are_checked_together_are_those_checked_alone() -> None:
 
 
 def _values(outcome: Outcome) -> dict[str, Any]:
-    """All values of an outcome and its boxes, with NaN equal to NaN."""
+    """All values of an outcome and its boxes, in a form in which NaN equals NaN."""
     values = vars(outcome) | vars(outcome.boxes)
     return {
         name: value.tobytes() if isinstance(value, np.ndarray) else repr(value)

@@ -1,4 +1,5 @@
-"""In which order the engine ``mujoco`` has its bodies: fill-in, and that no result is in another order than before."""
+"""Tests of the order of bodies in models of the engine ``mujoco``. The order reduces the fill-in of a factorisation;
+results are always in packing order."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ def joined(n: int, edges: list[tuple[int, int]]) -> NDArray[np.bool_]:
 
 
 def blocks(matrix: NDArray[np.bool_], order: list[int]) -> int:
-    """Blocks of the factor, diagonal included, by elimination on a matrix."""
+    """Number of non-zero blocks of the factor, including the diagonal, computed by elimination on a matrix."""
     left, count = matrix.copy(), 0
     for node in order:
         clique = np.flatnonzero(left[node])
@@ -36,7 +37,7 @@ def blocks(matrix: NDArray[np.bool_], order: list[int]) -> int:
 
 
 def wall(columns: int, levels: int) -> Scene:
-    """Cartons on top of and beside each other, one level after the other."""
+    """A scene with a wall of cartons, placed level after level."""
     x, _, z = CARTON_MM
     boxes: list[Box] = [(CARTON_MM, (x * i, 0.0, z * k), 5.0) for k in range(levels) for i in range(columns)]
     return make_scene(boxes)
@@ -65,11 +66,11 @@ def test_a_grid_has_less_fill_in_than_in_its_own_order() -> None:
 
 def test_boxes_beside_each_other_count_where_they_touch_or_will() -> None:
     scene = wall(3, 1)
-    # no neighbours: the lowest number is eliminated first, and the last body is
+    # without contacts, all bodies are equal: the lowest number is eliminated first, and is therefore the last body
     assert body_order(scene, 3, NO_CONTACTS, shaken=False).tolist() == [2, 1, 0]
-    # a row of three: the ends go first
+    # in a row of three boxes, the ends are eliminated first
     assert body_order(scene, 3, NO_CONTACTS, shaken=True).tolist() == [2, 1, 0]
-    # the first and the last touch the one between, and that is the first in packing order here
+    # bodies 1 and 2 touch only body 0: of these two, body 1 has the lower number and is eliminated first
     assert body_order(scene, 3, np.array([[0, 1], [2, 0]]), shaken=False).tolist() == [2, 0, 1]
     assert body_order(wall(2, 2), 3, NO_CONTACTS, shaken=False).tolist() == [2, 0, 1]
 
@@ -88,7 +89,7 @@ def test_rows_are_in_packing_order_whatever_the_order_of_bodies(
     for box in range(scene.n_boxes):
         live.place_next()
         np.testing.assert_array_equal(live.pose[box, :2], scene.start_pos[box, :2])
-        assert abs(live.pose[box, 2] - live.release.pos[box, 2]) < 0.001  # its support has come down a little
+        assert abs(live.pose[box, 2] - live.release.pos[box, 2]) < 0.001  # supports have sunk a little
         live.step(30)
     assert (live.order.tolist() == list(range(12))) is packing_order
     names = [live.model.body(body).name for body in range(live.model.nbody)]
@@ -99,7 +100,7 @@ def test_rows_are_in_packing_order_whatever_the_order_of_bodies(
     pos, quat = live.sampled_pose()
     np.testing.assert_allclose(pos, scene.target, atol=0.005)
     assert quat.shape == (12, 4)
-    # each level bears those above it
+    # each level carries the levels above
     np.testing.assert_allclose(
         live.top_forces().reshape(3, 4), np.outer([2, 1, 0], [5 * 9.81] * 4), rtol=0.02, atol=0.5
     )
@@ -126,6 +127,6 @@ def test_a_world_that_grows_keeps_its_state_to_the_last_bit(ordered_from: int, m
     after = live.body_state()
     for name in ("pose", "velocity", "warmstart"):
         np.testing.assert_array_equal(getattr(after, name)[:9], getattr(before, name))
-    # the ninth stands where it belongs, the tenth hangs far away
+    # the ninth box is at its place; the tenth box is not placed yet, and hangs far away
     assert abs(live.pose[8, 2] - live.release.pos[8, 2]) < 0.001
     assert live.pose[9, 2] > 10

@@ -1,4 +1,4 @@
-"""Which engine ``auto`` takes, what a run is expected to cost, and what asking for an engine by name can run into."""
+"""Tests of the engine that ``auto`` chooses, of the expected time of a run, and of errors if an engine is named."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def chosen(boxes: list[int], threads: int = THREADS) -> str:
 
 @pytest.fixture
 def gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if mjx-warp could run here."""
+    """petmjx believes that ``mjx-warp`` can run on this machine."""
     monkeypatch.setattr("petmjx.engines.engine_choice.why_no_warp", lambda: None)
 
 
@@ -44,28 +44,29 @@ def cpu_s(work: Work, threads: int = 1) -> float:
 
 
 def rest_s(boxes: int, share: float = 1.0) -> float:
-    """Time for a step at rest. share: of what it takes with all boxes; for the mean of one that stands, two, …"""
+    """Time of a step at rest, s. ``share`` is the mean time of a step while boxes are placed one by one, as a share of
+    the time with all boxes."""
     return share * CPU.rest_s * boxes**1.25 + CPU.overhead_s
 
 
 def test_a_run_s_steps_and_cost_worked_out_by_hand() -> None:
     work = Work(STATIC, [40] * 10)
     assert work.fixed_steps.tolist() == [500] * 10
-    # with two soft starts of 100 steps
+    # 500 steps and two soft starts of 100 steps
     assert work.steps.tolist() == [700] * 10
-    # 10 worlds × 700 steps at rest, and one landing of all boxes
+    # 10 worlds × 700 steps at rest, and the landings of all boxes
     assert cpu_s(work) == pytest.approx(10 * (700 * rest_s(40) + STATIC_LANDINGS * 40**2 * CPU.landing_s))
-    # 10 worlds and the end of the run, worth 900, at 264 a time
+    # 10 worlds, and 900 worlds for the end of the run, simulated 264 at a time
     gpu_s = MEASURED.gpu_start_s + MEASURED.gpu_step_s * 500 * 40 * (10 + 900) / 264
     assert MEASURED.seconds(work, THREADS)["mjx-warp"] == pytest.approx(gpu_s)
     assert MEASURED.seconds(work, THREADS)["mjx-jax"] == pytest.approx(1.1e-5 * 10 * 500 * 1600)
     fixed = Work(Simulation(schedule="fixed"), [9])
     assert fixed.fixed_steps.tolist() == [10 * 350]
-    # mjx-jax has all boxes in its model from the beginning
+    # the model of mjx-jax has all boxes from the beginning
     assert MEASURED.seconds(fixed, THREADS)["mjx-jax"] == pytest.approx(1.1e-5 * 3500 * 9**2)
-    # while boxes come one by one, the mean of k^1.25 is the last one's / 2.25, and the sum of k² a third of 9³
+    # while n = 9 boxes are placed one by one, the mean of k^1.25 is n^1.25 / 2.25, and the sum of k² is n³ / 3
     assert cpu_s(fixed) == pytest.approx(3700 * rest_s(9, 1 / 2.25) + 9**3 / 3 * CPU.landing_s)
-    # with the schedule adaptive a static check ends when the pallet is quiet, whatever its duration
+    # with the schedule adaptive, a static check ends when the pallet is quiet, even if duration_s is larger
     for duration_s, steps in ((10.0, 220), (100.0, 220), (0.2, 100)):
         adaptive = Work(Simulation(check="static", duration_s=duration_s), [9])
         assert adaptive.steps.tolist() == [200 + steps]
@@ -77,7 +78,7 @@ def test_drives_from_one_placement_worked_out_by_hand() -> None:
     assert work.steps.tolist() == [200 + 250 + 64 * 450]
     placing_s = 450 * rest_s(10) + STATIC_LANDINGS * 100 * CPU.landing_s
     assert cpu_s(work) == pytest.approx(placing_s + 64 * 450 * (rest_s(10) + CPU.driven_s + CPU.shaken_s * 100))
-    # most of a long drive is at rest
+    # a long drive (shaking) is mostly at rest
     longer = Work(sim, [10], placements=1, drives=64, drive_steps=10_000)
     more_s = 9550 * (rest_s(10) + CPU.driven_s) + (SHAKEN_STEPS - 450) * CPU.shaken_s * 100
     assert cpu_s(longer) - cpu_s(work) == pytest.approx(64 * more_s)
@@ -98,7 +99,7 @@ def test_placements_with_errors_take_more_steps_and_each_costs_more() -> None:
     ):
         assert errors.steps == pytest.approx(17 * 200 + (1 + steps * 16) * (planned.steps - 200))
         assert cpu_s(errors) == pytest.approx((1 + cost * 16) * cpu_s(planned))
-        # a run lasts as long as its longest world
+        # a run takes at least as long as its longest world
         assert cpu_s(errors, threads=1000) == pytest.approx(cost * cpu_s(planned))
     assert 1 < ERROR_STEPS.displaced < ERROR_STEPS.carried
 
@@ -106,7 +107,7 @@ def test_placements_with_errors_take_more_steps_and_each_costs_more() -> None:
 def test_threads_share_worlds_and_no_world() -> None:
     assert cpu_s(Work(SIM, [40] * 10), threads=4) == pytest.approx(cpu_s(Work(SIM, [40] * 10)) / 4)
     assert cpu_s(Work(SIM, [40] * 2), threads=4) == pytest.approx(cpu_s(Work(SIM, [40])))
-    # a run lasts as long as its longest world
+    # a run takes at least as long as its longest world
     assert cpu_s(Work(SIM, [150, *[20] * 10]), threads=4) == pytest.approx(cpu_s(Work(SIM, [150])))
     assert MEASURED.seconds(Work(SIM, []), 4)["mujoco"] == 0
 
@@ -118,10 +119,10 @@ CHECKED, CHECKED_FIXED = Simulation(check="static"), Simulation(check="static", 
 @pytest.mark.parametrize(
     ("sim", "boxes", "measured_s"),
     [
-        # third-party plans that stand
+        # plans of other tools that stand
         *((ADAPTIVE, *case) for case in [(16, 0.044), (45, 0.33), (66, 0.37), (83, 1.12), (103, 1.29), (121, 2.20)]),
         *((ADAPTIVE, *case) for case in [(146, 4.27), (150, 2.93), (175, 9.09), (217, 7.23), (241, 8.83)]),
-        # generated plans, means of twelve of 20 to 29, 30 to 39, 40 to 49 and 50 boxes or more
+        # means of twelve generated plans each, with 20 to 29, 30 to 39, 40 to 49, and 50 or more boxes
         *((ADAPTIVE, *case) for case in [(24, 0.057), (34, 0.091), (45, 0.155), (64, 0.286)]),
         *((FIXED, *case) for case in [(16, 0.24), (66, 3.6), (83, 6.8), (121, 18.6)]),
         *((CHECKED, *case) for case in [(45, 0.33), (83, 0.78), (121, 1.83), (150, 2.3), (201, 6.3), (241, 5.9)]),
@@ -129,13 +130,13 @@ CHECKED, CHECKED_FIXED = Simulation(check="static"), Simulation(check="static", 
     ],
 )
 def test_expected_times_are_those_measured_on_a_cpu_thread(sim: Simulation, boxes: int, measured_s: float) -> None:
-    # one plan each, if nothing else is said, on the machine of the lines "estimates" of cpu-0.3.jsonl
+    # a single plan unless stated otherwise, measured on the machine of the lines ``estimates`` of cpu-0.3.jsonl
     assert 1 / 2 < cpu_s(Work(sim, [boxes])) / measured_s < 2
 
 
 @pytest.mark.parametrize(
     ("boxes", "steps", "measured_s"),
-    # EUMOS's profile, mean of 0.2, 0.5 and 0.8 g; then the pushes of radial-force at 0.5 g
+    # the profile of EUMOS, as the mean of 0.2, 0.5 and 0.8 g; and last, the pushes of radial-force at 0.5 g
     [(31, 700, 0.31), (42, 700, 1.15), (49, 700, 1.37), (59, 700, 1.44), (94, 700, 2.54), (31, 10_715, 2.3)],
 )
 def test_expected_times_of_drives_are_those_measured_on_a_cpu_thread(boxes: int, steps: int, measured_s: float) -> None:
@@ -171,7 +172,7 @@ def test_the_choice_turns_once_as_plans_become_more() -> None:
     names = [chosen([43] * n) for n in range(50, 5000, 50)]
     assert names == sorted(names, reverse=True)
     assert set(names) == {"mujoco", "mjx-warp"}
-    # and back again as threads become more
+    # with more threads, the choice changes back
     names = [chosen([43] * 1000, threads) for threads in (1, 2, 4, 8, 16, 32, 64)]
     assert names == sorted(names)
 

@@ -1,4 +1,5 @@
-"""``auto`` changes its mind: worlds that have not begun go to the faster engine where C MuJoCo takes too long."""
+"""Tests of a change of engine during a run with ``auto``. If C MuJoCo takes longer than expected, worlds that have not
+begun are simulated by the faster engine."""
 
 from __future__ import annotations
 
@@ -30,11 +31,11 @@ SIM = Simulation()
 BOXES = 3
 EXPECTED_S = float(MEASURED.of_jobs([Job(make_scene(BOXES))], SIM)[0])
 CHEAP = replace(MEASURED, kernel_start_s=0.0)
-"""Kernels that need no compiler: few worlds are worth a change."""
+"""Costs with which kernels need no time to compile, so that a change is worthwhile even for few worlds."""
 
 
 class Slow(MujocoEngine):
-    """Each world takes so many times as long as expected, by its own account. States say who made them."""
+    """C MuJoCo, which reports for each world the expected time × ``times``. Its states contain the engine's name."""
 
     def __init__(self, times: float) -> None:
         super().__init__(1)
@@ -54,7 +55,7 @@ class Slow(MujocoEngine):
 
 
 class Kernels(Engine):
-    """Takes over; fails after so many worlds."""
+    """The engine that takes the remaining worlds. It fails after ``fails_after`` worlds."""
 
     name = "mjx-warp-cpu"
 
@@ -99,7 +100,7 @@ def test_what_has_not_begun_goes_to_the_faster_engine() -> None:
     outcomes, progress = ended(5.0, 300)
     assert sorted(outcome.job for outcome in outcomes) == list(range(300))
     by_engine = [outcome.engine for outcome in sorted(outcomes, key=lambda outcome: outcome.job)]
-    # one thread has two worlds at a time: one more had begun
+    # a thread has two worlds at a time, so one more world had begun
     assert by_engine == ["mujoco"] * (LEAST_WORLDS + 1) + ["mjx-warp-cpu"] * (300 - LEAST_WORLDS - 1)
     (note,) = progress.notes
     assert note == (
@@ -110,9 +111,9 @@ def test_what_has_not_begun_goes_to_the_faster_engine() -> None:
 @pytest.mark.parametrize(
     ("times", "count", "costs"),
     [
-        (1.9, 300, CHEAP),  # as expected, within a factor of two
-        (5.0, LEAST_WORLDS, CHEAP),  # none is left
-        (5.0, 300, MEASURED),  # the compiler takes longer than all of them
+        (1.9, 300, CHEAP),  # worlds take as long as expected, within a factor of two
+        (5.0, LEAST_WORLDS, CHEAP),  # no world is left
+        (5.0, 300, MEASURED),  # compiling takes longer than all worlds
     ],
 )
 def test_it_stays_where_nothing_is_gained(times: float, count: int, costs: Costs) -> None:
@@ -122,7 +123,8 @@ def test_it_stays_where_nothing_is_gained(times: float, count: int, costs: Costs
 
 
 def test_the_gain_is_worked_out_with_what_was_measured() -> None:
-    """Compiling takes the time of 100 worlds on C MuJoCo as they are: the last world counts where it is worth it."""
+    """The decision uses measured times. Compiling takes the measured time of 100 worlds on C MuJoCo. From this follows
+    the number of remaining worlds from which on a change is worthwhile."""
     ratio = float(MEASURED.of_jobs(jobs(1), SIM, MEASURED.kernel)[0]) / EXPECTED_S
     costs = replace(MEASURED, kernel_start_s=100 * 5 * EXPECTED_S)
     worth = 1.5 * 100 / (1 - 1.5 * ratio)  # left × 5 × expected = 1.5 × (start + left × 5 × expected × ratio)
@@ -157,7 +159,8 @@ def test_further_attempts_and_the_solver_cg_stay() -> None:
 
 
 def test_each_engine_starts_from_its_own_states() -> None:
-    """A drive from a state of the other engine is placed again; jobs that follow from results are taken, too."""
+    """An engine starts only from its own states. If a drive (shaking) would start from a state of the other engine, its
+    placement is simulated again. Jobs that follow from results also change the engine."""
     mujoco, kernels = Slow(5.0), Kernels()
     engine = HandoverEngine(mujoco, lambda: kernels, CHEAP)
     some = jobs(100)
@@ -175,7 +178,8 @@ def test_each_engine_starts_from_its_own_states() -> None:
 
 
 def test_jobs_that_follow_do_not_wait_for_those_of_the_source() -> None:
-    """C MuJoCo takes no more jobs out of the stream than it begins next: four, and two that run."""
+    """C MuJoCo takes only the jobs that it begins next out of the stream: four jobs, and two that run. So jobs that
+    follow from results need not wait for all jobs of the source."""
     stream, tags = JobStream[str](feedback=True), dict[int, str]()
     for number, job in enumerate(jobs(20)):
         stream.put(job, f"source {number}", bounded=True)
@@ -189,7 +193,8 @@ def test_jobs_that_follow_do_not_wait_for_those_of_the_source() -> None:
 
 
 def test_a_run_of_both_engines_goes_on_after_ctrl_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Real worlds; the kernels are C MuJoCo under another name."""
+    """After Ctrl-C, a run with both engines can be continued. The worlds are real, and the second engine is C MuJoCo
+    under another name."""
 
     class Named(MujocoEngine):
         name = "mjx-warp-cpu"

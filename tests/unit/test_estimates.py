@@ -1,4 +1,4 @@
-"""Estimates of time and steps against records of runs: of many kinds, with 5 to 241 boxes, on all engines."""
+"""Estimates of time and steps are compared with records of runs of many kinds, with 5 to 241 boxes, on all engines."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RECORDS = [
 
 
 def work_of(line: dict[str, Any]) -> Work:
-    """What a record's run had to simulate. Of many plans it has a few sizes that stand for all."""
+    """The work of a recorded run. If a run had many plans, the record has a few sizes that represent all plans."""
     values = dict(line["work"])
     carrier = values.pop("carrier", "footprint")
     sim = Simulation(check=values.pop("check"), schedule=values.pop("schedule"), carrier=carrier)

@@ -1,4 +1,5 @@
-"""Places on many pallets: the same whatever happened to a pallet before, and whatever is asked with it."""
+"""Tests of the candidate places on many pallets. They depend neither on what happened to a pallet before, nor on the
+other pallets that are computed together."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ def assert_same(one: Places, other: Places) -> None:
 
 
 def lively_stock(rng: np.random.Generator, n: int) -> BoxTable:
-    """Pallets on which boxes came and went, some asked about in between, some copies of others."""
+    """Pallets to which boxes were added and from which boxes were removed. For some pallets, places were computed in
+    between; some pallets are copies of others."""
     stock = BoxTable(n)
     for step in range(12):
         rows = np.flatnonzero(rng.random(n) < 0.7)
@@ -41,7 +43,7 @@ def lively_stock(rng: np.random.Generator, n: int) -> BoxTable:
         fits = np.flatnonzero(last > first)
         chosen = rng.integers(first[fits], last[fits])
         corners = spots.corner_mm[chosen]
-        corners[:, :2] += rng.choice([0.0, 7.3], (len(fits), 2))  # not at extreme points alone
+        corners[:, :2] += rng.choice([0.0, 7.3], (len(fits), 2))  # some boxes are beside extreme points
         stock.add(boxes(sizes[fits], rows[fits], corners))
         if step % 3 == 2:
             some = rng.permutation(n)[: n // 3]
@@ -51,7 +53,7 @@ def lively_stock(rng: np.random.Generator, n: int) -> BoxTable:
 
 
 def built_anew(stock: BoxTable, pallet: int) -> BoxTable:
-    """One pallet with the same boxes, of which nobody has asked anything."""
+    """A new pallet with the same boxes, for which no places were computed before."""
     one = BoxTable(1)
     for number in range(int(stock.count[pallet])):
         box = stock.box(np.array([pallet]), number)
@@ -75,7 +77,7 @@ def test_places_of_a_pallet_depend_on_its_boxes_alone(monkeypatch: pytest.Monkey
             assert_same(alone._replace(row=alone.row + row, pallet=alone.pallet + pallet[row]), part(together, row))
         with monkeypatch.context() as patched:
             for name in ("_AT_ONCE", "_WORTH_A_THREAD"):
-                patched.setattr(candidate_places, name, 500)  # many pieces, on threads
+                patched.setattr(candidate_places, name, 500)  # the work is divided into many pieces, on threads
             assert_same(found_for(stock, request, grid), together)
 
 
@@ -105,12 +107,13 @@ def test_what_bears_a_box() -> None:
     assert spots.centred is not None
     assert spots.centred.tolist() == [True, True, True, True]
     high = found_for(stock, boxes(np.array([[600.0, 600.0, 1400.0]]), one), highest_mm=1500.0)
-    assert high.corner_mm.tolist() == []  # too high on the boxes, and too long behind them
+    assert high.corner_mm.tolist() == []  # the box is too high to be on other boxes, and too long to be behind them
 
 
 @pytest.mark.parametrize("gap_mm", [0.0, 6.0])
 def test_places_with_free_space_are_those_of_the_packers(gap_mm: float) -> None:
-    """The table of the packer ``balanced`` has the free space in its bases and its target."""
+    """Places with free space between boxes are those of the packers. In the table of the packer ``balanced``, bases and
+    target include the free space."""
     rng, size = np.random.default_rng(3), np.array([[380.0, 290.0, 200.0], [290.0, 380.0, 200.0]])
     table = Candidates(size[:, :2] + gap_mm, size[:, 2], (1200.0 + gap_mm, 800.0 + gap_mm), 12)
     stock = BoxTable(1)
@@ -127,7 +130,8 @@ def test_places_with_free_space_are_those_of_the_packers(gap_mm: float) -> None:
 
 
 def test_free_space_bears_nothing() -> None:
-    """A box on two others, 6 mm apart, is borne but for these 6 mm; one over the gap's edge, by one box alone."""
+    """Free space carries nothing. A box on two boxes with a gap of 6 mm is supported except above the gap. A box that
+    ends above the gap is supported by one box only."""
     stock, one = BoxTable(1), np.zeros(1, int)
     for x in (0.0, 306.0):
         stock.add(boxes(np.array([[300.0, 400.0, 200.0]]), one, np.array([[x, 0.0, 0.0]])))

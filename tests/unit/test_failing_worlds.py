@@ -1,4 +1,5 @@
-"""One world never ends a run: exceptions and endless worlds are outcomes, and all others go on."""
+"""A single world never ends a run. A world with an exception, or without end, gets an invalid outcome, and all other
+worlds are simulated."""
 
 from __future__ import annotations
 
@@ -47,7 +48,8 @@ def test_a_world_that_cannot_be_built_is_invalid_and_the_others_go_on() -> None:
 
 
 def test_an_error_of_mujoco_is_kept_with_its_message() -> None:
-    """160 boxes in one place have 50,000 contacts, for which the solver has no room."""
+    """If MuJoCo raises an error, the outcome contains the error's message. Here, 160 boxes at the same place have
+    50,000 contacts, for which the solver has no memory."""
     run = petmjx.score([make_plan("a", stack(3)), in_one_place(160), make_plan("z", stack(2))], check="static")
     worlds = run.worlds.set_index("plan_id")
     assert worlds["verdict"].to_dict() == {"a": "stable", "crowded": "invalid", "z": "stable"}

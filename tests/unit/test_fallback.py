@@ -1,4 +1,5 @@
-"""No error of an engine ends a run: C MuJoCo takes its worlds, and what it cannot answer is invalid."""
+"""An error of an engine never ends a run. C MuJoCo simulates the engine's worlds. Worlds that it cannot simulate either
+are invalid."""
 
 from __future__ import annotations
 
@@ -28,12 +29,13 @@ from petmjx.world.job import Drive, Excitation, Job
 WORLDS = 3
 
 HEAVY = stack(1, kg=100_000.0)
-"""Sinks into the carrier."""
+"""A box that is so heavy that it sinks into the carrier."""
 
 
 @dataclass
 class Scripted(Engine):
-    """Raises in some of its runs, after it has answered the first of several jobs; else answers with these reasons."""
+    """An engine whose outcomes have a given reason. In some of its runs, it raises an exception after the first of
+    several outcomes."""
 
     name: str
     raises: Callable[[int, Simulation], Exception | None]
@@ -71,7 +73,7 @@ def scored(
     sim: Simulation | None = None,
     kernel: Scripted | None = None,
 ) -> tuple[list[WorldResult], list[str]]:
-    """Results and notes. ``c_engine`` and ``kernel`` are what makes attempts beside the run, too."""
+    """Results and notes of a run. ``c_engine`` and ``kernel`` also make the attempts that run beside the engine."""
     engines = {"mujoco": c_engine, "mjx-warp-cpu": kernel or Scripted("mjx-warp-cpu", never)}
     monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
     monkeypatch.setattr(attempts, "SubprocessSimulator", lambda: AtOnce(engines.__getitem__))
@@ -90,9 +92,10 @@ def test_what_an_engine_leaves_unanswered_goes_to_c_mujoco(monkeypatch: pytest.M
 
 @pytest.mark.parametrize("number", [attempt.number for attempt in ATTEMPTS[1:] if not attempt.checks])
 def test_an_error_in_any_further_attempt_ends_no_run(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """C MuJoCo makes those that want double precision, and what another engine leaves unanswered.
+    """An error in any further attempt does not end the run.
 
-    Attempts 6 and 7 are for worlds that sank, and 9 comes after 2 to 5 where it is asked for.
+    C MuJoCo makes the attempts that need double precision, and those that another engine does not finish. Attempts 6
+    and 7 are for worlds in which boxes sank. Attempt 9 follows attempts 2 to 5 if the user requests it.
     """
     sinks = number in (6, 7)
     sim = Simulation(attempts="soft" if number == 9 else "rigid")
@@ -117,8 +120,9 @@ def test_an_error_in_any_further_attempt_ends_no_run(number: int, monkeypatch: p
 
 
 def test_further_attempts_of_single_worlds_begin_beside_the_first_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before the engine of the run has answered the next world. The kernel on CPU threads makes them in stiffer
-    contacts, and C MuJoCo the others; checks at half the timestep, of which there may be many, wait for a GPU."""
+    """Further attempts of single worlds begin before the run's engine has finished the next world. Kernels on CPU
+    threads make attempts with stiffer contacts, and C MuJoCo makes the other attempts. Attempts with half the timestep,
+    which may be many, wait for the GPU."""
     engine_names: list[str] = []
     monkeypatch.setattr(attempt_runner, "MOST_TOGETHER", 1)
 
@@ -141,7 +145,8 @@ def test_further_attempts_of_single_worlds_begin_beside_the_first_ones(monkeypat
 def test_worlds_with_errors_that_sank_and_drives_keep_to_the_gpu_in_stiffer_contacts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Where boxes of a plan sink, they do in all its worlds with errors. Where they cannot by their loads, few do."""
+    """If boxes of a plan sink, they do so in all of its worlds with errors. Such attempts with stiffer contacts are
+    many, so the GPU makes them."""
     engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
     monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
     monkeypatch.setattr(attempts, "SubprocessSimulator", lambda: AtOnce(engines.__getitem__))
@@ -176,7 +181,8 @@ def test_a_world_with_errors_that_leans_is_simulated_beside_the_gpu(monkeypatch:
 
 
 def test_a_large_run_has_what_may_be_needed_beside_it_compiled_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before the engine of the run begins, and whether or not it is needed; small runs do not start a process."""
+    """In a large run, the kernels for further attempts are compiled before the run's engine begins, even if they turn
+    out not to be needed. A small run does not start a process for this."""
     kernel = Scripted("mjx-warp-cpu", never, Reason.SINKING)
     scored(Scripted("mjx-warp", never), Scripted("mujoco", never), monkeypatch, kernel=kernel)
     assert kernel.sims == []
@@ -192,7 +198,7 @@ def test_a_large_run_has_what_may_be_needed_beside_it_compiled_at_once(monkeypat
 
 def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     class Slow(CheckPool[Any]):
-        """Answers where it is waited for, and the third look is interrupted."""
+        """A pool that answers only if the caller waits. The third check of outcomes is interrupted."""
 
         begun = 0
 
@@ -219,7 +225,8 @@ def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypa
 def test_looks_are_waited_for_whatever_an_engine_that_raised_had_at_hand(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """It raises while it still says that some are. Each outcome that it did give, or the stand-in, is looked at."""
+    """An engine raises an exception while it reports that further outcomes are ready. Each outcome that it returned,
+    and each outcome that replaces a missing one, is checked."""
     untils = list[bool]()
 
     class Left(Scripted):
@@ -242,7 +249,7 @@ def test_looks_are_waited_for_whatever_an_engine_that_raised_had_at_hand(
     assert not any(untils)
 
 
-@pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # of the weight
+@pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # a warning about the heavy box
 def test_of_a_plan_that_sinks_worlds_with_errors_are_not_simulated_beside_the_gpu(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -1,4 +1,5 @@
-"""Estimates of plans that fall, and of pallets in film: what tips over is seen in the plan, and what it costs."""
+"""Tests of time estimates for plans that fall and for pallets with film. Whether a box tips over follows from the
+plan."""
 
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ def boxes(*places: tuple[float, float, float], size: tuple[float, float, float] 
         (boxes((0, 0, 0), (210, 0, 200)), 1),
         (boxes((0, 0, 0), (0, 160, 200), (0, 160, 400)), 1),
         (boxes((0, 0, 0), (600, 0, 0), (300, 0, 200)), 3),  # a bridge
-        (boxes((0, 0, 0), (300, 0, 200), (600, 0, 0)), 1),  # of which the second pier comes too late
-        (boxes((0, 0, 0), (210, 0, 230)), 1),  # whatever gap there is
+        (boxes((0, 0, 0), (300, 0, 200), (600, 0, 0)), 1),  # a bridge whose second support is placed too late
+        (boxes((0, 0, 0), (210, 0, 230)), 1),  # a box that floats above a box
         (boxes((0, 0, 0), (0, 0, 700)), 2),
         (boxes((0, 0, 50)), 1),
     ],
@@ -47,7 +48,7 @@ def test_the_first_box_that_tips_over(plan: Plan, box: int) -> None:
 
 
 def test_a_lower_neighbour_bears_nothing() -> None:
-    """A box over a taller and a lower one tips towards the lower one."""
+    """A box on a taller and above a lower box tips towards the lower box, which does not carry it."""
     sizes = ((300.0, 300.0, 200.0), (300.0, 300.0, 150.0), (500.0, 300.0, 100.0))
     for x, box in ((100.0, 2), (0.0, 3)):
         plan = make_plan(boxes=[(sizes[0], (0, 0, 0), 5), (sizes[1], (300, 0, 0), 5), (sizes[2], (x, 0, 200), 5)])
@@ -78,7 +79,8 @@ def test_of_many_plans_some_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_fall_worked_out_by_hand() -> None:
-    """Twenty boxes of which the tenth tips over: the placing of ten, and the fall with seven more."""
+    """The estimate for twenty boxes of which the tenth tips over, computed by hand: the placement of ten boxes, and the
+    fall, during which seven more boxes are placed."""
     work = Work(SIM, [20], placed_share=[0.5])
     placing = 0.5 * STEP_SHARE[Schedule.ADAPTIVE] * work.fixed_steps[0]
     assert work.steps.tolist() == pytest.approx([SOFT_STARTS + placing + FALL_STEPS])
@@ -87,27 +89,28 @@ def test_a_fall_worked_out_by_hand() -> None:
     falling_s = CPU.rest_s * fallen**1.25 + CPU.overhead_s + CPU.fall_s * fallen**2
     expected_s = at_rest_s + CPU.landing_s * placed**3 / 3 + FALL_STEPS * falling_s
     assert MEASURED.seconds(work, 1)["mujoco"] == pytest.approx(expected_s)
-    # what stands costs as before, and so does what is not known, and a world that goes on after a drop
+    # the estimate is that of a plan that stands if the plan stands, if this is unknown, or without early stop
     for other in (
         Work(SIM, [20], placed_share=[1.0]),
         Work(SIM, [20]),
         Work(SIM.changed(early_stop=False), [20], placed_share=[0.5]),
     ):
         assert MEASURED.seconds(other, 1)["mujoco"] == MEASURED.seconds(Work(SIM, [20]), 1)["mujoco"]
-    # in a static check all boxes are there, and fall from the beginning
+    # in a static check, all boxes are in place, and fall from the beginning
     static = Simulation(check=Check.STATIC)
     falls, stands = Work(static, [20], placed_share=[0.5]), Work(static, [20])
     assert (falls.steps - stands.steps).tolist() == [STATIC_FALL_STEPS]
     step_s = CPU.rest_s * 20**1.25 + CPU.overhead_s + CPU.fall_s * 20**2
     more_s = MEASURED.seconds(falls, 1)["mujoco"] - MEASURED.seconds(stands, 1)["mujoco"]
     assert more_s == pytest.approx(STATIC_FALL_STEPS * step_s)
-    # what does not stand is not shaken
+    # a plan that falls is not shaken
     shaken = Work(SIM, [20, 20], drives=8, drive_steps=500, placed_share=[0.5, 1.0])
     assert shaken.shaken.tolist() == [0, 8]
 
 
 def test_auto_takes_the_faster_engine_for_plans_that_fall() -> None:
-    """200 plans of shelves: C MuJoCo takes many times as long as for as many that stand."""
+    """``auto`` chooses the faster engine for 200 plans of shelves that fall. C MuJoCo takes many times as long for them
+    as for 200 plans that stand."""
     plans = [shelf_plan(number % 20) for number in range(200)]
     work = Nominal(SIM, plans, RunOptions()).work
     assert (work.share < 1).mean() > 0.9
@@ -121,9 +124,9 @@ def test_auto_takes_the_faster_engine_for_plans_that_fall() -> None:
 
 
 RECORDED = (("mujoco", 12.46, 30404), ("mjx-warp-cpu", 2.77, 29945))
-"""Engine, CPU time in s, and steps: plans 20 to 35 of ``shelf_plan``, all of which fall; the median of three runs
-without compilation. One thread of two cores that other programs kept busy: plans that stand took 1.3 times as long as
-expected there."""
+"""(engine, CPU time in s, steps) of runs with the plans 20 to 35 of ``shelf_plan``, all of which fall. Times are the
+median of three runs, without compilation, on one thread. Other programs kept the two cores busy: plans that stand took
+1.3 times as long as expected."""
 
 
 @pytest.mark.parametrize(("engine", "cpu_s", "steps"), RECORDED)
@@ -144,7 +147,8 @@ def test_good_packers_are_not_taken_for_bad_ones() -> None:
 
 
 def test_film_makes_steps_of_a_drive_dearer_on_c_mujoco() -> None:
-    """Its forces are worked out in Python there, step by step."""
+    """With film, steps of a drive (shaking) take longer on C MuJoCo, since Python computes the forces of film in each
+    step."""
     plans = [boxes((0, 0, 0), (0, 0, 200))]
     bare, filmed = (
         SweepPlan(load_sweep(find_sweep(name), plans_given=True), plans).work()

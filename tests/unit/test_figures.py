@@ -1,4 +1,4 @@
-"""Figures for papers: what they say, that the same results give the same bytes, and what is refused."""
+"""Tests of figures for papers: their content, the same bytes for the same results, and refused input."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytest.importorskip("scipy")
 
 @pytest.fixture
 def packers(tmp_path: Path) -> list[Path]:
-    """Of 20 orders all plans of ``$b$`` stand, and 12 of a."""
+    """Runs of two packers on 20 orders. All plans of the packer ``$b$`` stand, and 12 plans of the packer ``a``."""
     falls = {"verdict": Verdict.UNSTABLE, "reason": Reason.SHIFT, "culprit": 0}
     a = {f"o{k}": make_outcome(**(falls if k < 8 else {})) for k in range(20)}
     return [write(tmp_path / "a", a), write(tmp_path / "$b$", {f"o{k}": make_outcome() for k in range(20)})]
@@ -38,7 +38,7 @@ def test_a_figure_of_packers_says_who_stands_more_often(packers: list[Path]) -> 
     assert sentence.startswith(
         "Plans of $b$ stand more often than plans of a: by 40.00 percentage points on 20 orders (95 %"
     )
-    assert sentence.endswith("McNemar's exact test, p = 0.0078).")  # 2 / 2^8
+    assert sentence.endswith("McNemar's exact test, p = 0.0078).")  # p = 2 / 2^8
     files = [packers[0].parent / f"figure-{number}.{kind}" for kind in ("svg", "pdf", "png") for number in (1, 2)]
     assert petmjx.figure(comparison, *files) == files
     for one, same in zip(files[::2], files[1::2], strict=True):
@@ -73,7 +73,7 @@ def test_the_survival_curve_is_the_share_that_survives_each_level() -> None:
 
 
 class _Summarised(petmjx.RunResults):
-    """A run with a summary and no files."""
+    """A run that has only a summary, and no files."""
 
     def __init__(self, summary: Any) -> None:
         object.__setattr__(self, "__dict__", {"summary": summary, "path": Path("run")})

@@ -1,4 +1,5 @@
-"""A run's folder belongs to one run at a time, and to petmjx only its own files in it."""
+"""Tests of folders of runs. Only one run at a time writes into a folder, and petmjx replaces or deletes only its own
+files."""
 
 from __future__ import annotations
 
@@ -167,7 +168,7 @@ def test_overwriting_takes_away_nothing_of_others(tmp_path: Path) -> None:
 
 
 def test_parts_without_run_json_are_not_mixed_with_a_new_run(tmp_path: Path) -> None:
-    """What is left where overwriting was cut short."""
+    """Parts without ``run.json`` are left behind if overwriting is interrupted. A new run does not mix with them."""
     write_run(tmp_path, "a", "b", worlds_per_part=1)
     (tmp_path / "run.json").unlink()
     for file in tmp_path.glob("worlds/*"):

@@ -1,4 +1,4 @@
-"""The least and the most force on a box at rest: against closed forms, and against what is simulated."""
+"""The smallest and the largest possible force on a box at rest are compared with closed forms, and with simulations."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ from petmjx.world.scene import build_scene
 
 MU = 0.5
 EXACT = {"name": "pallet", "skin_m": 0.0, "gravity_m_s2": 10.0}
-"""Without a skin contacts are exactly those of the plan. A box of 1 kg weighs 10 N."""
+"""Options of the physics. Without a skin (thickness by which the collider enlarges boxes), contacts are exactly those
+of the plan. With this gravity, a box of 1 kg weighs 10 N."""
 
 
 def found(boxes: Sequence[Box], mu: float = MU, size_reduction_mm: float = 0.0) -> FloatArray:
-    """(n, 2) the intervals of boxes in their planned poses."""
+    """(n, 2) smallest and largest force on top of each box at its planned place, N."""
     friction = (mu, 0.005, 0.0001)
     physics = EXACT | {"box_friction": friction, "carrier_friction": friction}
     sim = Simulation(physics=physics, size_reduction_mm=size_reduction_mm)
@@ -37,12 +38,14 @@ def found(boxes: Sequence[Box], mu: float = MU, size_reduction_mm: float = 0.0) 
 
 
 def beam(x: float, x_end: float, z: float, z_end: float, kg: float) -> Box:
-    """A box of a plan in one plane: all are 300 mm wide."""
+    """A box from x to x_end and from z to z_end. All such boxes are 300 mm wide along y, so the problem is
+    two-dimensional."""
     return (x_end - x, 300, z_end - z), (x, 0, z), kg
 
 
 def test_a_determinate_stack_has_one_answer() -> None:
-    """A tower that spreads: what lies on a box is the weight of all above, though each level has two boxes on it."""
+    """In a statically determinate stack, the two ends of an interval are equal: the force on a box is the weight of all
+    boxes above."""
     lowest, middle = beam(0, 800, 0, 200, 9), beam(0, 800, 200, 400, 8)
     tops = [beam(0, 300, 400, 600, 3), beam(400, 700, 400, 600, 4), beam(400, 700, 600, 800, 5)]
     answer = found([lowest, middle, *tops])
@@ -55,18 +58,19 @@ PLANK = [
     beam(900, 1000, 0, 200, 1),
     beam(0, 1000, 200, 300, 6),
 ]
-"""60 N on three supports, of which the middle one alone could bear all."""
+"""A plank of 60 N on three supports. The middle support alone could carry the plank."""
 
 
 def test_a_plank_on_three_supports() -> None:
-    """An outer support bears most with its force at its inner edge, and the rest at the far end of the plank: it then
-    has 500 / 900 of the weight."""
+    """The largest force on an outer support acts at its inner edge, while the remaining weight is at the far end of the
+    plank. This force is 500 / 900 of the weight."""
     outer = [0, 60 * 500 / 900]
     assert found(PLANK).tolist() == pytest.approx(np.array([outer, [0, 60], outer, [0, 0]]), abs=1e-4)
 
 
 def test_of_two_supports_both_are_needed() -> None:
-    """Each has from 200 / 700 to 500 / 700 of the weight: by the edges of the contacts at which forces act."""
+    """Each of two supports carries from 200 / 700 to 500 / 700 of the weight, depending on the points within the
+    contacts at which forces act."""
     share = np.array([(700 - 500) / (700 - 0), (1000 - 500) / (1000 - 300)])
     answer = found([beam(0, 300, 0, 200, 1), beam(700, 1000, 0, 200, 1), beam(0, 1000, 200, 300, 6)])
     assert answer.tolist() == pytest.approx(np.array([60 * share, 60 * share, [0, 0]]), abs=1e-4)
@@ -79,12 +83,12 @@ WEDGED = [
     beam(800, 1400, 0, 400, WALL_KG),
     beam(600, 800, 200, 400, 3),
 ]
-"""A box of 30 N between two walls, on a fourth box."""
+"""A box of 30 N on another box, between two heavy boxes that are like walls."""
 
 
 def test_a_box_wedged_between_two_walls() -> None:
-    """Walls may hold all of it by friction. They press it down with μ N each, which lifts them: they can press with
-    N = μ (W - μ N) without sliding apart."""
+    """The walls can carry the whole box by friction. They can also press it down by friction, with μ N each, where N is
+    the horizontal force. This lifts the walls, so N is at most μ (W - μ N); otherwise they would slide apart."""
     pressing = MU * WALL_KG * 10 / (1 + MU**2)
     assert found(WEDGED)[1] == pytest.approx([0, 30 + 2 * MU * pressing], abs=1e-3)
 
@@ -102,7 +106,8 @@ def test_more_friction_leaves_no_less_open(boxes: Sequence[Box]) -> None:
 
 
 def test_what_no_forces_balance_has_no_interval() -> None:
-    """A plank whose supports are both left of its centre; the stack beside it has its own."""
+    """If no forces balance a box, there is no interval: both supports of a plank are to the left of its centre. A stack
+    beside the plank has intervals."""
     plank = [beam(0, 100, 0, 200, 1), beam(200, 300, 0, 200, 1), beam(0, 1000, 200, 300, 6)]
     answer = found([*plank, *stack(2, at_mm=(2000, 0))])
     assert np.isnan(answer[:2]).all()
@@ -119,10 +124,11 @@ def test_the_closed_form_is_what_the_linear_programme_finds(monkeypatch: pytest.
     assert force_intervals(*arguments).tolist() == pytest.approx(with_closed_form, rel=1e-5, abs=1e-4)
 
 
-# Runs with intervals.
+# runs with intervals of forces
 
 REST_TOLERANCE = 0.005
-"""Of the largest force of a plan: what is simulated still trembles when a run ends. hand-drop-of-5-mm has 0.23 %."""
+"""Tolerance of simulated forces, as a share of the largest force in a plan. Forces still tremble when a run ends: in
+hand-drop-of-5-mm by 0.23 %."""
 
 
 def test_what_is_simulated_lies_within(tmp_path: Path) -> None:
@@ -136,10 +142,10 @@ def test_what_is_simulated_lies_within(tmp_path: Path) -> None:
     assert (low <= high).all()
     assert (low - slack <= force).all()
     assert (force <= high + slack).all()
-    assert 0.02 < (high > low + slack).mean() < 0.5  # some forces are open, most are not
+    assert 0.02 < (high > low + slack).mean() < 0.5  # statics leaves some forces open, but determines most of them
     assert results.units("boxes")["rest_top_force_low_n"] == "N"
     assert results.info["timings"]["intervals_s"] > 0
-    # of a world that has no force at rest there is no interval
+    # a world without forces at rest has no intervals
     ended = results.boxes[results.boxes["rest_top_force_n"].isna()]
     assert len(ended)
     assert ended[["rest_top_force_low_n", "rest_top_force_high_n"]].isna().all(axis=None)

@@ -1,5 +1,5 @@
-"""The corpus of other tools' files is right: its plans can be built, its files say what they should, read here by other
-means than petmjx's reader, and no other reading of them is as good where nothing but plausibility tells."""
+"""Tests of the corpus of files of other tools. Its plans can be built. Its files, read without petmjx's reader, contain
+these plans. If only plausibility determines how a file must be read, no other reading is as plausible."""
 
 from __future__ import annotations
 
@@ -26,22 +26,23 @@ import petmjx
 
 SURE = [name for name in READABLE if not CASES[name].may_ask]
 ROUNDED_MM = 0.05
-"""Lengths in files have at least a tenth of a millimetre, centres a twentieth; inches have a thousandth (0.025 mm)."""
+"""Tolerance of lengths, mm. In files, lengths are rounded to a tenth of a millimetre or better, centres to a twentieth,
+and inches to a thousandth (0.025 mm)."""
 
 
 def as_read(plan: Packing) -> SimpleNamespace:
-    """What a reader makes of a plan, without an error."""
+    """A plan as petmjx must read it."""
     mass = np.full(plan.n, 5.0) if plan.weight is None else plan.weight
     return SimpleNamespace(size_mm=plan.size, corner_mm=plan.corner, mass_kg=mass, item_ids=plan.ids)
 
 
 def upright(values: np.ndarray, view: View) -> np.ndarray:
-    """Columns of a view as x, y and the vertical."""
+    """The columns of a view in the order x, y, vertical."""
     return values[:, [0, 2, 1]] if view.vertical == 1 else values
 
 
 def check_boxes(view: View, size: object, corner: object, weight: object = None) -> None:
-    """The sizes and corners in mm, in the view's axes, are those of its packing."""
+    """Check that sizes and corners, in mm and along the view's axes, are those of the view's packing."""
     wanted = [view.plan.size, view.plan.corner]
     np.testing.assert_allclose(upright(np.asarray(size, float), view), wanted[0], atol=ROUNDED_MM)
     np.testing.assert_allclose(upright(np.asarray(corner, float), view), wanted[1], atol=ROUNDED_MM)
@@ -54,7 +55,7 @@ def content(name: str, folder: Path) -> bytes:
 
 
 def leaves(tree: object, path: str = "") -> Iterator[tuple[str, object]]:
-    """The values of a JSON tree, with their paths."""
+    """(path, value) of each value in a JSON tree."""
     parts = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else None
     if parts is None:
         yield path, tree
@@ -69,7 +70,7 @@ def test_enough_cases_of_many_kinds() -> None:
     assert len({CASES[name].convention for name in READABLE}) >= 20
     assert len({name.rpartition(".")[2] for name in CASES}) >= 10
     assert sum(bool(case.refused) for case in CASES.values()) >= 10
-    # no two files are of the same plan in the same form
+    # no two files contain the same plan in the same format
     assert len({(case.writer, case.convention, case.picks, str(case.form)) for case in CASES.values()}) == len(CASES)
 
 
@@ -87,7 +88,8 @@ def test_the_right_plans_can_be_built(name: str) -> None:
 
 
 def test_where_only_plausibility_tells_no_other_reading_is_as_good() -> None:
-    """Another anchor, another vertical (py3dbp), sizes before a turn: boxes overlap or float."""
+    """If only plausibility determines how a file must be read, other readings are less plausible: with another anchor,
+    another vertical axis (py3dbp) or sizes before rotation, boxes overlap or float."""
     for name in SURE:
         case = CASES[name]
         for view in case.views():
@@ -158,7 +160,7 @@ def test_differences_are_seen() -> None:
 
 
 def test_plans_of_petmjx_are_compared(tmp_path: Path) -> None:
-    """BED-BPP's own form, which petmjx reads without a guess."""
+    """Plans are also compared in BED-BPP's own format, which petmjx reads in only one way."""
     case = replace(CASES["bed-bpp-in-lb.json"], convention=Convention(), form={"length": "mm", "mass": "kg"})
     plans = petmjx.load_plans(case.write(tmp_path)).plans
     assert not case.mismatch(plans)
@@ -166,7 +168,8 @@ def test_plans_of_petmjx_are_compared(tmp_path: Path) -> None:
 
 
 def test_json_by_the_sources_of_its_tools(tmp_path: Path) -> None:
-    """py3dbp's ``get_dimension``, the server's ``makeDictItem``, packvium's ticks, placements of containers, poses."""
+    """JSON files are checked with the definitions in their tools' sources: ``get_dimension`` of py3dbp,
+    ``makeDictItem`` of the server, units of packvium, placements of containers, and poses."""
     sides = (
         lambda w, h, d: (w, h, d),
         lambda w, h, d: (h, w, d),
@@ -235,7 +238,7 @@ def test_json_by_the_sources_of_its_tools(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", [name for name in READABLE if name.startswith("scene-") and name.endswith(".xml")])
 def test_scenes_by_mujoco(name: str, tmp_path: Path) -> None:
-    """The boxes of MuJoCo's own model, in its initial state."""
+    """Scenes are checked with MuJoCo: the boxes are those of MuJoCo's model in its initial state."""
     case = CASES[name]
     (view,) = case.views()
     model = mujoco.MjModel.from_xml_path(str(case.write(tmp_path)))
@@ -251,7 +254,7 @@ def test_scenes_by_mujoco(name: str, tmp_path: Path) -> None:
 
 
 def test_tables_by_other_readers(tmp_path: Path) -> None:
-    """Python's csv, openpyxl and the XML of an .ods file; NumPy."""
+    """Tables are checked with other readers: Python's csv, openpyxl, the XML of an .ods file, and NumPy."""
     text = content("german-cp1252.csv", tmp_path).decode("cp1252")
     header, *rows = csv.reader(io.StringIO(text), delimiter=";")
     assert header[2:6] == ["Länge [mm]", "Breite [mm]", "Höhe [mm]", "Gewicht [kg]"]
@@ -320,7 +323,7 @@ def test_damaged_files_differ_at_one_place(kind: str) -> None:
             assert changed == [bad.place.row], name
         elif name.endswith(".json"):
             before, after = (dict(leaves(json.loads(text.decode(document.encoding)))) for text in (sound, bad.content))
-            # packvium's lengths are written twice, and are one value when empty
+            # packvium writes each length twice, but an empty length only once
             assert sum(before.get(path, ...) != value for path, value in after.items()) in (
                 1,
                 1 + name.startswith("packvium"),

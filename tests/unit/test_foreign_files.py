@@ -1,4 +1,5 @@
-"""What is no file of plans is named for what it is, with the place, and what to do about it: one line each."""
+"""Tests of files that do not contain plans. A message of one line states what the file is, where the fault is, and what
+the user can do."""
 
 from __future__ import annotations
 
@@ -84,7 +85,8 @@ MIXED = {
 
 @pytest.mark.parametrize("name", MIXED)
 def test_points_beside_decimal_commas_are_refused(name: str, tmp_path: Path) -> None:
-    """Also if the comma is in another row and column. Without a comma in the file a point is a point."""
+    """Numbers with points are refused if the file also has numbers with decimal commas, even in another row and column.
+    If the file has no comma, a point is a decimal point."""
     number, message = MIXED[name]
     rows = table(";", x_mm=number), table(";", plan_id="b", weight_kg="5,5").split("\n")[1]
     (tmp_path / "plans.csv").write_text("".join(rows))

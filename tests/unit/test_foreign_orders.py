@@ -1,4 +1,5 @@
-"""Orders of anybody's files: tables of items in any locale, test problems of packing research, lists in JSON, plans."""
+"""Tests of orders in files of other tools: tables of items in any locale, test problems of packing research, lists in
+JSON, and plans."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ LARGE = (600.0, 400.0, 250.0, 12.0)
 
 
 def read(path: Path, note: str = "read as", **options: object) -> dict[str, Order]:
-    """The orders of a file. A note must say how it was read."""
+    """The orders of a file. There must be a note that states how the file was read."""
     target = options.pop("target", None)
     assert target is None or isinstance(target, str)
     with pytest.warns(PlanWarning, match=note):
@@ -115,7 +116,8 @@ def test_names_of_columns_that_only_orders_have(header: str, tmp_path: Path) -> 
 
 
 def test_an_unknown_column_that_may_be_a_quantity_is_refused(tmp_path: Path) -> None:
-    """But not where rows repeat their articles, and are one box each."""
+    """A file is refused if an unknown column may be a quantity. It is not refused if articles occur in several rows, so
+    that each row must be one box."""
     path = tmp_path / "a.csv"
     path.write_text("sku,L,B,H,weight,Foo\ns,400,300,200,6.5,2\nl,600,400,250,12,1\n")
     message = (
@@ -184,7 +186,7 @@ def test_sheets_and_several_orders(tmp_path: Path) -> None:
 
 
 def test_sizes_of_articles_from_another_sheet_or_file(tmp_path: Path) -> None:
-    """A column "Position" that counts rows is no place."""
+    """Sizes of articles may be in another sheet or file. A column "Position" that numbers the rows is not a place."""
     lines = [("Auftrag", "Position", "Artikel", "Menge"), ("A1", 1, "s", 2), ("A1", 2, "l", 1), ("A2", 1, "l", 3)]
     articles = [("Artikel", "Länge [mm]", "Breite [mm]", "Höhe [mm]", "Gewicht [kg]"), ("l", 600, 400, 250, 12)]
     articles.append(("s", 400, 300, 200, 6.5))
@@ -241,7 +243,8 @@ THPACK = """ 2
 
 
 def test_container_loading_problems(tmp_path: Path) -> None:
-    """The height is upright where it may be; else the next size that may."""
+    """In container loading problems, the height of a box is vertical if this is permitted. Otherwise, the next
+    permitted dimension is vertical."""
     (tmp_path / "thpack1.txt").write_text(THPACK)
     orders = read(
         tmp_path / "thpack1.txt",
@@ -277,7 +280,8 @@ BINS: dict[str, tuple[str, str]] = {
 
 @pytest.mark.parametrize("name", BINS)
 def test_bin_packing_problems(name: str, tmp_path: Path) -> None:
-    """Width, height, depth; the second is upright. The bin of 100 or 10 units is 1 m wide."""
+    """In bin packing problems, sizes are width, height (vertical) and depth. The unit follows from the width of the
+    bin: 100 or 10 units are 1 m."""
     text, unit = BINS[name]
     (tmp_path / "mpv.txt").write_text(text)
     (order,) = read(tmp_path / "mpv.txt", f"; {unit}; columns width, depth, height").values()
@@ -379,7 +383,7 @@ def test_a_damaged_value_is_one_line(name: str, tmp_path: Path) -> None:
     [("400,-5,200,5,2", "width must be > 0, got -5"), ("400,300,200,1e99,2", "weight must be from")],
 )
 def test_the_only_row_is_named_when_it_is_damaged(row: str, message: str, tmp_path: Path) -> None:
-    """Its values are no evidence of units."""
+    """If the only row is damaged, the message names this row. Units cannot be derived from its values."""
     (tmp_path / "a.csv").write_text(f"sku,length,width,height,weight,qty\ns,{row}\n")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PlanWarning)
@@ -414,7 +418,7 @@ def test_a_damaged_problem_is_one_line(name: str, tmp_path: Path) -> None:
     path.write_text(THPACK.replace(before, after, 1))
     lines: list[str] = []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PlanWarning)  # of problems without faults
+        warnings.simplefilter("ignore", PlanWarning)  # warnings about problems without faults
         try:
             list(read_orders(path, lambda error: lines.append(str(error))))
         except InputError as error:
@@ -424,7 +428,7 @@ def test_a_damaged_problem_is_one_line(name: str, tmp_path: Path) -> None:
 
 
 def test_orders_go_the_way_of_bed_bpps(tmp_path: Path) -> None:
-    """Packed by a packer, and drawn by an environment, with options."""
+    """Orders of other tools can be packed by a packer, and used by an environment, like orders of BED-BPP."""
     path = tmp_path / "items.csv"
     path.write_text("Pallet,name,length,width,height,qty\n" + "a,s,40,30,20,4\nb,s,40,30,20,2\n")
     reading, left = reading_of(True, "1200x1000", {"units": "cm", "density": 200, "worlds": 0})
@@ -452,7 +456,8 @@ def test_orders_go_the_way_of_bed_bpps(tmp_path: Path) -> None:
 def test_orders_are_written_as_bed_bpps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What is written is read again to the last bit, by commands that have no options for it."""
+    """Orders that are written in BED-BPP's format are read again, equal to the last bit, by commands that have no
+    options for other formats."""
     monkeypatch.chdir(tmp_path)
     Path("items.csv").write_text("sku,length,width,height,qty\na,30,20,15.1,4\nb,20,20,20,1\n")
     hint = "items.csv: can be read in two ways: .*; petmjx convert items.csv --orders -o orders.json takes it"
@@ -536,7 +541,8 @@ BOXES = {"length_mm": [600, 600], "width_mm": 400, "height_mm": 200, "weight_kg"
 def test_columns_beside_petmjxs_own_names_count_for_episodes(
     name: str, cells: list[Any], counts: list[int], tmp_path: Path
 ) -> None:
-    """As for ``samples --orders``: a column of orders by any name, and quantities."""
+    """In tables for episodes, the column with the order may have any name, and quantities are used, as for
+    ``samples --orders``."""
     frame = pd.DataFrame({**BOXES, name: cells})
     frame.to_csv(tmp_path / "own.csv", index=False)
     frame.to_parquet(tmp_path / "own.parquet", index=False)

@@ -1,5 +1,5 @@
-"""A GPU or workers start while plans are read, where they will be used, and whatever goes wrong there is told by who
-needs it."""
+"""Tests of the start of a GPU or of workers while plans are read. They are started only if the run will use them. An
+error is reported when the GPU or the workers are needed."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ from petmjx.options.simulation import Simulation
 
 @pytest.fixture
 def started(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """Is set where a GPU is started, and kernels are compiled."""
+    """An event that is set when kernels are compiled, after a GPU was started."""
     event = threading.Event()
     monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
     monkeypatch.setattr(run_engine, "start_gpu", lambda: None)
-    monkeypatch.setattr(run_engine, "compile_ahead", lambda sim: event.set())
+    monkeypatch.setattr(run_engine, "begin_builds", lambda sim: None)
+    monkeypatch.setattr(run_engine, "compile_ahead", lambda sim, builds: event.set())
     return event
 
 
@@ -84,7 +85,7 @@ def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch)
 
 
 class _Cluster:
-    """Two CPUs and two GPUs. What is done with it, and with pools on it, is noted."""
+    """A mock of a cluster with two CPUs and two GPUs. Calls of its methods, and of pools on it, are recorded."""
 
     nodes: tuple[Node, ...] = (Node(2, 2),)
 
@@ -115,7 +116,7 @@ class _Pool:
 
 @pytest.fixture
 def said(monkeypatch: pytest.MonkeyPatch) -> queue.SimpleQueue[str]:
-    """What is done with clusters and pools."""
+    """The recorded calls of clusters and pools."""
     notes: queue.SimpleQueue[str] = queue.SimpleQueue()
     monkeypatch.setattr(of_workers, "Cluster", lambda address: _Cluster(notes))
     monkeypatch.setattr(of_workers, "WorkerPool", _Pool)
@@ -186,12 +187,13 @@ def test_what_workers_cannot_do_is_told_when_they_are_needed(said: queue.SimpleQ
             pass
         with pytest.raises(InputError, match=line):
             of_workers.resolve_workers(run_options, Work(Simulation(), [9]), MEASURED, ahead)
-    assert _heard(said, 2) == ["cluster", "closed"]  # options are looked at before
+    assert _heard(said, 2) == ["cluster", "closed"]  # no pool is made: the options are checked first
     assert said.empty()
 
 
 def test_threads_do_not_import_ray_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What one has set in the environment meanwhile, the other would put back at its end, and it stayed."""
+    """Two threads do not import Ray at the same time. Each import changes and restores environment variables, so one
+    thread would restore the changes of the other, and these would stay."""
     meets, met = threading.Barrier(2, timeout=0.2), []
 
     def importing(name: str) -> SimpleNamespace:

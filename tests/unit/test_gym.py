@@ -1,4 +1,5 @@
-"""``petmjx/Palletizing-v0``: Gymnasium's checks, the vector environment against single ones, orders, masks, rewards."""
+"""Tests of the environment ``petmjx/Palletizing-v0``: Gymnasium's checks, comparison of the vector environment with
+single environments, orders, masks, and rewards."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ def order(*sizes: tuple[float, float, float], kg: float = 5.0) -> Order:
 FEW = [
     order((600, 400, 200), (600, 400, 300), (400, 300, 200)),
     order((300, 200, 100), (800, 600, 200)),
-    order((200, 200, 500), (100, 100, 900), (2000, 300, 200)),  # the last one is longer than the carrier
+    order((200, 200, 500), (100, 100, 900), (2000, 300, 200)),  # the last box is longer than the carrier
 ]
 SMALL: dict[str, Any] = {"orders": FEW, "n_candidates": 6, "cell_mm": 200, "threads": 1, "engine": "mujoco"}
 
@@ -75,7 +76,8 @@ def test_gymnasium_finds_nothing_wrong(options: dict[str, Any]) -> None:
 
 
 def test_gymnasium_makes_it_in_a_fresh_interpreter() -> None:
-    """By its module, as Gymnasium 1 loads no plug-ins; twice, since a second import registers nothing anew."""
+    """Gymnasium makes the environment in a new interpreter. The module is named, since Gymnasium 1 loads no plug-ins.
+    It is made twice, to check that a second import does not register it again."""
     program = """
 import gymnasium
 for _ in range(2):
@@ -121,7 +123,7 @@ def test_the_vector_environment_is_as_many_single_ones(mode: AutoresetMode) -> N
         assert many.observation_space.contains(ours)
         actions = np.array([legal(mask, rng) for mask in ours["action_mask"]])
         if step == 2:
-            actions[0] = 5  # seldom legal
+            actions[0] = 5  # an action that is seldom legal
         ours, reward, terminated, truncated, infos = many.step(actions)
         theirs, *rest, expected = single.step(actions)
         for one, other in zip((reward, terminated, truncated), rest, strict=True):
@@ -148,7 +150,7 @@ def test_masks_and_what_ends_an_episode() -> None:
         corners = observed["candidates"][..., 2:5]
         observed, *_ = env.step(int(np.flatnonzero(observed["action_mask"])[0]))
         corners = observed["candidates"][observed["action_mask"] == 1][:, 2:5]
-        chosen[mask] = int((corners[:, 2] == 600).sum())  # on top of the tall one, over its edge
+        chosen[mask] = int((corners[:, 2] == 600).sum())  # places on top of the tall box, beyond its edge
         if mask == "geometry":
             unsafe = int(np.flatnonzero(observed["candidates"][:, 4] == 600)[0])
             observed, reward, terminated, _, info = env.step(unsafe)
@@ -156,7 +158,7 @@ def test_masks_and_what_ends_an_episode() -> None:
             assert reward < 0
             assert info["verdict"] == "unstable"
             assert info["culprit"] == 1
-            assert info["left_out"] == 0  # the last box fits nowhere, but after a fall nobody looks for its place
+            assert info["left_out"] == 0  # after a fall, no place is searched for the last box, which fits nowhere
             assert observed["boxes"][0, 0] == 2000
             assert not observed["action_mask"].any()
     assert chosen["geometry"] > 0
@@ -164,12 +166,14 @@ def test_masks_and_what_ends_an_episode() -> None:
 
 
 def test_the_mask_by_loads_keeps_boxes_off_weak_ones(tmp_path: Path) -> None:
-    """A box of 10 kg presses with 98 N: one that bears 90 N stays free, and one that bears 110 N does not."""
+    """The mask ``loads`` keeps boxes off weak boxes. A box of 10 kg presses with 98 N, so it may not stand on a box
+    with a strength of 90 N, but on a box with 110 N."""
     sizes = {"length_mm": [600, 600], "width_mm": [400, 400], "height_mm": [200, 200], "weight_kg": [10, 10]}
     options = {**SMALL, "n_candidates": 30, "mask": "loads"}
 
     def on_top(**given: Any) -> set[bool]:
-        """Whether the second box may stand on the first one; beside it it may."""
+        """For each legal place of the second box, whether it is on the first box. Places beside the first box are
+        always legal."""
         env = PalletizingEnv(**{**options, **given})
         observed, _ = env.reset(seed=0)
         observed, *_ = env.step(int(np.flatnonzero(observed["action_mask"])[0]))
@@ -198,7 +202,8 @@ def test_the_mask_by_loads_keeps_boxes_off_weak_ones(tmp_path: Path) -> None:
 @pytest.mark.parametrize("mask", ["geometry", "support_75", "centre"])
 @pytest.mark.parametrize(("buffer", "most"), [(2, 3), (5, 32), (8, 20), (12, 6)])
 def test_each_box_of_the_buffer_has_its_share_of_candidates(mask: str, buffer: int, most: int) -> None:
-    """Its lowest places, as many as an equal share, or all that it has; the table is full where there are enough."""
+    """Each box of the buffer gets an equal share of the candidates: its lowest places, or all of its places if it has
+    fewer. If there are enough places, the table of candidates is full."""
     options = {"look_ahead": buffer + 2, "buffer": buffer, "mask": mask, "cell_mm": 200, "engine": "mujoco"}
     cut, full_env = (PalletizingEnv(**options, n_candidates=count, threads=1) for count in (most, 20_000))
     rng = np.random.default_rng(buffer)
@@ -221,7 +226,8 @@ def test_each_box_of_the_buffer_has_its_share_of_candidates(mask: str, buffer: i
 
 
 def test_what_a_box_does_not_need_goes_to_the_others() -> None:
-    """Shares are those of pouring: one place more for every box that still has one, until there is no room."""
+    """Candidates that a box does not need go to the other boxes. The expected shares are computed by adding a place for
+    every box that still has a place, again and again, until the table is full."""
     rng = np.random.default_rng(0)
     for _ in range(200):
         most, boxes = int(rng.integers(1, 40)), int(rng.integers(1, 8))
@@ -235,11 +241,11 @@ def test_what_a_box_does_not_need_goes_to_the_others() -> None:
                     poured[row, box] += poured[row].sum() < most
         np.testing.assert_array_equal(np.bincount(seen[kept], minlength=4 * boxes), poured.ravel())
         first = np.searchsorted(seen, seen[kept])
-        assert (kept - first < poured.ravel()[seen[kept]]).all()  # of each box the best ones
+        assert (kept - first < poured.ravel()[seen[kept]]).all()  # the best places of each box are kept
 
 
 def test_random_episodes_in_all_settings_show_no_fault() -> None:
-    """Some of the episodes that ``python -m benchmarks loop episodes`` plays by the thousand."""
+    """Random episodes with all settings. ``python -m benchmarks loop episodes`` plays thousands of such episodes."""
     summary = episodes(make_engine("mujoco", threads=1), 2 * len(SETTINGS), seed=5)
     assert summary["faults"] == {}
     assert summary["episodes"] >= 2 * len(SETTINGS)
@@ -290,7 +296,7 @@ def test_orders_come_from_many_places(tmp_path: Path) -> None:
         (FEW, 3, (600, 400, 200), 5),
     ):
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PlanWarning)  # how other tools' files are read
+            warnings.simplefilter("ignore", PlanWarning)  # notes on how files of other tools are read
             first = Orders(source)._all[0]  # type: ignore[index]
         assert len(first) == count
         assert first.size_mm[0] == pytest.approx(size)
@@ -326,7 +332,7 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
 
 
 def test_the_example_of_training_runs() -> None:
-    """In a fresh interpreter, which has not registered the environment."""
+    """The example of training runs in a new interpreter, in which the environment is not registered yet."""
     repository = Path(__file__).parents[2]
     example = [sys.executable, str(repository / "examples" / "train_with_physics.py")]
     few = ["--updates", "2", "--pallets", "2", "--steps", "6", "--engine", "mujoco"]
@@ -357,12 +363,13 @@ assert petmjx.gym
 
 
 def test_boxes_without_a_place_are_left_out_in_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
-    """50 boxes of three kinds have no place; the first behind them has one. Kinds are looked at once, more in each
-    call: the next box, the two other kinds, and the last box."""
+    """Boxes for which there is no place are left out in few calls. Here, there is no place for 50 boxes of three kinds,
+    but for the box after them. Places are searched once for each kind: in the first call for the next box, in the
+    second call for the two other kinds, in the third call for the last box."""
     sizes = [(600, 400, 200), *[(600, 400, 1900 + 10 * (number % 3)) for number in range(50)], (300, 200, 100)]
     rows = [(0, *size, 5.0) for size in sizes]
     orders = pd.DataFrame(rows, columns=["order_id", "length_mm", "width_mm", "height_mm", "weight_kg"])
-    for options in ({}, {"buffer": 2, "look_ahead": 2}):  # a buffer looks at its boxes one after another
+    for options in ({}, {"buffer": 2, "look_ahead": 2}):  # with a buffer, boxes are examined one after another
         env = PalletizingEnv(orders=orders, engine="mujoco", mask="geometry", **options)
         fill, numbers = env.episodes._actions.fill, []
 

@@ -1,4 +1,5 @@
-"""Histories: which worlds have them, that nothing else changes, how they are kept, and one world's story."""
+"""Tests of histories (recorded frames of worlds): which worlds have one, their frames, their files, and the stories
+made from them. Recording changes no other result."""
 
 from __future__ import annotations
 
@@ -84,7 +85,7 @@ def test_a_recorded_world_is_the_same_to_the_last_bit(case: str, interval_s: flo
 
 
 def check_frames(outcome: Outcome, sim: Simulation, interval_s: float, drive: Drive | None) -> None:
-    """Frames come when they should, and the last one is where the boxes ended."""
+    """Check that frames are at the right times, and that the poses in the last frame are those in the outcome."""
     history, n = history_of(outcome), outcome.n_boxes
     steps = np.round(history.time_s / sim.physics.timestep_s).astype(int)
     every = max(int(interval_s / sim.physics.timestep_s), 1)
@@ -110,7 +111,8 @@ def check_frames(outcome: Outcome, sim: Simulation, interval_s: float, drive: Dr
 
 
 def test_a_box_begins_where_it_is_released_and_nothing_acts_on_it_yet() -> None:
-    """Where its own weight will press it, and as much lower as its support has come down."""
+    """In the first frame of a box, the box is at the place of its release, and nothing acts on it. This place is as
+    deep as its own weight will press it, and lower by the distance by which its support has sunk."""
     scene = make_scene(3)
     release = release_of(scene, Simulation())
     history = history_of(simulate(scene, Simulation(), Record(1.0, details=True)))
@@ -125,7 +127,7 @@ def test_a_box_begins_where_it_is_released_and_nothing_acts_on_it_yet() -> None:
         np.testing.assert_allclose(history.pos[frame, box], release.pos[box] + [0.0, 0.0, below[2]], rtol=0, atol=1e-12)
         assert history.top_force_n[frame, box] == 0.0
         assert not history.lin_acc[frame, box].any()
-    # at rest the weight of what is above; the last box bears nothing
+    # at rest, the force on a box is the weight of the boxes above; nothing is on the last box
     np.testing.assert_allclose(history.top_force_n[-1], [2 * 5 * 9.81, 5 * 9.81, 0.0], rtol=0.01)
 
 
@@ -142,7 +144,7 @@ def test_what_a_fork_records_goes_on_from_its_placement() -> None:
 
 
 class Doubtful(MujocoEngine):
-    """Calls the first attempts at every world invalid."""
+    """C MuJoCo, but the outcome of every first attempt is invalid."""
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         for outcome in super().run(jobs, sim, progress):
@@ -282,7 +284,7 @@ def test_a_run_that_goes_on_has_the_same_histories(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         recorded(tmp_path / "run", engine=Stopping(1), threads=None)
-    # as after a kill: a history whose world was not written any more
+    # as after a kill: there is a history, but its world was not written
     left = tmp_path / "run" / "histories" / "part-00001.parquet"
     left.write_bytes((tmp_path / "run" / "histories" / "part-00000.parquet").read_bytes())
     run = recorded(tmp_path / "run", resume=True)
@@ -320,7 +322,7 @@ def test_a_new_run_takes_the_old_histories_away(tmp_path: Path) -> None:
 
 
 def test_examples_of_the_docs_run(repository: Path, tmp_path: Path) -> None:
-    """All blocks as one program."""
+    """All Python blocks of the page about histories run as one program."""
     text = (repository / "docs" / "histories.md").read_text(encoding="utf-8")
     program = "\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE))
     environment = {**os.environ, "PYTHONPATH": str(repository)}
@@ -332,7 +334,7 @@ def test_examples_of_the_docs_run(repository: Path, tmp_path: Path) -> None:
 
 
 def test_the_docs_name_the_columns(repository: Path) -> None:
-    """Of vectors at least the first component, which the others follow."""
+    """The page about histories names all columns. Of vectors, it names at least the first component."""
     text = (repository / "docs" / "histories.md").read_text(encoding="utf-8")
     tables = schemas()
     followed = re.compile(r"_[yz](_m|_n)?$")

@@ -1,4 +1,4 @@
-"""Imports run one way, and reading results never loads a simulator."""
+"""Tests of imports: modules import only from earlier layers, and reading results never loads a simulator."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"gym", "jax"}),
     frozenset({"cli", "__main__"}),
 )
-"""Modules and packages of petmjx, from left to right. A module imports from its own layer or those before it; what has
-no layer fails the test. ``petmjx/__init__`` imports only the version: it looks names up when they are first used, and
-no other module imports it."""
+"""Layers of petmjx's modules and packages, from first to last. A module may import from its own layer and from earlier
+layers. Every module must be in a layer, except ``petmjx/__init__``: it imports only the version, and looks up other
+names when they are first used. No other module imports it."""
 
 READERS = (
     "petmjx.results.run_reader",
@@ -60,7 +60,8 @@ def module_of(path: Path, repository: Path) -> str:
 
 
 def imported_modules(path: Path, modules: Collection[str]) -> set[str]:
-    """Which of ``modules`` a file imports anywhere: also in functions, for types alone, or by a name in a text."""
+    """Those of ``modules`` that a file imports at any place, including imports in functions, imports only for types,
+    and imports by a name in a string."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -75,7 +76,8 @@ def imported_modules(path: Path, modules: Collection[str]) -> set[str]:
 
 
 def import_graph(repository: Path) -> dict[str, set[str]]:
-    """Module → the modules of petmjx that it imports. The package itself, which leads everywhere, is left out."""
+    """Module → the modules of petmjx that it imports. The package ``petmjx`` itself is left out, since all modules can
+    be reached from it."""
     paths = {module_of(path, repository): path for path in source_files(repository)}
     graph = {module: imported_modules(path, paths) for module, path in paths.items() if module != "petmjx"}
     package = sorted(module for module, targets in graph.items() if "petmjx" in targets)
@@ -84,7 +86,7 @@ def import_graph(repository: Path) -> dict[str, set[str]]:
 
 
 def circle_in(graph: dict[str, set[str]]) -> tuple[str, ...]:
-    """A circle of imports, from a module to itself; empty if there is none."""
+    """A circle of imports, from a module back to this module; empty if there is no circle."""
     done: set[str] = set()
 
     def visit(module: str, trail: tuple[str, ...]) -> tuple[str, ...]:
@@ -100,7 +102,7 @@ def circle_in(graph: dict[str, set[str]]) -> tuple[str, ...]:
 
 
 def part_of(module: str) -> str:
-    """First name below petmjx: the module, or the package that holds it."""
+    """The module or package directly below ``petmjx`` that contains a module."""
     return module.split(".")[1]
 
 
@@ -149,7 +151,8 @@ def test_circles_behind_functions_and_names_are_found(tmp_path: Path) -> None:
 
 
 def loaded_by(*statements: str) -> list[str]:
-    """Simulators that are loaded after each of some statements in a fresh interpreter: ``statement: simulators``."""
+    """Lines "statement: simulators" with the simulators that are loaded after each statement. All statements run in the
+    same new interpreter."""
     code = f"""
 import sys
 for statement in {statements!r}:
@@ -167,7 +170,8 @@ def test_what_reads_results_loads_no_simulator() -> None:
 
 
 def test_mjx_warp_does_not_wait_for_mjx() -> None:
-    """``import mujoco.mjx`` takes longer than all else that one plan needs on a GPU."""
+    """The engine ``mjx-warp`` does not import ``mujoco.mjx``, since this import takes longer than everything else that
+    a single plan needs on a GPU."""
     code = "import sys, petmjx.engines.warp.engine\nprint(*{'mujoco.mjx', 'trimesh'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []

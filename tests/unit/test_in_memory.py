@@ -1,4 +1,5 @@
-"""Runs without a folder: the same results, in memory as long as they are no more than a part."""
+"""Tests of runs without a folder. Results are the same as those of runs with a folder. They stay in memory unless they
+exceed the size of one part of a table."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ from petmjx.world.scene import build_scene
 
 PLANS = [make_plan("stands", stack(2, 100.0)), make_plan("falls", stack(2, 260.0)), make_plan("one", stack(1))]
 STATIC = {"engine": "mujoco", "check": "static", "duration_s": 0.1}
-"""Options of a short run."""
+"""Options with which a run is short."""
 
 _DRIVES = 'profile = "eumos-40509"\ndirection = [0]\n'
 SWEEPS = {
@@ -38,12 +39,12 @@ RUNS: dict[str, Callable[..., RunResults]] = {
     "confidence": lambda **more: petmjx.score(PLANS, **STATIC, confidence=4, **more),
 }
 VARYING = ("started", "updated", "timings", "parts", "digest")
-"""Entries of ``run.json`` that differ from run to run."""
+"""Entries of ``run.json`` that are different in each run."""
 
 
 @pytest.fixture
 def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder in which temporary ones are made."""
+    """The folder in which temporary folders are made."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(folder))
@@ -57,8 +58,8 @@ def parts_of_one_world(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def assert_same(a: RunResults, b: RunResults) -> None:
-    """Same tables to the last bit, units and ``run.json``."""
-    for table in (table for table in TABLES if table != "placements"):  # memory has the plans themselves
+    """Check that two runs have the same tables, to the last bit, the same units, and the same ``run.json``."""
+    for table in (table for table in TABLES if table != "placements"):  # a run in memory has the plans instead
         mine, theirs = getattr(a, table), getattr(b, table)
         assert (mine is None) == (theirs is None), table
         if mine is not None:

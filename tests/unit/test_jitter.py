@@ -1,4 +1,5 @@
-"""Which boxes tremble, and that the engines agree on it. mjx-warp's kernel: ``tests/oracle/test_warp_rules.py``."""
+"""Tests of the rule for boxes that tremble. The rules of C MuJoCo and of the MJX engines agree. For the kernel of
+``mjx-warp``, see ``tests/oracle/test_warp_rules.py``."""
 
 from __future__ import annotations
 
@@ -30,8 +31,8 @@ SHAKEN, SWAYING, SLIDING, TURNING = range(BOXES)
 
 
 def some_motion(looks: int, rng: np.random.Generator, drift_m_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """(look, box, 7) poses and (look, box, 6) velocities of boxes that go to and fro quickly, with a drift along y, and
-    slowly; that slide; and that turn to and fro."""
+    """(look, box, 7) poses and (look, box, 6) velocities of four boxes at each check of motion (look). The first box
+    moves to and fro quickly, with a drift along y. The others move to and fro slowly, slide, or rotate to and fro."""
     poses = np.tile(np.concatenate([SCENE.start_pos, SCENE.start_quat], axis=1), (looks, 1, 1))
     velocities = np.zeros((looks, BOXES, 6))
     time_s = LOOK_S * np.arange(looks)
@@ -50,7 +51,7 @@ def some_motion(looks: int, rng: np.random.Generator, drift_m_s: float = 0.0) ->
 
 
 def on_c(poses: FloatArray, velocities: FloatArray) -> list[list[bool]]:
-    """Which boxes tremble after each look, in C's rule."""
+    """Whether each box trembles after each check of motion, by the rule of C MuJoCo."""
     rule = QuietRule(SIM, SCENE)
     flags = []
     for pose, velocity in zip(poses, velocities, strict=True):
@@ -65,7 +66,7 @@ def _count_quiet() -> Any:
 
 
 def on_mjx(poses: FloatArray, velocities: FloatArray) -> list[list[bool]]:
-    """The same in the rules that the MJX engines share."""
+    """Whether each box trembles after each check of motion, by the rule of the MJX engines."""
     worlds = upload_worlds([Job(SCENE)], 1, BOXES, {}, SIM)
     state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER), rest_steps=1)
     state = state._replace(status=jnp.array([Status.RUNNING], jnp.int32))
@@ -80,7 +81,7 @@ def on_mjx(poses: FloatArray, velocities: FloatArray) -> list[list[bool]]:
 @pytest.mark.parametrize("find", [on_c, on_mjx])
 def test_a_box_that_goes_to_and_fro_and_gets_nowhere_trembles(find: Any) -> None:
     flags = find(*some_motion(2 * PERIOD + 1, np.random.default_rng(3)))
-    assert flags[: 2 * PERIOD] == [[False] * BOXES] * (2 * PERIOD)  # what lands is not measured
+    assert flags[: 2 * PERIOD] == [[False] * BOXES] * (2 * PERIOD)  # while boxes land, trembling is not measured
     assert flags[-1] == [True, False, False, True]
 
 
@@ -94,7 +95,7 @@ def test_a_box_that_walks_meanwhile_does_not_tremble(find: Any) -> None:
 def test_the_engines_agree_on_what_trembles() -> None:
     rng = np.random.default_rng(7)
     poses, velocities = some_motion(4 * PERIOD + 2, rng)
-    # one that trembles, walks from some time on, and trembles again
+    # the first box trembles, then also moves along y for a while, and trembles again
     poses[2 * PERIOD + 9 : 3 * PERIOD, SHAKEN, 1] += np.linspace(0, 0.002, PERIOD - 9)
     poses[3 * PERIOD :, SHAKEN, 1] += 0.002
     flags = on_c(poses, velocities)
@@ -107,19 +108,19 @@ def test_what_trembles_is_not_waited_for() -> None:
     poses, velocities = (some[:, :1] for some in some_motion(2 * PERIOD + 3, np.random.default_rng(3)))
     quiet = [rule.look(pose, velocity, has_failed=False) for pose, velocity in zip(poses, velocities, strict=True)]
     assert quiet.index(True) == 2 * PERIOD + SIM.quiet.steps // SIM.quiet.poll_steps - 1
-    assert not rule.holds  # whoever goes on then has the flag of worlds that move
+    assert not rule.holds  # if the simulation goes on, the world gets the flag ``moving``
     moved = np.array([[0.5 * SIM.quiet.slow_m_s * 0.1, 0, 0, 0, 0, 0, 0]])
     fast = velocities[-1]
     assert rule.motion(poses[0], poses[0] + moved, fast, 0.1) == (True, False)
     assert rule.motion(poses[0], poses[0] + 3 * moved, fast, 0.1) == (True, True)
     assert rule.motion(poses[0], poses[0], fast, 0.1) == (False, False)
-    # another box is placed: the first one may move otherwise now
+    # when another box is placed, the motion of the first box may change
     assert rule.trembling.which(1).tolist() == [True]
     assert rule.trembling.which(2).tolist() == [False, False]
 
 
 def test_what_rests_beside_it_does_not_tremble() -> None:
-    """A box at rest goes to and fro, too, by less than is worth waiting for. It may begin to topple."""
+    """A box at rest does not count as trembling, although it also moves to and fro a little: it may begin to topple."""
     poses, velocities = some_motion(2 * PERIOD + 1, np.random.default_rng(3))
     velocities[:, TURNING] *= 0.01
     for find in (on_c, on_mjx):

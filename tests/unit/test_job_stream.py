@@ -1,4 +1,5 @@
-"""Jobs on their way to an engine: order, waiting, bounds; and what a run does when its source or its engine fails."""
+"""Tests of the stream of jobs to an engine: its order, when it waits, its limits, and what a run does if the source of
+jobs or the engine fails."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ def test_a_list_is_a_stream_that_ends() -> None:
     assert stream.peek(2) == [ONE, THREE]
     assert stream.take(2) == [ONE, THREE]
     assert not stream.ended
-    assert stream.take(5, least=5) == [ONE]  # no more come
+    assert stream.take(5, least=5) == [ONE]  # the stream is closed, so there are no more jobs
     assert stream.ended
     assert stream.take(1) == []
     assert list(stream.in_flight) == [0, 1, 2]
@@ -65,11 +66,11 @@ def test_an_engine_waits_for_as_many_as_it_wants_while_more_come() -> None:
     engine.join(30)
     assert taken == [ONE, THREE]
     stream.pause()
-    assert stream.take(1) == []  # the source waits for something else
+    assert stream.take(1) == []  # the source waits for outcomes, not for the stream
     stream.pause(False)
     assert not stream.ended
     stream.close()
-    put(stream, ONE)  # follows from an outcome
+    put(stream, ONE)  # a job that follows from an outcome
     assert not stream.ended
     assert stream.take(1) == [ONE]
 
@@ -99,7 +100,7 @@ def test_jobs_that_follow_are_taken_first_but_not_before_those_that_were_looked_
     follows, later = replace(THREE), replace(THREE)
     stream.put(follows, "follows")
     assert stream.peek(3) == [follows, *source[:2]]
-    stream.put(later, "later")  # meanwhile a table makes room for the three
+    stream.put(later, "later")  # meanwhile, a table gets room for the three jobs
     stream.take_peeked([follows, *source[:2]])
     assert stream.in_flight == {0: "follows", 1: "source 0", 2: "source 1"}
     assert stream.take(9, wait=False) == [later, source[2]]
@@ -109,13 +110,13 @@ def test_jobs_that_follow_are_taken_first_but_not_before_those_that_were_looked_
 def test_a_source_waits_while_the_stream_is_full() -> None:
     stream = JobStream[Any](most_boxes=4)
     assert [stream.put(job, None, bounded=True) for job in (THREE, ONE)] == [True, True]
-    assert stream.take(9, least=9, wait=False) == [THREE, ONE]  # as many as there is room for
+    assert stream.take(9, least=9, wait=False) == [THREE, ONE]  # the jobs for which there is room
     put(stream, THREE, THREE)
     waits = threading.Thread(target=stream.put, args=(ONE, None), kwargs={"bounded": True}, daemon=True)
     waits.start()
     time.sleep(0.01)
     assert stream.ready == 2
-    put(stream, ONE)  # one that follows from an outcome never waits
+    put(stream, ONE)  # a job that follows from an outcome never waits
     stream.take(2)
     waits.join(30)
     assert stream.ready == 2
@@ -132,7 +133,7 @@ def test_engines_without_streams_get_lists() -> None:
 
 @dataclass
 class Streaming(FailingEngine):
-    """Has up to four worlds at once, and fails when it has answered so many."""
+    """An engine that has up to four worlds at a time, and fails after ``fails_after`` outcomes."""
 
     fails_after: int = 10**9
     most_in_flight: int = 0
@@ -171,14 +172,16 @@ def test_an_engine_with_a_stream_has_all_worlds_in_one_run() -> None:
 
 @pytest.mark.parametrize(("options", "count"), [({}, attempt_stream.FIRST_WORLDS), ({"begin_with": 7}, 7)])
 def test_an_engine_knows_how_many_jobs_to_wait_for_at_first(options: dict[str, int], count: int) -> None:
-    """A GPU would else begin with the first job, and compile programs for it."""
+    """The engine knows how many jobs it should wait for before it begins. Otherwise, a GPU would begin with the first
+    job, and compile programs for a single job."""
     engine = Streaming()
     assert len(list(score_worlds(worlds_failing(0), SIM, engine, **options))) == 1
     assert engine.begin_with == count
 
 
 def test_the_source_pauses_while_many_wait_for_another_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else memory would grow with the number of invalid worlds."""
+    """The source of jobs pauses while many worlds wait for another attempt. Otherwise, memory would grow with the
+    number of invalid worlds."""
     monkeypatch.setattr(attempt_stream, "PENDING_BOXES", 2)
     monkeypatch.setattr("petmjx.engines.attempt_runner.MOST_TOGETHER", 1)
     engine, drawn = Streaming(), 0
@@ -194,7 +197,7 @@ def test_the_source_pauses_while_many_wait_for_another_attempt(monkeypatch: pyte
     next(results)
     assert drawn < 20
     assert sorted(len(result.attempts) for result in results) == [2] * 39
-    # the worlds of a second attempt: those that wait, and those in flight when the source pauses
+    # a second attempt has the worlds that wait, and the worlds that are being simulated when the source pauses
     assert len(engine.calls) > 40 / (most_pending + engine.most_in_flight)
 
 
@@ -205,7 +208,7 @@ def test_what_an_engine_had_when_it_failed_is_simulated_by_its_fallback(monkeypa
     progress = Progress()
     results = list(score_worlds(worlds_failing(*[0] * 10), SIM, engine, progress=progress))
     assert {result.world.plan.plan_id for result in results} == {f"p{k}" for k in range(10)}
-    assert len(fallback.calls[0][1]) == 4  # those in flight
+    assert len(fallback.calls[0][1]) == 4  # the worlds that were being simulated
     assert any(
         "mjx-warp-cpu failed (ValueError: out of order); 4 worlds: went to mujoco" in line for line in progress.notes
     )
@@ -239,7 +242,8 @@ def test_an_error_of_the_source_is_raised_after_the_outcomes_before_it(engine: F
 def test_memory_that_runs_out_as_a_world_becomes_a_job_ends_the_run_after_the_outcomes_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """It is none of the engine, which would take it for its device's."""
+    """If memory runs out while a world becomes a job, the run ends after the earlier outcomes. The engine does not get
+    the error, since it would think that the memory of its device is full."""
     calls: list[Job] = []
 
     def short(engine: str, job: Job) -> Job:
@@ -264,7 +268,7 @@ def test_few_boxes_are_pending_at_a_time(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_run_that_is_cut_off_does_not_wait_for_worlds_that_come_later() -> None:
-    """With Ctrl-C, for example. They would take 50 s."""
+    """An interrupted run, for example by Ctrl-C, does not wait for later worlds, which would take 50 s."""
 
     def source() -> Iterator[World]:
         for number, world in enumerate(worlds_failing(*[0] * 200)):

@@ -1,4 +1,4 @@
-"""How the kernels of a run are loaded."""
+"""Tests of the loading of a run's kernels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from petmjx.engines.warp.block_launch import Launch, own_kernels
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 
 LONG_S = 60
-"""Longer than all threads take to begin."""
+"""Time limit for all threads to begin, s."""
 
 
 def _tiny(number: int, threads: int) -> Any:
@@ -34,7 +34,7 @@ def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkey
     begun, loaded, load = Barrier(2 + len(modules), timeout=LONG_S), [], wp.Module.load
 
     def watched(module: Any, *args: Any, **options: Any) -> Any:
-        begun.wait()  # breaks if one begins only after another one
+        begun.wait()  # fails if one thread begins only after another thread has ended
         loaded.append(module)
         return load(module, *args, **options)
 

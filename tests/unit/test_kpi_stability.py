@@ -1,4 +1,5 @@
-"""Runs that keep no boxes: everything that reads boxes does without, or says so in a line."""
+"""Tests of runs without the table ``boxes``. Functions that read this table work without it, or give a message of one
+line."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ def score(out: Path | None, keep: Any = "worlds", **options: Any) -> petmjx.RunR
 
 @pytest.fixture
 def runs(tmp_path: Path) -> tuple[petmjx.RunResults, petmjx.RunResults]:
-    """All tables, and worlds alone."""
+    """A run with all tables, and a run with only the table ``worlds``."""
     return score(tmp_path / "all", "all"), score(tmp_path / "worlds")
 
 

@@ -1,4 +1,4 @@
-"""Submissions to BED-BPP's leaderboard: their names, their files, and what is none."""
+"""Tests of submissions to BED-BPP's leaderboard: their names, their files, and refused input."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def submit(plans: dict[str, Any], orders: dict[str, Any], task: str = "offline3d
     name = f"2026-02-03_doe_x_{task}"
     command = ("kpis", "plans.json", "--orders", "orders.json", "--leaderboard", name, "-o", "s")
     if (Path("s") / f"{name}.json").exists():
-        assert run(*command) == 2  # what is there is replaced only if asked
+        assert run(*command) == 2  # an existing file is replaced only on request
     return run(*command, "--overwrite")
 
 
@@ -110,7 +110,7 @@ def test_the_sequence_of_online_tasks(capsys: pytest.CaptureFixture[str]) -> Non
 
     for names, task, code in (
         ("abcd", "o3dbp", 0),
-        ("acd", "o3dbp", 0),  # b was left out
+        ("acd", "o3dbp", 0),  # box b was left out
         ("acbd", "o3dbp", 2),
         ("acbd", "o3dbp-3-2", 0),
         ("cabd", "o3dbp-3-2", 2),
@@ -123,7 +123,8 @@ def test_the_sequence_of_online_tasks(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_orders_are_numbered_as_they_were(real_data: Path) -> None:
-    """The submission's check compares numbers of the order with the sequence of items."""
+    """The items of an order keep their numbers. The check of submissions compares these numbers with the sequence of
+    items."""
     for _, order in read_orders(real_data / "5_bed-bpp.json"):
         assert order.numbers == tuple(range(1, len(order.items) + 1))
 

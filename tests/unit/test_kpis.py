@@ -1,4 +1,5 @@
-"""KPIs: BED-BPP's own figures, its rule of support taken literally, stability from runs, and submissions."""
+"""Tests of KPIs: comparison with BED-BPP's own numbers, BED-BPP's rule of support, stability from runs, and
+submissions."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ def rate(plans: dict[str, Any], orders: dict[str, Any] | None = None, **options:
     return petmjx.kpis(write(Path("plans.json"), plans), write(Path("orders.json"), orders), **options)
 
 
-# BED-BPP's own figures.
+# BED-BPP's own numbers
 
 
 @pytest.fixture
@@ -61,7 +62,7 @@ def test_the_published_kpis(real_data: Path, reference: dict[str, Any]) -> None:
             assert table.loc[plan_id, name] == pytest.approx(values[name], abs=1e-9), (plan_id, name)
         assert table.loc[plan_id, "n_ordered"] == values["n_items"]
         assert table.loc[plan_id, "target"] == values["target"]
-        # theirs is the last whole millimetre below the top
+        # BED-BPP's height is the last whole millimetre below the top
         assert table.loc[plan_id, "height_below_2m_m"] == pytest.approx(values["eval_score_height"] + 0.001, abs=1e-9)
 
 
@@ -74,13 +75,14 @@ def test_the_published_support(real_data: Path, reference: dict[str, Any]) -> No
         np.testing.assert_allclose(share, values["support"], rtol=0, atol=1e-6)
 
 
-# Their rule, millimetre by millimetre.
+# BED-BPP's rule of support, millimetre by millimetre
 
 EXTENT = (24, 18)
 
 
 def on_a_raster(corner: FloatArray, size: FloatArray) -> tuple[FloatArray, Sequence[int]]:
-    """Support by a map of who is on top of each square millimetre, as their evaluator has it."""
+    """The supported share of each box, and the number of boxes below. They are computed as by BED-BPP's evaluator: from
+    a map with the topmost box at each square millimetre."""
     last, height = np.zeros(EXTENT, dtype=int), np.zeros(EXTENT)
     shares, numbers = [], []
     for box, ((x, y, z), (dx, dy, dz)) in enumerate(zip(corner.astype(int), size.astype(int), strict=True)):
@@ -105,7 +107,7 @@ def on_a_raster(corner: FloatArray, size: FloatArray) -> tuple[FloatArray, Seque
 
 @st.composite
 def piles(draw: st.DrawFn) -> tuple[FloatArray, FloatArray]:
-    """Boxes that overlap, float, hide each other and reach over the target's far edges."""
+    """Random boxes that may overlap, float, hide each other, and reach beyond the target's far edges."""
     n = draw(st.integers(1, 12))
     corner = [
         (draw(st.integers(0, EXTENT[0] - 1)), draw(st.integers(0, EXTENT[1] - 1)), draw(st.integers(0, 40)))
@@ -125,7 +127,8 @@ def test_support_is_that_of_a_raster(pile: tuple[FloatArray, FloatArray]) -> Non
 
 
 def test_hidden_and_half_hidden_supporters() -> None:
-    """A thin box on a large one: what lies on it lies on the large one too where that can be seen."""
+    """A thin box lies on a large box. A third box on the thin box counts as supported also by the visible part of the
+    large box."""
     corner = np.array([[0, 0, 0], [0, 0, 10], [0, 0, 11.0]])
     for width, below in ((10.0, 2), (20.0, 1)):
         size = np.array([[20, 10, 10], [width, 10, 1], [20, 10, 5.0]])
@@ -135,7 +138,7 @@ def test_hidden_and_half_hidden_supporters() -> None:
 
 
 def test_a_heap_of_the_largest_size_takes_no_longer_than_others() -> None:
-    """All 512 boxes overlap: 130,816 pairs."""
+    """A heap of 512 boxes that all overlap, with 130,816 pairs, takes no longer than other plans."""
     rng = np.random.default_rng(0)
     corner = np.concatenate((rng.uniform(0, 600, (512, 2)), rng.uniform(0, 50, (512, 1))), axis=1)
     begin = time.process_time()
@@ -145,11 +148,12 @@ def test_a_heap_of_the_largest_size_takes_no_longer_than_others() -> None:
     assert n_below.max() > 1
 
 
-# Columns and ratings by hand.
+# columns and ratings computed by hand
 
 
 def test_columns_by_hand() -> None:
-    """Two on the target side by side, a third across both, turned; one of four ordered is left out."""
+    """The plan has two boxes side by side on the target, and a rotated box across both. One of the four ordered boxes
+    is left out."""
     plan = [
         placement((0, 0, 0), (400, 300, 200)),
         placement((400, 0, 0), (400, 300, 200)),
@@ -165,7 +169,7 @@ def test_columns_by_hand() -> None:
     assert row["kpi_5"] == 1.0
     assert row["n_pal_items"] == 3
     assert row["eval_score_pal_ratio"] == 0.75
-    # the top of 2.001 m ends above 2 m; theirs takes it, since its last whole millimetre is 2.000
+    # the top is at 2.001 m, above 2 m; BED-BPP accepts it, since its last whole millimetre is 2.000 m
     assert row["eval_score_height"] == 2.0
     assert row["height_below_2m_m"] == 0.2
     assert row["volume_m3"] == pytest.approx(volume / 1e9)
@@ -200,14 +204,14 @@ def test_orders_and_plans_without_each_other() -> None:
         rate({"A": tower(1)}, {"A": tower(1)})
 
 
-# Stability from runs.
+# stability from runs
 
 FALLS = [placement((0, 0, 0), (300, 300, 200)), placement((290, 0, 200), (300, 300, 200))]
 
 
 @pytest.fixture
 def runs() -> dict[str, Path]:
-    """A tower that stands, one of which a box falls; with both checks."""
+    """Runs, with both kinds of check, of a tower that stands and a plan in which a box falls."""
     write(Path("plans.json"), {"stands": tower(2), "falls": FALLS})
     for check in ("static", "one-by-one"):
         petmjx.score("plans.json", engine="mujoco", check=check, duration_s=3, out=check)
@@ -263,7 +267,7 @@ def test_the_command_with_a_run_of_some_plans_only(runs: dict[str, Path], capsys
 
 
 def test_ten_millimetres_along_z(runs: dict[str, Path]) -> None:
-    """Their rule looks at z alone: 10 mm exactly is stable, whatever the verdict."""
+    """BED-BPP's rule uses only the shift along z: a shift of exactly 10 mm is stable, whatever petmjx's verdict is."""
     file = next((runs["static"] / "boxes").iterdir())
     table = pq.read_table(file)
     for shift, expected in ((0.01, 1), (-0.0101, 0), (0.0101, 0)):
@@ -277,7 +281,7 @@ def test_ten_millimetres_along_z(runs: dict[str, Path]) -> None:
         assert kpis.plans["verdict"].tolist() == ["stable"]
 
 
-# Files and the command.
+# files and the command
 
 
 def test_files(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,5 @@
-"""``petmjx label``: labels are what a score says, splits share no order, and the card counts what is there."""
+"""Tests of ``petmjx label``. Labels are the verdicts of simulations. No order is in two splits (train, validation,
+test). The numbers on the card are right."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ MUJOCO: dict[str, Any] = {"engine": "mujoco", "threads": 1}
 
 
 def some_orders(count: int = 24) -> pd.DataFrame:
-    """Orders of three boxes of a few sizes; each has a twin of the same boxes, turned and in another sequence."""
+    """Orders of three boxes each, with few different sizes. Each order has a twin with the same boxes, rotated and in
+    another sequence."""
     rng = np.random.default_rng(0)
     rows = []
     for order in range(0, count, 2):
@@ -74,7 +76,8 @@ def test_labels_are_what_a_score_says(folder: Path) -> None:
 
 
 def test_no_order_is_in_two_splits_under_any_name(folder: Path) -> None:
-    """Orders and their twins, which have the same boxes, are together."""
+    """No order is in two splits, under any name: an order and its twin, which has the same boxes, are in the same
+    split."""
     by_split = {split: set((table["order"] // 2).tolist()) for split, table in tables(folder).items()}
     pairs = [pair for some in by_split.values() for pair in some]
     assert len(pairs) == len(set(pairs))
@@ -117,7 +120,8 @@ def test_more_labels_begin_with_the_same_ones_however_many_pallets_and_groups(fo
 
 
 def test_a_long_order_among_short_ones_ends_no_set() -> None:
-    """While the first of two pallets gets 14 boxes, the other one would go through all short orders."""
+    """A long order among short orders does not end a set too early. While the first of two pallets gets 14 boxes, the
+    other pallet could use up all short orders."""
     sizes = {"width_mm": 200, "height_mm": 100, "weight_kg": 3}
     order_ids = [0] * 14 + [*range(1, 40)]
     rows = [{"order_id": order, "length_mm": 300 if order else 200, **sizes} for order in order_ids]
@@ -133,7 +137,8 @@ def test_a_long_order_among_short_ones_ends_no_set() -> None:
 
 
 def test_orders_without_a_place_end_no_set() -> None:
-    """While one pallet gets the box of an order that fits, others go through many orders of which no box fits."""
+    """Orders for which there is no place do not end a set too early. While one pallet gets the box of an order that
+    fits, other pallets use up many orders of which no box fits."""
     sizes = {"length_mm": 400, "width_mm": 300, "weight_kg": 3}
     rows = [{"order_id": 0, "height_mm": 200, **sizes}] + 6 * [{"order_id": 1, "height_mm": 2500, **sizes}]
     for pallets, groups in ((8, 1), (5, 2)):
@@ -149,7 +154,8 @@ def test_labels_have_shares_of_worlds_with_errors() -> None:
 
 
 def test_baselines_are_judged_by_what_they_find() -> None:
-    """Two boxes on the carrier, and boxes on one: a rule finds those that hang over."""
+    """The baselines on the card are rated by how many falling boxes they find. The labels have two boxes on the
+    carrier, and boxes that overhang another box."""
     base = ((400, 300, 200), (0, 0, 0), 6.0)
 
     def label(step: int, corner: tuple[float, float, float], stands: bool | None) -> dict[str, Any]:
@@ -166,7 +172,7 @@ def test_baselines_are_judged_by_what_they_find() -> None:
     labels = [
         label(0, (400, 0, 0), True),
         label(1, (0, 0, 200), True),
-        label(2, (150, 0, 200), True),  # borne by 62 %
+        label(2, (150, 0, 200), True),  # 62 % of the base are supported
         label(3, (300, 0, 200), False),
         label(4, (300, 0, 200), None),
     ]
@@ -202,7 +208,7 @@ def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
 
 
 def test_without_shapely_no_label_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The baselines of the card need it."""
+    """Without shapely, no label is made, since the baselines on the card need shapely."""
     monkeypatch.setitem(sys.modules, "shapely", None)
     labeller = Labeller(Orders(some_orders(2)), pallets=1, **MUJOCO)
     with pytest.raises(InputError, match=r"^criteria need shapely: pip install 'petmjx\[packers\]'"):
@@ -211,7 +217,8 @@ def test_without_shapely_no_label_is_made(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_one_run_at_a_time_writes_labels_into_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another run is refused while the first one makes its labels, also where its first part is there."""
+    """While a run makes labels in a folder, another run with this folder is refused, also after the first part was
+    written."""
     monkeypatch.setattr("petmjx.loop.label_files._ROWS", 1)
     labeller = Labeller(Orders(some_orders(2)), pallets=1, **MUJOCO)
     out = tmp_path / "set"
@@ -243,7 +250,8 @@ def test_one_run_at_a_time_writes_labels_into_a_folder(tmp_path: Path, monkeypat
 def test_labels_that_were_interrupted_go_on_as_if_they_had_not_been(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The same labels, in the same order, and the same card as of one run."""
+    """If a run is interrupted and resumed, the labels, their order and the card are the same as without an
+    interruption."""
     monkeypatch.setattr("petmjx.loop.label_files._ROWS", 10)
     out, whole = tmp_path / "set", Labeller.episodes
     command = ["label", str(folder / "orders.csv"), "-o", str(out), "--engine", "mujoco", "--threads", "1"]
@@ -275,7 +283,7 @@ def test_labels_that_were_interrupted_go_on_as_if_they_had_not_been(
 
 @pytest.fixture(scope="module")
 def unfinished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A set of two parts, of one episode each, that was to have 60 labels."""
+    """An unfinished set that should have 60 labels. It has two parts, with one episode each."""
     folder = tmp_path_factory.mktemp("unfinished")
     some_orders(2).to_csv(folder / "orders.csv", index=False)
     out = folder / "set"
@@ -303,7 +311,7 @@ def labeller_of(orders: Path, **reading: Any) -> Labeller:
 
 
 def ends_after(n_episodes: int) -> Any:
-    """``Labeller.episodes`` of a run that fails after some episodes."""
+    """A replacement for ``Labeller.episodes`` that fails after ``n_episodes`` episodes."""
     whole = Labeller.episodes
 
     def episodes(labeller: Labeller, *arguments: Any) -> Iterator[list[Label]]:
@@ -371,7 +379,8 @@ def other_entries(**changes: Any) -> Any:
 def test_what_is_damaged_is_named_before_labels_are_made(
     damage: Any, begun: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing is lost, and ``overwrite`` makes the labels again, except where a part is a folder."""
+    """Damage of a set is named before labels are made. No file is lost. ``overwrite`` makes the labels again, unless a
+    part is a folder."""
     line = damage(begun, "part-00001.parquet")
     before, source = content(begun), begun.parent / "orders.csv"
     monkeypatch.setattr(Labeller, "episodes", lambda *_: pytest.fail("labels are made"))
@@ -389,7 +398,8 @@ def test_what_is_damaged_is_named_before_labels_are_made(
 
 
 def test_labels_of_another_reading_or_number_are_not_resumed(begun: Path) -> None:
-    """The same file may have another name."""
+    """Labels are not resumed if orders are read differently, or with another number of pallets. They are resumed if the
+    same file has another name."""
     before, renamed = content(begun), begun.parent / "renamed.csv"
     (begun.parent / "orders.csv").rename(renamed)
     n_kept = listed(begun)["labels"]
@@ -421,7 +431,8 @@ def test_labels_of_another_reading_or_number_are_not_resumed(begun: Path) -> Non
 
 
 def test_labels_up_to_the_end_of_the_last_episode_are_resumed_with_the_same_number(begun: Path) -> None:
-    """A run makes whole episodes, and is killed before it writes the first labels of them as tables."""
+    """Labels can be resumed with the same number even if there are more labels, up to the end of the last episode. A
+    run makes whole episodes; here, it was killed before it wrote its tables."""
     source, entries = begun.parent / "orders.csv", listed(begun)
     (begun / "unfinished.json").write_text(json.dumps({**entries, "count": entries["labels"] - 1}))
     card = write_labels(labeller_of(source), entries["labels"] - 1, begun, source=source, resume=True)
@@ -437,7 +448,7 @@ def test_a_run_without_a_label_leaves_nothing_that_refuses_the_next(
         write_labels(labeller_of(source), 60, out, source=source)
     assert not out.exists()
     monkeypatch.undo()
-    shutil.rmtree(begun / "parts")  # as after a kill before the first part
+    shutil.rmtree(begun / "parts")  # as if the run was killed before it wrote the first part
     (begun / "unfinished.json").write_text(json.dumps({**listed(begun), "labels": 0, "next_episode": 0, "parts": {}}))
     write_labels(labeller_of(source), 2, begun, source=source)
     assert len(list(begun.iterdir())) == 5

@@ -1,4 +1,5 @@
-"""Sweeps whose worlds end in any order: each part is written once, here of ten worlds, and ranks sort the rows."""
+"""Tests of sweeps whose worlds end in any order. Each part of a table, here with ten worlds, is written only once. The
+column ``rank`` gives the order of rows."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ from petmjx.runs import sweep_run
 from petmjx.world.job import Job
 
 PLANS = [make_plan(f"p{(7 * k) % 9}", stack(1 + k % 3)) for k in range(9)]
-"""Not sorted by id. With 4 variants each there are 36 worlds: parts of 10, 10, 10 and 6."""
+"""Nine plans that are not sorted by id. With 4 variants of each plan, there are 36 worlds, in parts of 10, 10, 10 and
+6."""
 
 SWEEP = """
 replicates = 4
@@ -33,7 +35,7 @@ placement_error_mm = 3
 
 
 class InTurn(LargestFirst):
-    """Takes worlds in turn, but for one a run, which it begins with the last one."""
+    """An engine that simulates worlds in order, except that it begins with the last world."""
 
     name = "in-turn"
 
@@ -62,7 +64,7 @@ def sweep(tmp_path: Path) -> Any:
 
 
 def assert_ranked(folder: Path, plans: Sequence[petmjx.Plan] = PLANS) -> None:
-    """For readers that know nothing of petmjx: ranks sort rows by plan and variant, and have no gaps."""
+    """Check that ranks sort the rows by plan and variant, and have no gaps. The tables are read without petmjx."""
     order = [(plan.plan_id, variant) for plan in plans for variant in range(1, 5)]
     for table in ("worlds", "boxes"):
         files = sorted((folder / table).iterdir())
@@ -76,7 +78,7 @@ def assert_ranked(folder: Path, plans: Sequence[petmjx.Plan] = PLANS) -> None:
 
 @pytest.fixture
 def writes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The parts of worlds that are written, by name."""
+    """Names of the parts of the table ``worlds`` that are written."""
     names: list[str] = []
     write = run_table_files.write_table
 
@@ -135,7 +137,8 @@ def test_a_part_that_was_taken_away_is_simulated_again(sweep: Any, tmp_path: Pat
 
 @pytest.mark.parametrize("reversed_order", [False, True])
 def test_shards_are_joined(sweep: Any, tmp_path: Path, reversed_order: bool) -> None:
-    """Files are copied byte by byte; if a shard had its plans in another order, its rows get new ranks."""
+    """Shards are joined by copying their files byte by byte. If a shard had its plans in another order, its rows get
+    new ranks."""
     plans = PLANS[::-1] if reversed_order else PLANS
     shards = [sweep(tmp_path / f"{k}", shard=f"{k}/2", plans=given).path for k, given in ((1, PLANS), (2, plans))]
     merged = petmjx.merge_runs(shards, tmp_path / "merged")

@@ -1,4 +1,5 @@
-"""A leaderboard: the rating, a site that asks nothing of servers, escapes everything, and can be made again."""
+"""Tests of leaderboards: the rating, and the site. The site requests nothing from servers, escapes all texts, and can
+be made again from its files."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ EVIL = "<script>alert(1)</script>&"
 
 
 def test_the_rating_is_the_share_of_ordered_boxes_on_plans_that_stand(tmp_path: Path) -> None:
-    """Plans have three boxes. Of four orders a packs all, and one falls; b leaves one out, and one is invalid."""
+    """The rating is the share of ordered boxes that are on plans that stand. Plans have three boxes. Of four orders,
+    packer a packs all, and one plan falls. Packer b has no plan for one order, and one plan is invalid."""
     invalid = {"verdict": Verdict.INVALID, "reason": Reason.NONFINITE}
     a = write(tmp_path / "a", {f"o{k}": make_outcome(**(FALLS if k == 3 else {})) for k in range(4)})
     b = write(tmp_path / "b", {f"o{k}": make_outcome(**(invalid if k == 2 else {})) for k in range(3)})
@@ -39,7 +41,7 @@ def test_the_rating_is_the_share_of_ordered_boxes_on_plans_that_stand(tmp_path: 
     assert table["rating"].to_dict() == {"a": 0.75, "b": 0.5}
     assert table.loc["b", ["n_orders", "n_stable", "n_invalid", "n_missing"]].tolist() == [4, 2, 1, 1]
     assert table.loc["a", ["ordered_boxes", "standing_boxes"]].tolist() == [12, 9]
-    low, high = wilson_interval(3, 4)  # orders of one size: as many as there are
+    low, high = wilson_interval(3, 4)  # orders have equal sizes, so the sample size is the number of orders
     assert table.loc["a", ["low", "high"]].tolist() == pytest.approx([float(low), float(high)])
 
 
@@ -50,14 +52,14 @@ def test_one_large_order_makes_a_rating_less_sure() -> None:
 
 
 def cartons(name: str, offset_mm: float) -> petmjx.Plan:
-    """Two cartons; the upper one begins ``offset_mm`` beside the lower one's edge."""
+    """A plan with two cartons. The upper carton is offset by ``offset_mm`` from the lower carton."""
     carton = {"length_mm": 400, "width_mm": 300, "height_mm": 200, "weight_kg": 6, "y_mm": 0, "article": EVIL}
     return petmjx.Plan.from_boxes(name, [{**carton, "x_mm": x, "z_mm": z} for x, z in ((0, 0), (offset_mm, 200))])
 
 
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of two orders a packer with a good name's plans stand both, and of one with another name one."""
+    """The board of two packers on two orders. Both plans of the packer ``careful`` stand, and one plan of ``eager``."""
     folder = tmp_path_factory.mktemp("leaderboard")
     names = ("order 1", f"order {EVIL}".replace("/", ""))
     petmjx.save_plans([cartons(name, 50) for name in names], folder / "careful.json")
@@ -68,7 +70,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Links(HTMLParser):
-    """Elements and links of a page."""
+    """A parser that collects the elements and links of a page."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -85,11 +87,11 @@ def test_the_page_is_static_and_names_are_text(board: Path) -> None:
     parsed = Links()
     parsed.feed(text)
     assert "b" not in parsed.elements
-    assert text.count("<script") == text.count("</script") == 2  # no code, no data
+    assert text.count("<script") == text.count("</script") == 2  # both elements are empty
     assert "alert(1)</script>" not in text.replace("&lt;script&gt;alert(1)&lt;/script&gt;", "")
     assert "&lt;b&gt;eager&amp;" in text
     links = [link for link in parsed.links if not link.startswith("data:")]
-    assert len(links) == 2 + 2 + 2  # stories, again among the orders on which they differ, plans
+    assert len(links) == 2 + 2 + 2  # stories, the same stories in the list of orders, and files of plans
     assert all("://" not in link and (board / unquote(link)).is_file() for link in links)
     assert re.search(r"<td[^>]*>100.0 %</td>.*<td[^>]*>50.0 %</td>", text, flags=re.DOTALL)
     assert "but that may be luck" in text

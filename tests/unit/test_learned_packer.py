@@ -1,4 +1,5 @@
-"""The packer ``learned``: what it sees, what it may do, and the chances that it believes in."""
+"""Tests of the packer ``learned``: the boxes that it sees, the candidates that it may choose, and the probabilities
+that it predicts."""
 
 from __future__ import annotations
 
@@ -53,7 +54,7 @@ def test_what_has_not_come_yet_changes_nothing() -> None:
     first = pack_learned(items[:20], EXTENT)
     other = [replace(item, length_mm=item.length_mm + 40.0, item_id="other") for item in items[20:]]
     assert pack_learned([*items[:20], *other], EXTENT)[: len(first)] == first
-    # and of the next five only those are seen
+    # with a look-ahead of five, only the next five boxes are seen
     seen = FourSidedStream(items, EXTENT, CLEARANCE_MM, 5)
     assert len(seen.seen) == 5
     assert {items[i] for i in range(5)} >= {items[0]}
@@ -61,7 +62,7 @@ def test_what_has_not_come_yet_changes_nothing() -> None:
 
 
 def test_with_a_look_ahead_boxes_wait_for_their_turn() -> None:
-    """A packing with the whole order in sight is another one than box by box, and places no box twice."""
+    """If the packer sees the whole order, the packing differs from that made box by box. No box is placed twice."""
     far = pack_learned(DRAWN.items, EXTENT, 60)
     assert [box.item for box in far] != [box.item for box in pack_learned(DRAWN.items, EXTENT)]
     check_sound(far, DRAWN.items, EXTENT, CLEARANCE_MM, LEAST_SUPPORT)
@@ -84,7 +85,7 @@ def _packed(index: int, seed: int) -> list[tuple[float, ...]]:
 
 
 def test_the_rule_on_a_stream_is_that_of_balanced() -> None:
-    """With the whole order in sight, the stream's packing is the one of ``balanced``."""
+    """If the rule of ``balanced`` sees all boxes of a stream, its packing is that of the packer ``balanced``."""
     packing = Packing(DRAWN.items, EXTENT, TASTES[0])
     packing.fill()
     stream = ItemStream(DRAWN.items, EXTENT, 0.0, len(DRAWN.items), TASTES[0])
@@ -92,7 +93,8 @@ def test_the_rule_on_a_stream_is_that_of_balanced() -> None:
 
 
 def test_a_copy_of_a_stream_goes_its_own_way() -> None:
-    """It packs as the first one did, which has gone on."""
+    """A copy of a stream does not depend on the original: it packs as the original did, although the original has gone
+    on."""
 
     def go_on(stream: FourSidedStream) -> None:
         for _ in range(6):
@@ -134,7 +136,8 @@ def test_places_say_where_the_box_would_rest() -> None:
 
 
 def test_places_are_on_all_sides() -> None:
-    """The pile in a mirror has the places in that mirror, and those of ``balanced`` are among them."""
+    """Candidates are on all sides of the pile: if the pile is mirrored, so are the candidates. The candidates of
+    ``balanced`` are among them."""
     items = DRAWN.items[:14]
     straight, plain = FourSidedStream(items, EXTENT, CLEARANCE_MM), ItemStream(items, EXTENT, CLEARANCE_MM)
     mirrored = FourSidedStream(items, EXTENT, CLEARANCE_MM)
@@ -164,7 +167,7 @@ def test_places_are_on_all_sides() -> None:
 
 
 def put_at(stream: FourSidedStream, shape: int, corner: tuple[float, float, float]) -> None:
-    """Place the next box at the candidate there."""
+    """Place the next box at the candidate with the given shape and corner."""
     places = stream.places(0.5)
     here = np.flatnonzero((places.shape == shape) & (np.abs(places.corner_mm - corner).max(axis=1) < 1e-6))
     chosen = stream.keeps_balance(places, int(here[0]))
@@ -177,7 +180,8 @@ def _key(shape: int, *corner: float) -> tuple[float, ...]:
 
 
 def test_room_is_where_typical_cartons_could_stand() -> None:
-    """Against loops over all places of all cartons, on a pile of steps."""
+    """The features of free space are compared with loops over all places of all typical cartons, on a pile with
+    steps."""
     surface, rng = HeightMap(EXTENT, COARSE_MM), np.random.default_rng(2)
     for top in (150.0, 230.0, 300.0):
         low = np.array([*rng.uniform(0, 400, 2), 0.0])
@@ -202,7 +206,7 @@ def test_room_is_where_typical_cartons_could_stand() -> None:
             assert measures[f"room_{name}"][row] == pytest.approx(np.mean(lowest) / 1000, abs=1e-4)
             assert measures[f"level_{name}"][row] == pytest.approx(np.mean(level))
     nowhere = free_space(HeightMap((120.0, 90.0), COARSE_MM), np.zeros((1, 3)), np.full((1, 3), 80.0))
-    assert (nowhere["room_small"], nowhere["level_large"]) == (2.0, 0.0)  # no carton has room
+    assert (nowhere["room_small"], nowhere["level_large"]) == (2.0, 0.0)  # there is no place for any carton
 
 
 def test_sums_over_the_surface_are_those_of_its_cells() -> None:
@@ -238,7 +242,7 @@ def test_slopes_are_those_of_scores() -> None:
 
 
 def policy_that_is(chance: float) -> Policy:
-    """The published policy with a head that believes every placement to be as likely to stand."""
+    """The published policy, but with a network that predicts the same probability to stand for every placement."""
     head = published_policy().head
     nothing = head.with_learned(np.zeros(head.learned.size))
     return replace(published_policy(), head=replace(nothing, constant=np.array(np.log(chance / (1 - chance)))))
@@ -276,7 +280,8 @@ def test_the_weights_are_small_and_in_the_package(tmp_path: Path) -> None:
 
 
 def test_chances_are_right_for_placements_that_were_kept_aside() -> None:
-    """800 placements of orders to which the head was not fitted, simulated on a GPU (docs/packers.md)."""
+    """The predicted probabilities are right for 800 placements of orders that were not used for training. They were
+    simulated on a GPU (docs/packers.md)."""
     with np.load(Path(__file__).parents[1] / "support" / "held_out_placements.npz") as file:
         features, stands = file["features"].astype(float), file["stands"].astype(float)
     chances = likely(published_policy().head, features)
@@ -291,14 +296,14 @@ def test_chances_tell_safe_placements_from_others() -> None:
     safe = petmjx.placement_stability(column)
     assert ((safe > 0.95) & (safe <= 1)).all()
     corners = column.corner_mm.copy()
-    corners[2, 0] += 0.48 * column.size_mm[2, 0]  # nearly half of it hangs over
+    corners[2, 0] += 0.48 * column.size_mm[2, 0]  # nearly half of the box hangs over
     over = petmjx.placement_stability(replace(column, corner_mm=corners))
     assert over[2] < safe[2] - 0.01
     assert (over[:2] == safe[:2]).all()
     corners[2, 2] += 500
     assert petmjx.placement_stability(replace(column, corner_mm=corners))[2] == 0
     sunk = petmjx.placement_stability(replace(column, corner_mm=column.corner_mm - (0, 0, 5)))
-    assert sunk[0] == 0  # it begins inside the carrier
+    assert sunk[0] == 0  # the lowest box begins inside the carrier
     with pytest.raises(InputError, match="plan must be a plan"):
         petmjx.placement_stability(leaning)  # type: ignore[arg-type]
 

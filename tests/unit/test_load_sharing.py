@@ -1,4 +1,5 @@
-"""How boxes share loads: supports push, and no load is beyond an edge if vertical forces can balance the boxes."""
+"""Tests of how supports share the load of a box. Supports can only push. A load counts as beyond an edge only if
+vertical forces cannot balance the boxes."""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ def scene_of(*boxes: Box) -> Scene:
 
 
 def bridging_pile(rng: np.random.Generator) -> Scene:
-    """Rows of boxes of random lengths, masses and gaps, each row on the one below, most boxes on several others."""
+    """A random pile: rows of boxes with random lengths, masses and gaps, one row above the other. Most boxes lie on
+    several boxes."""
     boxes: list[Box] = []
     below: list[tuple[float, float]] = [(0.0, 1100.0)]
     z = 0.0
@@ -54,7 +56,7 @@ def bridging_pile(rng: np.random.Generator) -> Scene:
 
 
 def balances(scene: Scene, placed: int) -> bool:
-    """Whether vertical forces at the corners of contacts that push can balance the first boxes of a scene."""
+    """Whether vertical pushing forces at the corners of contacts can balance the first ``placed`` boxes of a scene."""
     bearing = bearing_of(scene)
     n, c = scene.n_boxes, len(bearing.upper)
     force = np.zeros((n, 3, c, 4))
@@ -75,7 +77,8 @@ PILES = [bridging_pile(np.random.default_rng(seed)) for seed in range(N_PILES)]
 
 
 def test_a_load_is_beyond_an_edge_only_if_nothing_balances_the_boxes() -> None:
-    """60 random piles, complete and after each placement: the signs are a linear programme's over all forces."""
+    """A load is beyond an edge only if no forces balance the boxes. This is checked with an independent linear
+    programme over all forces, for 60 random piles, when they are complete and after each placement."""
     by_plan = plan_edges(PILES, [scene.n_boxes for scene in PILES])
     verdicts = [bool(np.nanmin(edges.by_load) >= 0) for edges in by_plan]
     assert verdicts == [balances(scene, scene.n_boxes) for scene in PILES]
@@ -86,12 +89,13 @@ def test_a_load_is_beyond_an_edge_only_if_nothing_balances_the_boxes() -> None:
         least.edge_m >= 0 for least in building_edges(bearings_of(PILES), [scene.n_boxes for scene in PILES])
     ]
     assert while_built == [all(balances(scene, k) for k in range(1, scene.n_boxes + 1)) for scene in PILES]
-    assert sum(while_built) < sum(verdicts)  # counterweights that come too late
+    assert sum(while_built) < sum(verdicts)  # because some counterweights are placed too late
 
 
 def test_the_least_edge_is_as_large_as_forces_allow() -> None:
-    """A light box and a beam on two supports; the springs would press 0.3 of the load on the light one, whose own
-    centre is 10 mm inside its edge. All of it can be borne by the other support."""
+    """The smallest distance from an edge is as large as forces allow. A beam lies on a light box and on another
+    support. If supports were springs, 0.3 of the load would press on the light box, whose own centre is only 10 mm
+    inside an edge. But the other support can carry the whole load."""
     boxes: tuple[Box, ...] = (
         ((400, 300, 200), (0, 0, 0), 10.0),
         ((200, 300, 100), (690, 0, 0), 5.0),
@@ -106,8 +110,8 @@ def test_the_least_edge_is_as_large_as_forces_allow() -> None:
 
 
 def test_forces_push_with_the_least_energy() -> None:
-    """200 random loads on two to five areas: they balance, push within their areas, and no other such forces have less
-    energy, by non-negative least squares over the areas' corners."""
+    """The forces for 200 random loads on two to five areas balance the loads, and push within the areas. No other such
+    forces have less energy, according to non-negative least squares over the corners of the areas."""
     rng = np.random.default_rng(0)
     for _ in range(200):
         k = int(rng.integers(2, 6))
@@ -120,7 +124,7 @@ def test_forces_push_with_the_least_energy() -> None:
         force = pushes(load[None], np.zeros(k, int), low, high)
         np.testing.assert_allclose(force.sum(axis=0), load, atol=1e-7)
         assert not pulls(force, low, high, np.full(k, 5.0)).any()
-        root = np.zeros((k, 3, 3))  # a force and its moments → numbers whose squares are its energy
+        root = np.zeros((k, 3, 3))  # matrices that turn a force and its moments into numbers whose squares are energies
         middle, half, area = (low + high) / 2, (high - low) / 2, (high - low).prod(axis=1)
         root[:, 0, 0] = 1.0
         for axis in range(2):
@@ -131,7 +135,7 @@ def test_forces_push_with_the_least_energy() -> None:
         energy = np.zeros((k, 3, k, 4))
         energy[np.arange(k), :, np.arange(k)] = root @ corner
         balance = corner.transpose(1, 0, 2).reshape(3, -1)
-        weight = 1e5  # of balance beside energy
+        weight = 1e5  # weight of the equations of balance, relative to the energy
         least, _ = nnls(
             np.concatenate([weight * balance, energy.reshape(3 * k, -1)]), np.r_[weight * load, np.zeros(3 * k)]
         )
@@ -140,7 +144,8 @@ def test_forces_push_with_the_least_energy() -> None:
 
 
 def test_where_no_support_pulls_the_pressure_is_a_plane() -> None:
-    """A beam on two equal posts, loaded a third of the way: pushes and plane are the lever rule's for both."""
+    """If no support pulls, the pressure is linear. A beam on two equal posts is loaded at a third of its length: both
+    computations give the forces of the lever rule."""
     low, high = np.array([[0.0, 0.0], [0.5, 0.0]]), np.array([[0.1, 0.2], [0.6, 0.2]])
     plane = bearing_of(
         scene_of(
@@ -155,7 +160,8 @@ def test_where_no_support_pulls_the_pressure_is_a_plane() -> None:
 
 
 def test_what_is_beyond_the_edge_is_borne_by_the_edge() -> None:
-    """A load beyond the far ends of two areas: their far corners share it by the lever rule along the edge."""
+    """A load acts beyond the far ends of two areas. The two far corners share the load by the lever rule along the edge
+    between them."""
     low, high = np.array([[0.0, 0.0], [0.2, 0.3]]), np.array([[0.5, 0.1], [0.5, 0.4]])
     load = np.array([[4.0, 4.0 * 0.7, 4.0 * 0.1]])
     force = on_edges(load, np.zeros(2, int), low, high, hull_table(low, high, np.array([2])), np.array([0]))
@@ -163,7 +169,8 @@ def test_what_is_beyond_the_edge_is_borne_by_the_edge() -> None:
 
 
 def test_loads_after_placements_are_those_of_the_plan_so_far() -> None:
-    """Each box's load after each placement that changes it, on ten piles, with boxes that pull and without."""
+    """The load of each box after each placement is that in a plan of the boxes placed so far. This is checked for ten
+    piles, with and without supports that would have to pull."""
     for scene in PILES[:10]:
         bearing, n = bearing_of(scene), scene.n_boxes
         built = building_loads_of(bearing, [n])
@@ -174,7 +181,7 @@ def test_loads_after_placements_are_those_of_the_plan_so_far() -> None:
 
 
 def test_a_support_that_comes_later_bears_nothing_before() -> None:
-    """The second support of a bridge is pushed under it last: until then the bridge hangs over."""
+    """The second support of a bridge is placed last, so it carries nothing before. Until then, the bridge overhangs."""
     bridge: tuple[Box, ...] = (
         ((200, 300, 200), (0, 0, 0), 5.0),
         ((600, 300, 200), (0, 0, 200), 8.0),
@@ -195,7 +202,8 @@ def test_without_a_programme_nothing_is_said_to_be_beyond(monkeypatch: pytest.Mo
 
 @pytest.mark.skipif(not CASES.is_dir(), reason="needs ../shared/cases")
 def test_the_light_box_under_a_heavy_one_keeps_its_edge() -> None:
-    """Springs would lift it; nothing in the plan is nearer than 19.95 mm to an edge."""
+    """If supports were springs, they would lift the light box under a heavy box. No load of the plan is nearer to an
+    edge than 19.95 mm."""
     for name, expected_mm in (("edge_springs_pull.csv", {"pull": 19.95}), ("edge_hidden.csv", {"both": 0.25})):
         for plan in petmjx.load_plans(CASES / name).plans:
             scene = build_scene(plan, Simulation())
@@ -205,7 +213,7 @@ def test_the_light_box_under_a_heavy_one_keeps_its_edge() -> None:
 
 
 def test_edges_do_not_depend_on_the_unit_of_mass() -> None:
-    """All masses a thousand times as large: the same edges."""
+    """If all masses are a thousand times as large, the distances from edges are the same."""
     for scene in PILES[:10]:
         heavier = replace(scene, mass=scene.mass * 1000)
         light, heavy = (plan_edges([pile], [scene.n_boxes])[0].by_load for pile in (scene, heavier))

@@ -1,4 +1,5 @@
-"""Loads: the table of articles, McKee's formula, and what boxes of a run bear of their strength."""
+"""Tests of loads: the table of articles, McKee's formula, and the loads of a run's boxes as shares of their
+strength."""
 
 from __future__ import annotations
 
@@ -29,11 +30,12 @@ def table(*rows: str, header: str = HEADER, name: str = "articles.csv") -> Path:
     return write(Path(name), "\n".join([header, *rows]) + "\n")
 
 
-# The table of articles.
+# the table of articles
 
 
 def test_mckee_by_hand() -> None:
-    """Board of 5 kN/m and 4 mm around a box of 400 × 300 mm: 5.87 · 5 · √(4 · 1400) N; in imperial units as well."""
+    """McKee's formula, computed by hand. A box of 400 × 300 mm, made of board with 5 kN/m and 4 mm, has a strength of
+    5.87 · 5 · √(4 · 1400) N. The formula holds in imperial units as well."""
     strength = Strength(ect_kn_m=5.0, thickness_mm=4.0, safety_factor=4.0).of_box(400, 300)
     assert strength == pytest.approx(5.87 * 5 * math.sqrt(5600) / 4)
     inch_mm, pound_n = 25.4, 4.4482216
@@ -128,7 +130,7 @@ def test_tables_that_are_refused(name: str, content: str | bytes, message: str) 
         read_articles(f"nowhere-{name}")
 
 
-# Loads of a run.
+# loads of a run
 
 KG = 6.296
 WEIGHT_N = KG * STANDARD_GRAVITY
@@ -136,7 +138,7 @@ WEIGHT_N = KG * STANDARD_GRAVITY
 
 @pytest.fixture
 def results() -> petmjx.RunResults:
-    """Towers of three and of one, and a box that falls."""
+    """A run with a tower of three boxes, a single box, and a plan in which a box falls."""
     falls = [
         placement((0, 0, 0), (300, 300, 200)),
         placement((290, 0, 200), (300, 300, 200), article="jam", product_group="jam"),
@@ -148,7 +150,8 @@ def results() -> petmjx.RunResults:
 
 
 def test_shares_of_a_tower(results: petmjx.RunResults) -> None:
-    """The lowest box bears the weight of two, the middle one that of one; statics gives the shares."""
+    """In a tower, the lowest box carries the weight of two boxes, and the middle box that of one box. From these follow
+    the loads as shares of the strength."""
     loads = petmjx.loads(results, table("donut-00101843,,200,,,", ",dairy,100,,,2"))
     boxes = loads.boxes[loads.boxes["plan_id"] == "three"].sort_values("box")
     assert boxes["strength_n"].tolist() == [200, 50, 200]
@@ -169,7 +172,8 @@ def test_a_run_that_is_not_finished_is_told(results: petmjx.RunResults) -> None:
 
 
 def test_what_statics_leaves_open_is_overloaded_possibly(capsys: pytest.CaptureFixture[str]) -> None:
-    """A plank of one box's weight on three supports: one in the middle bears from nothing to all of it."""
+    """If statics leaves a force open, a box is possibly overloaded. A plank lies on three supports: the middle support
+    carries between nothing and the whole plank."""
     pytest.importorskip("scipy")
     bridge = [placement((x, 0, 0), (100, 300, 200), article="post") for x in (0, 450, 900)]
     bridge.append(placement((0, 0, 200), (1000, 300, 100), article="plank"))
@@ -184,7 +188,7 @@ def test_what_statics_leaves_open_is_overloaded_possibly(capsys: pytest.CaptureF
     assert plans.loc["tower", ["n_surely_overloaded", "n_possibly_overloaded"]].tolist() == [2, 2]
     assert run("loads", "run", "--articles", str(articles)) == 0
     assert "1 surely, 2 possibly" in capsys.readouterr().out
-    # articles without a strength leave open what is possible, not what is sure
+    # if some articles have no strength, it is unknown whether boxes are possibly overloaded, but not whether surely
     plans = petmjx.loads(results, table(f"donut-00101843,,{strength},,,", "plank,,9,,,")).plans.set_index("plan_id")
     assert plans["possibly_overloaded"].isna().to_dict() == {"bridge": True, "tower": False}
 
@@ -194,7 +198,7 @@ def test_mckee_takes_the_sizes_of_the_plan(results: petmjx.RunResults) -> None:
     boxes = loads.boxes.set_index(["plan_id", "box"])
     assert boxes.loc[("one", 0), "strength_n"] == pytest.approx(5.87 * 5 * math.sqrt(4 * 2000) / 5)
     assert boxes.loc[("falls", 0), "press_strength_n"] == pytest.approx(5.87 * 5 * math.sqrt(4 * 1200) / 5)
-    assert boxes["strength_n"].isna().sum() == 2  # milk and jam
+    assert boxes["strength_n"].isna().sum() == 2  # the articles milk and jam have no strength
 
 
 def test_verdicts_stay(results: petmjx.RunResults) -> None:

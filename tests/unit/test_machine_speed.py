@@ -1,4 +1,5 @@
-"""Estimates for this machine: its speed is measured where that matters, and CPU times follow it."""
+"""Tests of time estimates for this machine. Its speed is measured if it matters, and estimated CPU times are scaled
+accordingly."""
 
 from __future__ import annotations
 
@@ -50,7 +51,8 @@ def test_the_fastest_round_counts_within_bounds(seconds: float, factor: float, m
 
 
 def test_the_block_stands() -> None:
-    """So its steps are those of pallets at rest, and it takes as many on any machine."""
+    """The block of boxes that measures the machine's speed stands. So its steps are like those of pallets at rest, and
+    their number is the same on every machine."""
     (outcome,) = MujocoEngine(1).run([Job(build_scene(machine_speed.block(), SIM))], SIM)
     assert (outcome.verdict, outcome.n_boxes) == (Verdict.STABLE, machine_speed.SIDE**2 * machine_speed.LAYERS)
     assert machine_speed.block_s() > 0.0

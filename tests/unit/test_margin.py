@@ -1,4 +1,5 @@
-"""The margin of a world: its definition, its sign, the same on every engine's outcomes."""
+"""Tests of the margin of a world (its distance from the thresholds): its definition, its sign, and equal margins for
+outcomes of all engines."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ FALLS = make_plan("falls", stack(2, 260.0))
 
 
 def boxes(shift_m: float = 0.0, tilt_deg: float = 0.0, dropped: bool = False, **changes: Any) -> BoxMetrics:
-    """Three boxes, the second with these values."""
+    """Metrics of three boxes. The second box has the given values."""
     values = {
         "shift_m": np.array([[0.0, 0, 0], [0, -shift_m, 0], [0, 0, 0]]),
         "max_tilt_deg": np.array([0.0, tilt_deg, 0]),

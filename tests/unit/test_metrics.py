@@ -1,4 +1,5 @@
-"""The table of metrics: what is made from it, and the verdict that follows from the metrics."""
+"""Tests of the table of metrics, of everything that is derived from this table, and of the verdict that follows from
+the metrics."""
 
 from __future__ import annotations
 
@@ -51,14 +52,14 @@ def test_every_metric_has_a_field_and_every_field_a_metric() -> None:
 
 @dataclass(eq=False)
 class MoreMetrics(BoxMetrics):
-    """With a metric that petmjx does not have."""
+    """Metrics of boxes with an additional metric, which petmjx does not have."""
 
     spin: FloatArray
 
 
 @pytest.fixture
 def add_metric(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[BoxMetric], None]]:
-    """Puts a metric into the table, which is read anew, and after the test once more without it."""
+    """A function that adds a metric to the table and reads the table again. After the test, the metric is removed."""
 
     def read_anew() -> None:
         metrics.box_metrics.cache_clear()
@@ -153,7 +154,7 @@ def test_reasons_are_looked_at_in_their_order() -> None:
 
 
 LATER = (Reason.SINKING, Reason.DROP, Reason.TILT, Reason.SHIFT)
-"""Reasons that no flag alone gives, in the order in which they are looked for."""
+"""Reasons of verdicts that do not follow from a single flag, in the order in which they are checked."""
 
 
 def test_every_reason_has_its_words() -> None:
@@ -190,7 +191,8 @@ def test_boxes_that_were_not_placed_are_not_judged() -> None:
 
 @pytest.mark.parametrize(("name", "limit"), [("max_tilt_deg", 20.0), ("shift_m", 0.02)])
 def test_float32_metrics_are_judged_as_the_device_would(name: str, limit: float) -> None:
-    """No float32 lies between a default limit and its nearest float32."""
+    """Metrics in float32 get the verdict that a GPU would give: no float32 is between a default threshold and the
+    float32 nearest to it."""
     nearest = np.float32(limit)
     for value in (np.nextafter(nearest, np.float32(0)), nearest, np.nextafter(nearest, np.float32(99))):
         boxes = make_outcome(shift_m=np.zeros((3, 3)), max_tilt_deg=np.zeros(3)).boxes

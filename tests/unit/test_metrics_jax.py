@@ -1,4 +1,4 @@
-"""The batched metrics against their NumPy twins and MuJoCo itself, in float32 and with rank promotion forbidden."""
+"""The metrics in JAX are compared with those in NumPy and with MuJoCo, in float32 and without rank promotion."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ RNG = np.random.default_rng(3)
 LANES, BOXES = 8, 25
 
 DEGREES = 1e-4
-"""float32 resolves a quaternion component to 6e-8 rad; the half angle's sine comes from squares near one."""
+"""Tolerance of angles, degrees. The resolution of a quaternion's component in float32 is 6e-8, and the sine of half the
+angle is computed from squares close to one."""
 METRES = 1e-6
-"""float32 at a few metres."""
+"""Tolerance of positions, m: the resolution of float32 at a few metres."""
 
 
 def quaternions(shape: tuple[int, ...]) -> np.ndarray:
@@ -40,7 +41,7 @@ def test_tilt_is_the_oracles() -> None:
     quat = quaternions((LANES, BOXES))
     expected = box_motion.tilt_deg(quat.reshape(-1, 4)).reshape(LANES, BOXES)
     tilts = motion.tilt_deg(jnp.asarray(quat, jnp.float32))
-    # The oracle's arcsin is flat at 180°, so compare within 179°.
+    # near 180°, the arcsin of the NumPy version is inaccurate, so only tilts below 179° are compared
     inside = expected < 179.0
     assert inside.mean() > 0.9
     np.testing.assert_allclose(np.asarray(tilts)[inside], expected[inside], atol=DEGREES)
@@ -69,7 +70,7 @@ def test_drops_and_signs() -> None:
     upright = jnp.tile(jnp.array([1.0, 0, 0, 0]), (1, 4, 1))
     half = jnp.full((1, 4, 3), 0.15)
     pos = jnp.zeros((1, 4, 3)).at[0, :, 2].set(jnp.array([0.2, 0.051, 0.049, -0.01]))
-    # Hulls end at +0.05, −0.099, −0.101 and −0.16 m; the last one's centre is below the carrier's top as well.
+    # the lowest points are at +0.05, −0.099, −0.101 and −0.16 m; the last box's centre is also below the carrier's top
     dropped = motion.has_dropped(pos, upright, half, limits)
     assert dropped.tolist() == [[False, False, True, True]]
     shift = jnp.zeros((1, 4, 3)).at[0, :, 1].set(jnp.array([0.019, -0.021, 0.0, 0.1]))
@@ -103,7 +104,8 @@ def test_drops_signs_and_shifts_are_the_oracles() -> None:
 
 @pytest.mark.parametrize("limit", [0.02, 0.03, 0.0007, 20.0])
 def test_an_excess_above_one_is_a_shift_above_its_limit(limit: float) -> None:
-    """Rounding the ratio does not move it across 1: C's engine asks for the ratio, the verdict for the shift."""
+    """The excess (shift / threshold) is above 1 exactly if the shift is above its threshold, in spite of rounding. The
+    engine ``mujoco`` uses the excess, the verdict uses the shift."""
     shifts = np.array([np.nextafter(limit, 0), limit, np.nextafter(limit, 99)])
     shift_m = np.stack([shifts, np.zeros(3), np.zeros(3)], axis=1)
     excess = box_motion.excess(shift_m, np.zeros(3), np.zeros(3, bool), Thresholds(shift_m=limit))
@@ -130,7 +132,8 @@ def test_a_displacement_under_the_floor_is_no_sign_on_any_engine() -> None:
 
 
 def test_a_box_is_as_fast_as_its_fastest_point_may_be() -> None:
-    """Boxes of half sizes (0.2, 0.2, 0.1) m: their corners are 0.3 m from their centres."""
+    """The speed of a box is the largest speed that any of its points can have. The boxes have the half sizes (0.2, 0.2,
+    0.1) m, so their corners are 0.3 m from their centres."""
     half = np.tile([0.2, 0.2, 0.1], (3, 1))
     vel = np.array([[0.009, 0, 0, 0, 0, 0.05], [0.003, 0.004, 0, 0, 0, 0], [0, 0, 0, 0.03, 0.04, 0]])
     expected = [0.024, 0.005, 0.015]
@@ -139,7 +142,8 @@ def test_a_box_is_as_fast_as_its_fastest_point_may_be() -> None:
 
 
 def test_how_far_points_have_moved_is_path_and_turn() -> None:
-    """5 mm along x; a turn by 0.01 rad."""
+    """The largest distance by which points of a box have moved follows from its translation and rotation: here, 5 mm
+    along x, and a rotation by 0.01 rad."""
     half = np.tile([0.2, 0.2, 0.1], (2, 1))
     before = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (2, 1))
     after = before.copy()
@@ -155,7 +159,8 @@ def test_how_far_points_have_moved_is_path_and_turn() -> None:
 
 
 def heap(cone: str, seed: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Turned boxes that fell onto a carrier and each other, in the geom order of the templates."""
+    """A model and its data with rotated boxes that fell onto a carrier and onto each other. Geoms are in the order of
+    the models of MJX."""
     rng = np.random.default_rng(seed)
     bodies = "".join(
         f'<body pos="{x:.3f} {y:.3f} {0.12 + 0.16 * k:.3f}" euler="{a:.1f} {b:.1f} {c:.1f}"><freejoint/>'
@@ -214,7 +219,7 @@ def test_metrics_are_strict_about_ranks() -> None:
 
 
 def test_the_final_pose_and_the_force_at_rest_enter_the_maxima() -> None:
-    """Of boxes that were placed, in worlds that came to their end."""
+    """The final pose and the force at rest are included in the maxima, for placed boxes in worlds that have ended."""
     scene = make_scene(3)
     worlds = upload_worlds([Job(scene)] * 2, 2, 3, {}, Simulation())
     fresh = fresh_state(worlds, all_placed=False, ends=jnp.array([10, 10]), rest_steps=5)

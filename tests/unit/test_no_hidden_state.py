@@ -1,4 +1,5 @@
-"""Importing petmjx, building engines and scoring leave the process as it was, also from several threads."""
+"""Importing petmjx, building engines and scoring change nothing global in the process, also when several threads score
+at the same time."""
 
 from __future__ import annotations
 
@@ -47,7 +48,7 @@ print("this alone")
 
 
 def in_threads(task: Callable[[int], Any], threads: int = THREADS) -> list[Any]:
-    """The task's results, begun at the same moment in each thread."""
+    """Run a task in several threads that begin at the same moment, and return their results."""
     together = threading.Barrier(threads)
 
     def begin(number: int) -> Any:
@@ -160,7 +161,7 @@ def test_warp_settings_of_the_user_win(monkeypatch: pytest.MonkeyPatch) -> None:
     from petmjx.common.warp_setup import set_up_warp
 
     monkeypatch.delenv("WARP_CACHE_PATH", raising=False)
-    warp.init()  # when Warp starts, it puts its version behind the folder's name
+    warp.init()  # when Warp starts, it appends its version to the path of its cache folder
     for users, folder in ((None, str(cache_folder("warp"))), ("mine", "mine")):
         monkeypatch.setattr(warp.config, "kernel_cache_dir", users)
         set_up_warp()

@@ -1,4 +1,4 @@
-"""What notebooks show of a run."""
+"""What a notebook shows of a run: progress, tables, and pages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from petmjx.runs.notebook_progress import NotebookBar, notebook_bar
 
 
 def cells(text: str) -> list[list[str]]:
-    """The rows of a table, without its head."""
+    """The texts of the cells of an HTML table, row by row, without the heading row."""
     return [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", text)[1:]]
 
 
@@ -58,7 +58,7 @@ def test_a_story_shows_itself_as_a_page_and_prints_one_line() -> None:
     assert shown is not None
     (page,) = re.findall(r'srcdoc="([^"]*)"', shown)
     assert html.unescape(page).startswith("<!doctype html>")
-    assert "<script" not in shown  # outside the page
+    assert "<script" not in shown  # a script may be in the page, but not outside the page
 
 
 def test_two_runs_compared_show_their_verdicts() -> None:

@@ -17,10 +17,10 @@ SHOWN = {
     "sweep_and_confidence": ("coin_toss", "26.56", "largest_level_g", "<progress"),
     "packers": ("Plans of careful stand more often than plans of careless", "<iframe title=", "image/png"),
 }
-"""Notebook → what must be in its outputs."""
+"""Name of a notebook → texts that its outputs must contain."""
 
 LONGEST_TEXT = 3_000
-"""Characters that a cell may print; a story as HTML is longer."""
+"""Largest number of characters that a cell may print. (Only a story as HTML is longer.)"""
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -40,7 +40,8 @@ def test_notebooks_are_committed_without_outputs(path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")  # of the kernel's client
+# warnings of the Jupyter kernel's client
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("ipykernel", reason="ipykernel is not installed (extra: docs)")

@@ -1,4 +1,4 @@
-"""Arrays of the vector environment: boxes to come, maps of pallets."""
+"""Arrays that the vector environment observes: the next boxes, and height and load maps of pallets."""
 
 from __future__ import annotations
 

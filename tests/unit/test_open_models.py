@@ -1,4 +1,5 @@
-"""Models that are filled in are those that MuJoCo compiles; one box more in arrays is the last of a scene."""
+"""Models of open worlds (to which boxes are added): a model filled in from a template equals the model that MuJoCo
+compiles, and a box that is added to the arrays of a scene becomes the scene's last box."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ from petmjx.world.release_places import release_of, release_of_next
 from petmjx.world.scene import OF_BOXES, Scene, build_scene
 
 UNUSED = {"qpos_spring", "geom_rgba", "names_map"}
-"""What springs, pictures and those who ask for names read."""
+"""Fields of a model that petmjx does not fill in, since it never reads them: they are for springs, for pictures, and
+for names."""
 
 
 def numbers_of(record: Any) -> dict[str, Any]:
@@ -35,7 +37,8 @@ def test_a_filled_model_is_the_compiled_one(carrier: str) -> None:
     other = build_scene(make_plan("other", [((200, 200, 200), (k * 10, 0, 200 * k), 3 + k) for k in range(9)]), sim)
     templates = Templates.of(sim)
     assert templates is not None
-    templates.give_back(templates.filled(other, np.arange(9)), other, 9)  # which is then filled in anew
+    # the model that is given back is filled in again for the next scene
+    templates.give_back(templates.filled(other, np.arange(9)), other, 9)
     order = np.array([3, 0, 8, 1, 7, 2, 4, 6, 5])
     model, _ = templates.filled(scene, order)
     spec = build_spec(scene, sim.physics, n_boxes=0)

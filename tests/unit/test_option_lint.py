@@ -1,4 +1,4 @@
-"""A line each names options and tables without effect; numbers that are text are refused."""
+"""One line names each option and each table that has no effect. Numbers that are given as text are refused."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_options_that_cannot_count_are_told(options: dict[str, Any], about: dict
 
 
 def test_a_box_over_a_gap_of_the_carrier_is_told() -> None:
-    """Boards of epal-1 end at 145 mm, and go on at 185.5 mm."""
+    """A deck board of epal-1 ends at y = 145 mm, and the next one begins at 185.5 mm."""
     over, inside = (((400.0, 60.0, 200.0), (0.0, y, 0.0), 5.0) for y in (120.0, 90.0))
     (line,) = notes_about(Simulation(carrier="epal-1"), [make_plan("a", boxes=[inside]), make_plan("b", boxes=[over])])
     assert line == "1 box on the carrier stands with the middle over a gap (box 0 of b)"

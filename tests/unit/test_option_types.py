@@ -56,7 +56,7 @@ def test_what_is_typed_is_what_is_taken() -> None:
 
 
 def test_a_type_checker_knows_options_and_refuses_mistakes(repository: Path, tmp_path: Path) -> None:
-    """One run of mypy, with the cache that `make check` has left."""
+    """One run of mypy, which uses the cache that `make check` has left."""
     pytest.importorskip("mypy", reason="mypy is not installed (extra: dev)")
     snippet = tmp_path / "snippet.py"
     snippet.write_text(KNOWN + "\n".join(REFUSED) + "\n", encoding="utf-8")

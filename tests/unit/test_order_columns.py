@@ -1,4 +1,5 @@
-"""Plans compared with their orders: what is counted, what a run keeps of it, and that no world depends on it."""
+"""Plans compared with their orders: which boxes are counted, what a run stores of the comparison, and that the
+comparison changes no world."""
 
 from __future__ import annotations
 
@@ -31,7 +32,8 @@ ORDERS: dict[str, Any] = {
     "c": order_of(C, "jam", without=1),
     "lost": order_of(A),
 }
-"""`a` as ordered, `b` leaves out 3 of 6, `c` has one box for another; `d` has no order, `lost` no plan."""
+"""Orders of the plans. Plan `a` has all boxes of its order. Plan `b` leaves out 3 of 6 boxes. Plan `c` has another box
+in place of an ordered one. Plan `d` has no order, and the order `lost` has no plan."""
 
 OF_PLANS = {"a": PlanOrderCounts(2, 0, 0), "b": PlanOrderCounts(6, 3, 0), "c": PlanOrderCounts(2, 1, 1)}
 COUNTS = OrderCounts(
@@ -60,14 +62,14 @@ def score(**options: Any) -> petmjx.RunResults:
 
 
 class Idle(MujocoEngine):
-    """May not get a job."""
+    """An engine that must not get a job."""
 
     def run(self, jobs: Any, *arguments: Any) -> Any:
         assert not list(jobs)
         return iter(())
 
 
-# What is counted.
+# The counts of the comparison.
 
 
 def test_what_is_left_out_and_what_was_not_ordered(orders: Path) -> None:
@@ -146,7 +148,7 @@ def test_shards_count_each_order_once(orders: Path) -> None:
     assert len({check.digest for check in checks}) == 1
 
 
-# What a run keeps.
+# What a run stores of the comparison.
 
 
 def test_a_run_has_them_beside_its_verdicts(orders: Path) -> None:
@@ -227,11 +229,11 @@ def test_a_kill_while_orders_are_added_leaves_no_finished_run(
     assert score(out=out, resume=True, orders=orders).info["counts"]["orders"] == vars(COUNTS)
 
 
-# Shards.
+# Shards (the shares of a divided run).
 
 
 def shards_of(folder: Path, *orders: Path | None) -> list[Path]:
-    """A shard for each of these orders files."""
+    """Make one shard per file of orders; each shard is compared with the orders of its own file."""
     folders = [folder / f"shard-{number}" for number, _ in enumerate(orders, 1)]
     for number, file in enumerate(orders, 1):
         score(out=folders[number - 1], shard=f"{number}/{len(orders)}", orders=file)

@@ -1,4 +1,5 @@
-"""Boxes matched with ordered items: by names, and by size and mass where a box has none; each item once."""
+"""Boxes of plans matched with ordered items: by id and article, or by size and mass if a box has neither. Each item
+matches one box at most."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ from petmjx.plans.order_matching import (
 from petmjx.plans.plan import Plan
 
 Box = tuple[str, str, Sequence[float], float]
-"""Id, article, sizes along x, y and z in mm, kg."""
+"""Id; article; sizes along x, y and z, mm; mass, kg."""
 
 
 def ordered(*boxes: Box, target: str = "euro-pallet") -> Order:
@@ -46,7 +47,8 @@ B: Box = ("2", "oil", (300, 200, 150), 5)
 
 
 def said(plan: Plan, order: Order) -> tuple[int, ...]:
-    """Left out, not ordered, with another size or mass."""
+    """Number of ordered items that the plan leaves out, of boxes that were not ordered, and of boxes with another size
+    or mass than ordered."""
     return counts_of(match(plan, order))[1:]
 
 
@@ -62,7 +64,8 @@ def test_each_item_is_one_box() -> None:
 def test_a_box_of_another_size_or_mass_is_said_to_differ() -> None:
     for size, kg in (((20, 20, 20), 0.01), ((400, 300, 201), 8), ((400, 300, 200), 8.1), ((396, 297, 198), 8)):
         assert said(packed(("1", "jam", size, kg), B), ordered(A, B)) == (0, 0, 1)
-    # the right one is taken first, whichever comes first; the other one is not ordered then
+    # of two boxes with the same names, the box with the ordered size is matched, whichever comes first; the other box
+    # counts as not ordered
     small: Box = ("1", "jam", (20, 20, 20), 0.01)
     assert match(packed(small, A), ordered(A)).item.tolist() == [-1, 0]
     words = difference_in_words(packed(small), ordered(A), match(packed(small), ordered(A)))
@@ -91,7 +94,8 @@ def test_boxes_are_known_by_the_names_that_they_have(names: tuple[str, str]) -> 
 
 
 def test_whole_plans_without_names_are_matched_by_size_and_mass() -> None:
-    """Equal boxes are told apart by their number alone; a plan in another order is the same."""
+    """Of equal boxes, as many are left out as the plan has too few, wherever they are in the plan. The order of the
+    boxes does not matter."""
     rng = np.random.default_rng(0)
     for _ in range(40):
         kinds = [(tuple(rng.integers(100, 600, 3)), float(rng.integers(1, 30))) for _ in range(4)]
@@ -118,7 +122,7 @@ def test_sheets_are_no_boxes_that_nobody_ordered() -> None:
     sheet: Box = ("", "tie", (1200, 800, 2), 0.4)
     plan = packed(A, sheet, kinds=("box", "sheet"))
     assert said(plan, ordered(A)) == (0, 0, 0)
-    assert said(plan, ordered(A, sheet)) == (0, 0, 1)  # a box was ordered
+    assert said(plan, ordered(A, sheet)) == (0, 0, 1)  # only the box was ordered, not the sheet
     order = ordered(A, sheet)
     order = replace(order, items=(order.items[0], *[replace(order.items[1], kind="sheet")] * 2))
     assert said(plan, order) == (1, 0, 0)
@@ -126,7 +130,8 @@ def test_sheets_are_no_boxes_that_nobody_ordered() -> None:
 
 
 def test_of_drawn_plans_every_count_is_that_of_their_making() -> None:
-    """Items of unique names and sizes, each left out, there, there again, or resized; and boxes of strangers."""
+    """In random plans, the counts equal those with which the plans were made. The items have unique names and sizes.
+    Each item is left out, placed once, placed twice, or resized; boxes that were not ordered are added."""
     rng = np.random.default_rng(1)
     for _ in range(60):
         sizes = rng.permutation(np.arange(100, 600, 10))[:30].reshape(10, 3)
@@ -154,8 +159,10 @@ def test_which_boxes_are_on_the_target() -> None:
     plan = packed(*[A] * 5, corners=row)
     assert on_target(plan, order).tolist() == [True, True, True, False, False]
     for corners in ([(0, 0, 0), (800, 500, 0)], [(-600, -400, 0), (200, 100, 0)], [(5000, 0, 0), (5400, 900, 0)]):
-        assert on_target(packed(A, A, corners=corners), order).all()  # wherever the origin is, also turned
-    assert on_target(packed(A, A, corners=[(-30, 0, 0), (820, 0, 0)]), order).all()  # a little over both edges
+        # wherever the origin is, and also if the plan is turned
+        assert on_target(packed(A, A, corners=corners), order).all()
+    # both boxes reach a little beyond the edges of the target
+    assert on_target(packed(A, A, corners=[(-30, 0, 0), (820, 0, 0)]), order).all()
     assert not on_target(packed(A, A, corners=[(0, 0, 0), (0, 700, 0)]), ordered(A, target="rollcontainer")).all()
 
 
@@ -176,7 +183,7 @@ def test_lines_name_the_first_box_of_each_kind() -> None:
     ]
 
 
-# Properties of goods are the order's.
+# Properties of goods, such as the centre of mass, are fixed by the order.
 
 
 def with_com(plan: Plan, *com_mm: Sequence[float], **fields: object) -> Plan:
@@ -214,7 +221,8 @@ def test_the_properties_of_an_order_are_asked_for() -> None:
     assert said(packed(A), order) == (0, 0, 1)
     assert said(with_com(packed(A), (60, 20, -50)), order) == (0, 0, 1)
     assert said(with_com(packed(A), (60, 20, -50), **stiff), order) == (0, 0, 0)
-    # a box that stands otherwise has its centre of mass elsewhere; its mirror image is another box
+    # in a box that stands on another side, the centre of mass is at another place; the mirror image of a box is another
+    # box
     assert said(with_com(packed(A), (-60, -20, -50), **stiff), order) == (0, 0, 0)
     assert said(with_com(packed(A), (60, -20, -50), **stiff), order) == (0, 0, 1)
     on_end = packed(("1", "jam", (300, 200, 400), 8))

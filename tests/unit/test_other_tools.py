@@ -1,4 +1,5 @@
-"""Files of other tools are read right, or refused with both readings; what is damaged is named with its place."""
+"""Files of other tools are read correctly, or refused with a message that names both possible readings. A message about
+damage names its place."""
 
 from __future__ import annotations
 
@@ -58,7 +59,7 @@ def test_a_written_reading_reads_the_same_without_a_guess(name: str, tmp_path: P
 
 
 def tower(**changes: Any) -> list[dict[str, Any]]:
-    """Three boxes, two on the deck and one across both."""
+    """Rows of three boxes: two side by side on the deck, and one on top of both."""
     rows = [
         {"id": "a", "x": 0, "y": 0, "z": 0, "length": 400, "width": 300, "height": 200, "weight": 6},
         {"id": "b", "x": 400, "y": 0, "z": 0, "length": 300, "width": 300, "height": 200, "weight": 5},
@@ -96,7 +97,7 @@ def test_a_packing_order_that_repeats_is_no_plan(tmp_path: Path) -> None:
 
 
 def test_bed_bpp_in_centimetres_keeps_the_order_of_its_list(tmp_path: Path) -> None:
-    """``item.sequence`` counts the items of the customer's order."""
+    """``item.sequence`` is the number of an item in the customer's order, not the packing order."""
     placements = [
         {
             "item": {"id": row["id"], "article": "", "sequence": number, "weight/kg": row["weight"]}
@@ -250,7 +251,8 @@ def test_a_bad_written_reading_is_one_line(tmp_path: Path) -> None:
 
 
 def test_costs_of_layouts_count_what_is_odd() -> None:
-    """A box in another one, a box in the air, and half a base on its support."""
+    """The faults that count are: a box inside another box, a box in the air, and a box with only half of its base on
+    its support."""
     none = np.full(3, np.nan)
     size = np.full((2, 3), 100.0)
 

@@ -1,4 +1,5 @@
-"""Outcomes are not held back, however silent the engine is after them: they are shown at once, and on disk in time."""
+"""Outcomes are shown as soon as an engine yields them, and are on disk in time, even if the engine yields no further
+outcome for long."""
 
 from __future__ import annotations
 
@@ -30,14 +31,15 @@ from petmjx.world.job import Job
 
 N = 12
 LONGEST_S = 30.0
-"""The tests wait as long as a loaded machine may take."""
+"""Longest time that a test waits, s: long enough for a busy machine."""
 
 Hold = Callable[[int], None]
-"""Called with the number of outcomes that have been yielded: waits until the watcher has heard of as many."""
+"""Function that is called with the number of outcomes that an engine has yielded so far. It waits until the watcher has
+been told of this number of worlds."""
 
 
 class FromAList(MujocoEngine):
-    """All outcomes come at once; then the last one is waited for."""
+    """An engine that yields all outcomes but the last one at once, and then waits before it yields the last one."""
 
     hold: Hold
 
@@ -49,7 +51,8 @@ class FromAList(MujocoEngine):
 
 
 class InTheMidst(MujocoEngine):
-    """An engine that inherits from one of petmjx's, and is slow with each outcome, whatever that says of the next."""
+    """An engine that inherits from an engine of petmjx, and waits before each outcome, whatever the base class says
+    about outcomes that are at hand."""
 
     hold: Hold
 
@@ -60,7 +63,7 @@ class InTheMidst(MujocoEngine):
 
 
 class OnItsOwn:
-    """The least that an engine has. It once said that many outcomes are at hand."""
+    """An engine with only the required attributes. Its progress wrongly says that many outcomes are at hand."""
 
     name = "mine"
     hold: Hold
@@ -89,7 +92,8 @@ def test_what_has_ended_is_shown_while_the_engine_is_silent(kind: type[Any]) -> 
     def hold(yielded: int) -> None:
         nonlocal count
         while count < yielded:
-            # one process has one thread that both yields and hears: what it has not heard of by now is held back
+            # one thread both yields outcomes and tells the watcher: an outcome that the watcher does not know by now is
+            # held back
             if not heard.acquire(blocking=False):
                 late.append(yielded)
                 return
@@ -103,7 +107,8 @@ def test_what_has_ended_is_shown_while_the_engine_is_silent(kind: type[Any]) -> 
 
 
 def test_attempts_beside_a_silent_engine_are_shown_in_its_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One world goes on beside the run, on CPU threads. It ends while the device works on another one."""
+    """A CPU thread makes a further attempt at one world. The attempt ends while the device simulates another world, and
+    is shown before the device has finished."""
     beside: list[Task] = []
 
     class Beside:
@@ -158,13 +163,13 @@ def test_no_pause_is_asked_of_an_engine_that_does_not_know_them() -> None:
 
 
 def wait_for_worlds(folder: Path, count: int) -> float:
-    """Seconds until a run's folder has so many worlds on disk."""
+    """Wait until a run's folder has this number of worlds, and return the time that this took, s."""
     begin = time.monotonic()
     while time.monotonic() - begin < LONGEST_S:
         try:
             if load_run(folder).info["counts"]["worlds"] == count:
                 return time.monotonic() - begin
-        except InputError:  # run.json is about to be written
+        except InputError:  # run.json is not written yet
             pass
         time.sleep(0.01)
     raise AssertionError(f"{count} worlds are not on disk after {LONGEST_S} s")
@@ -176,7 +181,8 @@ def wait_for_worlds(folder: Path, count: int) -> float:
 def test_the_timer_that_writes_parts_outlives_errors_of_all_kinds(
     error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After the first tries failed, what waits is on disk though no world follows."""
+    """The first attempts to write a part fail. The waiting worlds are written nevertheless, although no further world
+    ends."""
     failures, write = [error, error], tables_module.write_table
 
     def failing(*arguments: Any) -> str:

@@ -1,4 +1,5 @@
-"""No command replaces, follows or removes what is not its own, whatever its folder has under the names of its files."""
+"""No command replaces, follows or removes a file or link that it did not write, even if the file has the name of one of
+its outputs."""
 
 from __future__ import annotations
 
@@ -57,7 +58,7 @@ COMMANDS: dict[str, tuple[list[str], list[str]]] = {
     "figure": (["compare", "--packers", "x-run", "y-run", "--svg", "out/f.svg"], ["f.svg"]),
 }  # fmt: skip
 NAMED = ("convert", "samples", "export", "show", "report", "figure")
-"""Commands whose file the user names."""
+"""Commands whose output file is named by the user."""
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +104,7 @@ KINDS = (as_file, as_folder, as_link, as_dangling_link, as_link_to_a_folder)
 
 
 def everything(folder: Path) -> dict[str, str | bytes]:
-    """All that is below a folder: its links, its folders and the bytes of its files."""
+    """Everything below a folder: path → target of a link, "folder", or the bytes of a file."""
     return dict(_walk(folder))
 
 
@@ -120,7 +121,7 @@ def _walk(folder: Path) -> Iterator[tuple[str, str | bytes]]:
 
 @pytest.fixture(scope="module")
 def work(inputs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with all inputs, in which ``out`` is made anew for each case."""
+    """A folder with all inputs. The folder ``out`` in it is made again for each case."""
     return Path(shutil.copytree(inputs, tmp_path_factory.mktemp("work") / "here"))
 
 
@@ -132,7 +133,8 @@ def test_nothing_of_the_user_is_touched(
     arguments, names = COMMANDS[command]
     inputs_before = everything(work)
     for number, name in enumerate(names):
-        # each kind with the first name; with the others files, links, and one more in turn
+        # the first name is tested with every kind of obstacle; the other names with a file, a link, and one more kind
+        # in turn
         for kind in KINDS if number == 0 else (as_file, as_link, KINDS[(1, 3, 4)[number % 3]]):
             outside = tmp_path / f"outside-{number}-{kind.__name__}"
             outside.mkdir()
@@ -155,7 +157,7 @@ def test_nothing_of_the_user_is_touched(
 
 
 _NAMED_FILES = ("c.csv", "s.json", "e.xml", "h.html", "r.html", "f.svg", "2026-11-22_doe_layers_offline3dbp.json")
-"""Files that the user names: with --overwrite a regular file that is there is replaced."""
+"""Output files that the user names: with --overwrite, an existing regular file with this name is replaced."""
 
 
 @pytest.mark.parametrize("table", [*TABLES, "stories", "runs"])
@@ -201,7 +203,7 @@ def test_own_files_are_replaced_if_asked(
 def test_an_input_is_never_replaced(
     inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Not by its path, nor by another name of the same file."""
+    """The input is kept, whether the output has the input's path or another name (hard link) of the same file."""
     monkeypatch.chdir(tmp_path)
     petmjx.save_plans(make_plan("m1"), "plans.csv")
     write(tmp_path / "A", {"m1": make_outcome()})
@@ -220,7 +222,8 @@ def test_an_input_is_never_replaced(
 
 
 def test_plans_in_the_place_of_a_run_s_table_are_kept(inputs: Path, tmp_path: Path) -> None:
-    """A folder ``plans`` with parts of a data set, as other tools write them, beside the results of a run."""
+    """The folder ``plans`` has parts of a data set that another tool wrote. It lies where the run would write its own
+    table ``plans``."""
     (tmp_path / "plans").mkdir()
     part = tmp_path / "plans" / "part-00000.parquet"
     petmjx.save_plans(make_plan("m1"), part)

@@ -1,4 +1,5 @@
-"""Files that commands write: none that is there is replaced unasked, and none that is read at all."""
+"""Output files of commands: no existing file is replaced without --overwrite, and no file that the command reads is
+ever replaced."""
 
 from __future__ import annotations
 

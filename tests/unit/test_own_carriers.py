@@ -1,4 +1,5 @@
-"""Carriers of users' own: TOML files of boards, what is refused of them, and that runs hold the boards themselves."""
+"""Carriers that users define: TOML files of boards, carriers that are refused, and runs that store the boards
+themselves."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ mass_kg = 0.5
 
 
 def scaled(factor: float) -> Callable[[str], str]:
-    """The file with all lengths in another unit."""
+    """A function that multiplies all lengths in a carrier's file by a factor, as if they were given in another unit."""
     return lambda text: re.sub(
         r"\[(?=\d).*?\]", lambda match: str([value * factor for value in json.loads(match[0])]), text
     )
@@ -202,7 +203,7 @@ def test_a_run_holds_the_boards_and_notices_others() -> None:
     write(FILE, SOUND.replace("227.5", "227"))
     with pytest.raises(InputError, match=r"carrier.boards\[1\].corner_mm is \[0.0, 227.0, 122.0\], was \[0.0, 227.5"):
         petmjx.score([PLAN], engine="mujoco", threads=1, carrier="mine.toml", out="run", resume=True)
-    FILE.unlink()  # a run can be looked at without it
+    FILE.unlink()  # the run can be read and shown without the carrier's file
     story = petmjx.tell("a", [PLAN], carrier=results.carrier)
     assert story.scene.carrier.half_size.shape == (5, 3)
     petmjx.score([PLAN], engine="mujoco", threads=1, carrier=results.carrier, out="run", resume=True)
@@ -217,7 +218,7 @@ def test_a_sweep_finds_the_file_beside_its_own() -> None:
     assert results.carrier == read_carrier(Path("there/mine.toml"))
     assert len(results.worlds) == 2
     Path("there/mine.toml").unlink()
-    assert run("export", "a", "run", "-o", "a.xml", "--variant", "1") == 0  # the run keeps its plans
+    assert run("export", "a", "run", "-o", "a.xml", "--variant", "1") == 0  # the run stores its plans
     with pytest.raises(InputError, match=re.escape("there/sweep.toml: there/mine.toml: no such file")):
         petmjx.sweep(sweep, [PLAN], engine="mujoco")
 
@@ -243,7 +244,8 @@ def test_what_does_not_count_is_told() -> None:
 def test_criteria_are_asked_on_the_carrier_of_the_run() -> None:
     pytest.importorskip("scipy")
     pytest.importorskip("shapely")
-    post = make_plan("post", (((60.0, 60.0, 200.0), (600.0, 119.0, 0.0), 3.0),))  # 4 mm beyond the edge of a board
+    # the box's centre is 4 mm beyond the edge of a board
+    post = make_plan("post", (((60.0, 60.0, 200.0), (600.0, 119.0, 0.0), 3.0),))
     results = petmjx.score([post], engine="mujoco", threads=1, carrier="epal-1")
     answers = petmjx.criteria([post], run=results, only=("centre",))
     assert answers.plans.centre.tolist() == [False]

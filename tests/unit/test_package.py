@@ -1,4 +1,5 @@
-"""What a package index and its readers get: one version, one address, links that work away from the repository."""
+"""The package as an index and its readers get it: one version, one address, and links that work outside the
+repository."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ PROJECT: dict[str, Any] = tomllib.loads((REPOSITORY / "pyproject.toml").read_tex
 ADDRESS: str = PROJECT["project"]["urls"]["Repository"]
 
 ADDRESSED = ("CITATION.cff", "README.md", "SECURITY.md", "mkdocs.yml", "pyproject.toml")
-"""Files with the repository's address."""
+"""Files that contain the address of the repository."""
 
 
 def text_of(name: str) -> str:
@@ -77,7 +78,8 @@ def test_shells_complete_options(
     shell: str, typed: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["petmjx"])
-    monkeypatch.setattr(sys.modules["__main__"], "__package__", None)  # as a script; else the name is python -m …
+    # as if petmjx ran as a script; otherwise its name would be "python -m …"
+    monkeypatch.setattr(sys.modules["__main__"], "__package__", None)
     for name, value in ({"_PETMJX_COMPLETE": f"complete_{shell}"} | typed).items():
         monkeypatch.setenv(name, value)
     assert main([]) == 0

@@ -1,4 +1,4 @@
-"""Packers compared by their runs: known verdicts come out as the numbers they are."""
+"""Packers compared by their runs: from known verdicts, the comparison computes the expected numbers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ INVALID = {"verdict": Verdict.INVALID, "reason": Reason.NONFINITE}
 
 
 def write(folder: Path, worlds: dict[str, Outcome], shapes: dict[str, Plan] | None = None, **config: Any) -> Path:
-    """A run of three cartons on top of each other for each plan, or of the plans given."""
+    """Write a run with one world per plan. The plans are ``shapes``; a plan without a shape has three cartons on top of
+    each other."""
     made = {plan_id: (shapes or {}).get(plan_id, plans.make_plan(plan_id)) for plan_id in worlds}
     with RunWriter(folder, CONFIG | config, manifest=Manifest(IDENTITY, records_of(list(made.values())))) as run:
         for plan_id, outcome in worlds.items():
@@ -52,7 +53,8 @@ def falls(reason: Reason = Reason.SHIFT) -> Outcome:
 
 @pytest.fixture
 def two(tmp_path: Path) -> tuple[Path, Path]:
-    """Of orders o0 … o9 both stand in 5, a alone in 1, b alone in 3, none in 1."""
+    """Runs of two packers a and b for the orders o0 … o9. The plans of both packers stand for 5 orders, only that of a
+    for 1, only that of b for 3, and neither for 1."""
     a = write(tmp_path / "a", {f"o{k}": stands() if k < 6 else falls() for k in range(10)})
     b = write(tmp_path / "b", {f"o{k}": dropped_outcome() if k in (5, 9) else stands() for k in range(10)})
     return a, b
@@ -140,7 +142,8 @@ def test_three_packers_are_corrected_by_holm(tmp_path: Path) -> None:
 
 
 def test_utilisation_has_one_target_for_all_packers(tmp_path: Path) -> None:
-    """A plan that is too long for a roll container makes the order's target a euro pallet for both."""
+    """One packer's plan is too long for a roll container. So the target of the order is a euro pallet for both
+    packers."""
     flat = plans.make_plan("o", [((400.0, 300.0, 200.0), (450.0 * k, 0.0, 0.0), 5.0) for k in range(2)])
     a = write(tmp_path / "a", {"o": make_outcome(n=2)}, {"o": flat})
     b = write(tmp_path / "b", {"o": stands()})
@@ -249,7 +252,8 @@ def test_files_hold_all_tables(two: tuple[Path, Path], tmp_path: Path) -> None:
         write_comparison(comparison, tmp_path / "file")
 
 
-# -- compare of simulators knows other plans by their digests ----------------------------------------------------------
+# -- the comparison of simulators recognises other plans by their digests
+# ------------------------------------------------
 
 
 def test_metrics_of_other_plans_are_not_compared(tmp_path: Path) -> None:

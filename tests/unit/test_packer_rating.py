@@ -1,4 +1,5 @@
-"""Ratings of packers are about the orders given: whatever strangers enter, from 0 to 1, and honest ones unmoved."""
+"""Ratings of packers refer to the given orders. Whatever other packers enter, ratings are from 0 to 1, and the rating
+of an honest packer does not change."""
 
 from __future__ import annotations
 
@@ -35,40 +36,42 @@ pytest.importorskip("scipy")
 Rng = np.random.Generator
 
 
-# A thousand entries, rated from verdicts that are given.
+# A thousand random entries, which are rated from given verdicts.
 
 
 def order_of(rng: Rng) -> Order:
-    """Up to nine items in three sizes that stand beside each other; two may be equal."""
+    """A random order of up to nine items, with three different sizes that fit beside each other. Two items may be
+    equal."""
     sizes = ((300, 200, 150), (200, 150, 100), (250, 100, 90))
     kinds = [Item(f"a{k}", str(k), "", *sizes[k % 3], 2.0 + k) for k in range(5)]
     return Order("euro-pallet", tuple(kinds[k] for k in rng.integers(0, 5, rng.integers(3, 10))))
 
 
 def plan_of(plan_id: str, goods: list[tuple[str, str, tuple[float, float, float], float]], over: bool = False) -> Plan:
-    """Boxes in rows, or over the target's edge."""
+    """A plan of these boxes, in rows on the target, or, if ``over`` is true, beyond the target's edge."""
     ids, articles, sizes, masses = zip(*goods, strict=True)
     corner = np.array([(2000.0 * (k + 1), 0, 0) if over else (300.0 * (k % 3), 0, 10.0 * k) for k in range(len(goods))])
     return Plan(plan_id, "test", np.array(sizes, float), corner, np.array(masses), ids, articles, np.arange(len(goods)))
 
 
 def draw_plan(rng: Rng, plan_id: str, order: Order) -> tuple[Plan | None, int]:
-    """A plan and how many of the order's boxes are on it as they were ordered; None: there is no plan."""
+    """A random plan for an order, and the number of its boxes that are as ordered. None instead of a plan: the packer
+    has no plan for the order."""
     goods: list[tuple[str, str, tuple[float, float, float], float]] = []
     right = 0
     for item in order.items:
         size, kg = (item.length_mm, item.width_mm, item.height_mm), item.weight_kg
         fate = rng.integers(0, 4)
-        if fate == 0:  # as ordered, with all, some or none of its names
+        if fate == 0:  # the box is as ordered, and has both names, only the article, or no name
             names = [(item.item_id, item.article), ("", item.article), ("", "")][rng.integers(0, 3)]
             goods.append((*names, size, kg))
             right += 1
-        elif fate == 1:  # of another size or mass
+        elif fate == 1:  # the box has another size or mass than ordered
             factor = float(rng.choice([0.05, 0.5, 0.98, 1.02, 2.0]))
             by_size = bool(rng.integers(0, 2))
             scaled = tuple(side * (factor if by_size else 1.0) for side in size)
             goods.append((item.item_id, item.article, scaled, kg * (1.0 if by_size else factor)))  # type: ignore[arg-type]
-    # repeated ones count where the order has more of them than the plan has
+    # repeated boxes count if the order has more equal items than the plan has boxes
     ordered = [(ordered_item.article, ordered_item.length_mm, ordered_item.weight_kg) for ordered_item in order.items]
     for _ in range(rng.integers(0, 4)):
         item = order.items[rng.integers(0, len(order.items))]
@@ -89,12 +92,13 @@ def draw_plan(rng: Rng, plan_id: str, order: Order) -> tuple[Plan | None, int]:
 
 
 def _id_by_mass(order: Order, kg: float) -> str:
-    """Articles have masses of their own."""
+    """The id of the item with this mass. (Each article has a mass of its own.)"""
     return next((item.item_id for item in order.items if item.weight_kg == kg), "")
 
 
 def run_of(plans: Mapping[str, Plan], verdicts: Mapping[str, str], with_orders: bool) -> Any:
-    """What is read of a run: its nominal worlds, and what it says of its plans, be it true or not."""
+    """The parts of a run that a rating reads: its worlds without errors, and its table ``plans``, whose counts need not
+    be true."""
     ids = list(plans)
     boxes = [plan.n_boxes for plan in plans.values()]
     worlds = {"plan_id": ids, "variant": 0, "verdict": [verdicts[name] for name in ids], "reason": "", "n_boxes": boxes}
@@ -127,7 +131,7 @@ def test_a_thousand_entries_are_rated_from_0_to_1_and_honest_ones_do_not_move() 
                 plans[name][plan_id] = plan
                 verdicts[name][plan_id] = str(rng.choice(["stable", "stable", "unstable", "invalid"]))
                 standing += right * (verdicts[name][plan_id] == "stable")
-        if rng.integers(0, 3) == 0:  # and plans of orders of their own
+        if rng.integers(0, 3) == 0:  # the packer also has plans for orders that nobody gave
             plans[name]["own"], verdicts[name]["own"] = honest["o0"], "stable"
         expected[name] = standing / n_ordered
     runs = {
@@ -148,11 +152,12 @@ def test_a_thousand_entries_are_rated_from_0_to_1_and_honest_ones_do_not_move() 
     columns = [name for name in alone.columns if name != "rank"]
     pd.testing.assert_frame_equal(everybody.loc[["all", "one"], columns], alone.loc[["all", "one"], columns])
     assert everybody.loc["all", "rank"] == 1
-    assert everybody["rating"].nunique() > 5  # the draw is one of many kinds
+    assert everybody["rating"].nunique() > 5  # the random entries get many different ratings
 
 
 def test_without_orders_a_run_that_was_compared_with_them_says_how_many_boxes_there_are() -> None:
-    """A stranger with four times the boxes, whose run knows no orders, does not lower the honest one."""
+    """The honest run was compared with its orders. Another packer enters a run with four times as many boxes, which was
+    not compared with orders. The rating of the honest packer does not become lower."""
     item = Item("a", "1", "", 300, 200, 150, 2.0)
     order = Order("euro-pallet", (item,) * 3)
     good = plan_of("o", [("1", "a", (300, 200, 150), 2.0)] * 3)
@@ -165,7 +170,7 @@ def test_without_orders_a_run_that_was_compared_with_them_says_how_many_boxes_th
     assert table["rating"].between(0, 1).all()
 
 
-# Boards of files and runs.
+# Leaderboards made of plan files and runs.
 
 SIZE = (400, 300, 200)
 GOOD = [placement((0, 0, 0), SIZE), placement((0, 0, 200), SIZE, sequence=2)]
@@ -176,7 +181,8 @@ OPTIONS: dict[str, Any] = {"engine": "mujoco", "threads": 1, "stories": 0}
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Orders, plans that stand, plans of which all but one fall, and runs of both."""
+    """A folder with orders, with a file of plans that stand, with a file of plans that fall except for one, and with a
+    run of each file."""
     folder = tmp_path_factory.mktemp("ratings")
     write(folder / "orders.json", ORDERS)
     write(folder / "honest.json", dict.fromkeys(ORDERS, GOOD))
@@ -196,7 +202,7 @@ def rating_of(data: Mapping[str, Any]) -> dict[str, float]:
 
 
 def forged(run: Path, change: Callable[[pa.Table], pa.Table], folder: Path) -> Path:
-    """A copy of a run of which the table ``worlds`` says something else, and which lists it as its own."""
+    """A copy of a run whose table ``worlds`` was changed. run.json lists the changed file with its new digest."""
     shutil.copytree(run, folder)
     (file,) = (folder / "worlds").iterdir()
     pq.write_table(change(pq.read_table(file)), file)
@@ -214,7 +220,7 @@ def with_column(name: str, value: Callable[[Any], Any]) -> Callable[[pa.Table], 
 
 
 GENTLE: dict[str, Any] = {"thresholds": {"tilt_deg": 90, "shift_m": 9}, "check": "static", "duration_s": 0.01}
-"""Under these options boxes that fall are stable."""
+"""Options under which boxes that fall count as stable."""
 
 ALL_STAND = with_column("verdict", lambda verdict: "stable")
 
@@ -322,7 +328,7 @@ RATED = {
 
 
 def test_strangers_of_all_kinds_on_one_board_and_by_kpis(made: Path, tmp_path: Path) -> None:
-    """Half of them are runs that were made without orders."""
+    """Every second packer enters a run that was made without orders, the other packers enter files."""
     packers: dict[str, Path] = {"honest": made / "honest.json"}
     for number, (name, plans) in enumerate(STRANGERS.items()):
         packers[name] = write(tmp_path / f"{name}.json", plans)
@@ -367,7 +373,7 @@ def test_plans_without_names_are_rated_by_size_and_mass(made: Path, tmp_path: Pa
     assert "8 boxes of bare have neither id nor article; matched by size and mass" in data["notes"]
 
 
-# Which replays contradict a run.
+# Which replays (repeated simulations of a sample) contradict a run.
 
 
 @pytest.mark.parametrize(
@@ -375,10 +381,10 @@ def test_plans_without_names_are_rated_by_size_and_mass(made: Path, tmp_path: Pa
     [
         (True, 0, 0, 8, False),
         (True, 1, 0, 7, True),
-        (True, 0, 1, 7, False),  # near a threshold another machine may say otherwise
+        (True, 0, 1, 7, False),  # near a threshold, another machine may give another verdict
         (True, 0, 1, 0, False),
-        (True, 0, 3, 2, True),  # but not of most plans
-        (False, 1, 0, 15, False),  # so may another engine, once in many plans
+        (True, 0, 3, 2, True),  # but not if most of the replayed plans have another verdict
+        (False, 1, 0, 15, False),  # another engine may give another verdict for one plan of many
         (False, 2, 0, 14, True),
         (False, 0, 4, 4, False),
         (False, 0, 5, 4, True),

@@ -1,4 +1,4 @@
-"""The padded template and its per-world overrides against what MuJoCo compiles for the exact model."""
+"""The padded MJX template with its values for each world equals the exact model that MuJoCo compiles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from petmjx.world.scene import Scene
 
 CAPACITY = 4
 ROUNDING = 2e-6
-"""float32 arithmetic of a few operations."""
+"""Tolerance for the rounding errors of a few float32 operations."""
 
 PER_BODY = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0")
 PER_GEOM = ("geom_pos", "geom_size", "geom_rbound", "geom_aabb", "geom_friction")
@@ -69,16 +69,16 @@ def test_overrides_are_what_mujoco_compiles(physics: str, held: bool, boards: in
             if name not in fields:
                 continue
             actual, expected = np.asarray(fields[name][lane])[: used[name]], getattr(exact, name)
-            if name == "body_subtreemass":  # that of the world counts boxes of the padding as well
+            if name == "body_subtreemass":  # the subtree mass of the world body also counts the boxes of the padding
                 actual, expected = actual[1:], expected[1:]
-            if name == "body_inertia":  # MuJoCo sorts the axes
+            if name == "body_inertia":  # MuJoCo sorts the principal axes of inertia
                 actual, expected = np.sort(actual), np.sort(expected)
             if name in (
                 "geom_pos",
                 "geom_size",
                 "geom_aabb",
                 "geom_rbound",
-            ):  # the plane's is infinite or has no meaning
+            ):  # the floor's value is infinite or has no meaning
                 actual, expected = actual[1:], expected[1:]
             np.testing.assert_allclose(actual.reshape(expected.shape), expected, rtol=ROUNDING, atol=1e-7, err_msg=name)
         pairs = same_pairs(base, exact)
@@ -92,7 +92,8 @@ def test_overrides_are_what_mujoco_compiles(physics: str, held: bool, boards: in
 
 
 def same_pairs(padded: Any, exact: mujoco.MjModel) -> list[tuple[int, int]]:
-    """The declared pairs of geoms that both models have, by their numbers."""
+    """Declared pairs of geoms that both models have: the number of each pair in the padded model and in the exact
+    model."""
 
     def numbers(model: Any) -> dict[tuple[int, ...], int]:
         ends = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=-1), axis=-1)
@@ -118,7 +119,8 @@ def test_the_template_has_the_options_and_contact_numbers_of_the_exact_model() -
 
 @pytest.mark.parametrize("held", [False, True])
 def test_every_two_geoms_that_can_touch_are_declared_once(held: bool) -> None:
-    """Declared pairs touch whatever their contype. A carrier that is held cannot meet the floor."""
+    """MuJoCo tests declared pairs for contact whatever their contype. A carrier that is held fast cannot touch the
+    floor, so this pair is not declared."""
     scene = scene_of_boxes(4)
     carrier = HeldCarrier(scene.carrier.pos, np.array([1.0, 0, 0, 0])) if held else None
     model = build_spec(scene, PHYSICS["pallet"], carrier).compile()
@@ -133,7 +135,7 @@ def test_every_two_geoms_that_can_touch_are_declared_once(held: bool) -> None:
 
 def test_parked_boxes_touch_nothing() -> None:
     model = template(PHYSICS["pallet"], held=False)
-    model.geom_size[2:] = 0.6  # larger than any item
+    model.geom_size[2:] = 0.6  # half sizes that are larger than those of any item
     model.geom_rbound[2:] = 0.6 * np.sqrt(3)
     data = mujoco.MjData(model)
     rows = data.qpos.reshape(-1, 7)
@@ -141,7 +143,7 @@ def test_parked_boxes_touch_nothing() -> None:
     rows[1:, :3] = np.asarray(parked_positions(CAPACITY))
     mujoco.mj_forward(model, data)
     assert data.ncon == 0
-    # Not even their bounding spheres meet, nor that of a pallet of 3 m.
+    # Neither the bounding spheres of two waiting boxes meet, nor that of a waiting box and a pallet 3 m high.
     gaps = np.linalg.norm(rows[1:, None, :3] - rows[None, 1:, :3], axis=-1) + 1e3 * np.eye(CAPACITY)
     assert gaps.min() > 2 * 0.6 * np.sqrt(3)
     assert rows[1:, 2].min() - 0.6 * np.sqrt(3) > 3.0

@@ -1,7 +1,7 @@
-"""Scripts, styles and templates of pages: their syntax, their imports, and what they must never do.
+"""Scripts, styles and templates of HTML pages: their syntax, their imports, and things that they must never contain.
 
-``make check`` runs this file. It stands in for a linter of JavaScript, which would need npm: Node parses the scripts
-where it is installed (the tests of pages in a browser run them all), and rules are checked here.
+``make check`` runs this file. It takes the place of a linter of JavaScript, which would need npm. If Node is installed,
+it parses the scripts; further rules are checked in Python. (The browser tests of pages run all scripts.)
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FORBIDDEN = {
 MOST_LINES = 400
 LONGEST_LINE = 125
 LONG_LINES = {"story.html"}
-"""Icons are paths of one line."""
+"""Files that may have long lines: an icon is a path in a single line."""
 
 IMPORT = re.compile(r'^import (?:\{([^}]*)\}|\* as (\w+)) from "\./(\w+\.js)";$', flags=re.MULTILINE)
 EXPORT = re.compile(r"^export (?:async function|function|const|class) (\w+)", flags=re.MULTILINE)
@@ -45,7 +45,7 @@ def test_nothing_forbidden(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     code = re.sub(r"^\s*//.*$", "", text, flags=re.MULTILINE) if path.suffix == ".js" else text
     matches = {why: match[0] for why, pattern in FORBIDDEN.items() if (match := re.search(pattern, code))}
-    if path.name == "page.html":  # the frame that styles and scripts are put into
+    if path.name == "page.html":  # page.html is only the frame into which styles and scripts are put
         matches.pop("the end of an element within", None)
     assert not matches
 
@@ -66,7 +66,7 @@ def test_node_parses_it(path: Path, tmp_path: Path) -> None:
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not installed")
-    module = tmp_path / f"{path.stem}.mjs"  # the ending says that it is a module
+    module = tmp_path / f"{path.stem}.mjs"  # the suffix .mjs makes the file a module
     module.write_bytes(path.read_bytes())
     done = subprocess.run([node, "--check", str(module)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -94,7 +94,7 @@ def test_exports_are_used_somewhere(path: Path) -> None:
 
 
 def test_every_script_and_style_is_part_of_a_page(repository: Path) -> None:
-    """Named by another file of a page, or by the Python that makes it."""
+    """Each script and style is named by another file of a page, or by Python code that makes pages."""
     sources = [*FILES, *(repository / "petmjx" / "show").rglob("*.py")]
     for path in FILES:
         named = [other for other in sources if other != path and path.name in other.read_text(encoding="utf-8")]

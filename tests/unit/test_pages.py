@@ -1,4 +1,5 @@
-"""What pages are made of, without a browser: data, escapes, scripts joined, colours, words, the still picture."""
+"""The parts of HTML pages, tested without a browser: data, escaped texts, joined scripts, colours, sentences, the still
+picture."""
 
 from __future__ import annotations
 
@@ -39,7 +40,7 @@ NASTY = "</script><!--<script>alert(1)</script>\u2028&\"'<img src=x onerror=aler
 
 
 def opened_block(text: str) -> dict[str, dict[str, Any]]:
-    """Header entries of a block by name, with the raw numbers as ``values``."""
+    """Unpack a compressed block of a page: name → header entry. Each entry gets the stored numbers as ``values``."""
     raw = zlib.decompress(base64.b64decode(text))
     length = int.from_bytes(raw[:4], "little")
     header = {entry["name"]: entry for entry in json.loads(raw[4 : 4 + length])}
@@ -52,7 +53,7 @@ def opened_block(text: str) -> dict[str, dict[str, Any]]:
 
 
 def restored(packed: PackedArray) -> np.ndarray[Any, Any]:
-    """What a reader makes of a packed column."""
+    """The numbers that a page's script computes from a packed column."""
     raw = packed.values
     if packed.steps:
         raw = np.cumsum(raw, axis=0, dtype=raw.dtype)
@@ -169,7 +170,7 @@ def test_what_cannot_be_joined_is_refused(text: str, complaint: str, monkeypatch
 
 
 def luminance(colour: str) -> float:
-    """Relative luminance of sRGB (WCAG 2.1)."""
+    """Relative luminance of an sRGB colour, from 0 to 1 (WCAG 2.1)."""
     parts = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in rgb_of(colour)]
     return float(np.dot(parts, [0.2126, 0.7152, 0.0722]))
 
@@ -190,7 +191,8 @@ def test_articles_keep_their_colours_and_frequent_ones_get_the_plain_hues() -> N
 def test_a_story_in_words() -> None:
     story = falling_story()
     assert reason_in_words(story) == "a box dropped"
-    # 0.2 s of fall: 400 mm to the right, turned by 0.8 rad; the lowest corner is not yet 0.1 m below the carrier
+    # after 0.2 s of fall, the box has moved 400 mm to the right and turned by 0.8 rad; its lowest corner is not yet 0.1
+    # m below the carrier's top
     assert first_box_in_words(story) == (
         "Box 2 (milk) failed first: at 0.80 s it was tilted by 45.8° (limit 20°) and had shifted by 400 mm "
         "(limit 20 mm)."
@@ -261,7 +263,8 @@ def test_the_picture_shows_plan_and_carrier_and_what_lies_near() -> None:
 
 
 def test_near_boxes_are_drawn_after_far_ones() -> None:
-    """A long box stands before a tall one and below a small one; its centre is farther than that of the tall one."""
+    """A long box stands in front of a tall box, and a small box lies on the long box. The centre of the long box is
+    farther away than that of the tall box."""
     pos = np.array([[0.0, 0.0, 0.0], [-3.0, 0.5, 0.0], [0.0, 0.0, 1.0]])
     half = np.array([[4.0, 0.2, 0.5], [0.2, 0.2, 2.0], [0.2, 0.2, 0.5]])
     axes = np.tile(np.eye(3), (3, 1, 1))
@@ -281,7 +284,8 @@ def test_the_still_picture_has_every_box_that_is_there() -> None:
 
 
 def test_contacts_of_a_pair_are_one_force_on_the_lower_body() -> None:
-    """Four contacts of boxes 0 and 1, one of them told the other way round, and one of the carrier."""
+    """Boxes 0 and 1 have four contacts, one of which is stored with the two bodies in the other order. One of the boxes
+    also touches the carrier."""
     story = falling_story()
     contacts = story.history.contacts
     assert contacts is not None
@@ -308,7 +312,8 @@ def test_a_story_without_a_single_contact() -> None:
 
 
 def test_numbers_that_are_not_finite_spoil_nothing() -> None:
-    """A simulation that blew up: a box is lost, and the carrier with it."""
+    """In the last frames, the numbers of one box and of the carrier are huge, infinite or NaN, as in a simulation that
+    failed numerically."""
     story = falling_story()
     pos, carrier = story.history.pos.copy(), story.history.carrier_pos.copy()
     pos[-2, 0], pos[-1, 0], carrier[-1] = 1e30, np.inf, np.nan

@@ -1,4 +1,5 @@
-"""Statistics of paired shares against published examples, statsmodels, and simulation."""
+"""Statistics of two shares from paired samples, compared with published examples, with statsmodels, and with simulated
+samples."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ counts = st.builds(PairedCounts, *[st.integers(0, 200)] * 4)
         # Fagerland, Lydersen, Laake (2017), "Statistical analysis of contingency tables", chapter 8: complete response
         # before and after consolidation therapy (Cavo et al. 2012)
         (PairedCounts(59, 16, 6, 80), -0.0621, -0.1186, -0.0046, 4),
-        # the same, airway hyper-responsiveness before and after transplantation (Bentur et al. 2009)
+        # the same book: airway hyper-responsiveness before and after transplantation (Bentur et al. 2009)
         (PairedCounts(1, 7, 1, 12), -0.286, -0.507, -0.026, 3),
     ],
 )
@@ -40,7 +41,7 @@ def test_newcombe_interval_holds_the_difference_and_turns_round(found: PairedCou
     assert -1 <= low <= high <= 1
     turned = PairedCounts(found.both, found.only_b, found.only_a, found.neither)
     assert newcombe_interval(turned) == pytest.approx((-high, -low), abs=1e-12)
-    # what stands and what falls are the same question, but for the sign
+    # if standing and falling are exchanged, only the sign of the difference changes
     mirrored = PairedCounts(found.neither, found.only_b, found.only_a, found.both)
     assert newcombe_interval(mirrored) == pytest.approx((-high, -low), abs=1e-12)
     if found.n:
@@ -61,7 +62,8 @@ def test_newcombe_interval_covers_as_often_as_it_says(cells: tuple[float, ...]) 
     bounds = np.array([newcombe_interval(PairedCounts(*map(int, draw))) for draw in draws])
     truth = cells[2] - cells[1]
     covered = ((bounds[:, 0] <= truth) & (truth <= bounds[:, 1])).mean()
-    # 95 %; four standard errors of 2,000 draws are 2 points, and the correction for continuity makes it a little wide
+    # The interval should cover 95 %. Four standard errors of 2,000 draws are 2 percentage points, and the correction
+    # for continuity makes the interval a little wider.
     assert 0.93 <= covered <= 0.99
 
 

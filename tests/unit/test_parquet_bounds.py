@@ -1,4 +1,5 @@
-"""Parquet is read within bounds: a few kilobytes may stand for gigabytes, in rows and in texts."""
+"""Parquet files are read within limits of memory, since a file of a few kilobytes may unpack to gigabytes of rows or
+texts."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ from petmjx.results.run_folder import digest_of
 from petmjx.results.run_writer import RunWriter
 
 MOST_MB = 300
-"""Of Arrow's memory at any time. Read whole, each of these files takes 1 to 60 GB."""
+"""Largest amount of memory that Arrow may use at any time, MB. Each of these files would take 1 to 60 GB if it were
+read as a whole."""
 
 NUMBERS = ("sequence", "length_mm", "width_mm", "height_mm", "weight_kg", "x_mm", "y_mm", "z_mm", "strength_n")
 
@@ -99,7 +101,8 @@ def test_parts_of_runs_too(tmp_path: Path) -> None:
     _list_again(tmp_path, part)
     with pytest.raises(InputError, match=r"its 1,600,000 rows would take \d+ MiB, too much for a file"):
         petmjx.load_run(tmp_path).worlds  # noqa: B018
-    with pq.ParquetWriter(part, one.schema, compression="zstd") as writer:  # each is below the bound, and not all
+    # each text is below the limit, but all texts together are not
+    with pq.ParquetWriter(part, one.schema, compression="zstd") as writer:
         for _ in range(4):
             writer.write_table(one)
     for number in (0, 1):
@@ -112,7 +115,8 @@ def test_parts_of_runs_too(tmp_path: Path) -> None:
 
 
 def _list_again(folder: Path, part: Path) -> None:
-    """As somebody who puts a part into a run and knows how runs list them."""
+    """List a part in run.json again with its present digest, as an attacker could who knows how runs list their
+    parts."""
     file = folder / "run.json"
     info = json.loads(file.read_text())
     with part.open("rb") as stream:
@@ -122,7 +126,7 @@ def _list_again(folder: Path, part: Path) -> None:
 
 
 def test_what_is_read_is_what_is_there(tmp_path: Path) -> None:
-    """Also of several row groups and encodings, with codes, and with columns left out."""
+    """Several row groups, several encodings, dictionary codes, and a selection of columns."""
     rng = np.random.default_rng(5)
     n = 70_000
     table = pa.table(
@@ -148,7 +152,8 @@ def test_what_is_read_is_what_is_there(tmp_path: Path) -> None:
 
 
 def test_a_large_honest_file_is_read(tmp_path: Path) -> None:
-    """A million rows take 80 MB, more than the first 64 MiB that are free; the file has a hundredth of it."""
+    """A million rows take 80 MB, more than the 64 MiB that are always allowed. The file has a hundredth of this
+    size."""
     rng = np.random.default_rng(1)
     n = 1_000_000
     table = pa.table({name: rng.integers(1, 4000, n).astype(np.float64) for name in NUMBERS[:8]})

@@ -1,4 +1,4 @@
-"""The packer ``physical``: what its search finds, and which packing physics takes."""
+"""The packer ``physical``: which packings its search finds, and which packing it chooses after the simulations."""
 
 from __future__ import annotations
 
@@ -56,14 +56,15 @@ def test_what_is_found_is_sound_and_apart(items: list[Item], extent: tuple[int, 
 @settings(max_examples=25, deadline=None)
 @given(items=orders, extent=targets)
 def test_no_box_is_left_out_that_balanced_places(items: list[Item], extent: tuple[int, int]) -> None:
-    """The search begins with the packing of ``balanced``."""
+    """The search begins with the packing of ``balanced``, so its packings never have less volume."""
     greedy = pack_balanced(items, extent)
     packing = search(items, extent, 0.0, width=1, branch=2)
     assert sum(box.item.volume_m3 for box in packing.placed) >= sum(box.item.volume_m3 for box in greedy) - 1e-9
 
 
 def test_the_search_packs_more_densely() -> None:
-    """By a tenth and more, on a pallet that has grown high."""
+    """Packings of the search are at least a tenth lower than those of ``balanced``, for an order that makes a high
+    pallet."""
     heights = [
         max(box.corner_mm[2] + box.item.height_mm for box in pack_balanced(DRAWN.items, EXTENT)),
         search(DRAWN.items, EXTENT, 0.0, width=1, branch=3).height_mm,
@@ -122,7 +123,7 @@ def test_where_clearances_leave_boxes_out_none_is_tried_too() -> None:
     assert [(packing.clearance_mm, len(packing.placed)) for packing in packings] == [(0.0, 2), (5.0, 1)]
 
 
-# ---------------------------------------------------------------------- what is taken
+# ---------------------------------------------------------------------- which packing is chosen
 
 OPTIONS = PhysicalOptions(worlds=16, least_share=0.75)
 ORDER = Order("euro-pallet", (JAM, JAM))
@@ -163,8 +164,11 @@ def tried(
     spare: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> tuple[PackedOrder, list[tuple[float, range]]]:
-    """What is made of an order with these finalists, of which so many of 16 worlds stand, and which worlds are asked
-    for: utilisation, variants."""
+    """The packing that is chosen for an order, and the worlds that are requested for it.
+
+    Args: packings: the candidates for the order. standing: utilisation of a packing → number of its 16 worlds that
+    stand.
+    """
     how = OPTIONS.changed(**options)
     asking, requests = order_evaluation("o", packings, how, spare), []
     try:
@@ -194,7 +198,7 @@ def test_no_packing_is_simulated_that_would_not_be_taken() -> None:
 
 
 def test_a_packing_that_cannot_be_good_any_more_is_given_up() -> None:
-    """The first 4 of 16 worlds fall: too many for a share of 0.8, not yet for one of 0.75."""
+    """The first 4 of 16 worlds fall. A share of 0.8 can then no longer be reached, a share of 0.75 still can."""
     packings = [finalist(0.7), finalist(0.6), finalist(0.5)]
     packed, requests = tried(packings, {0.7: 3, 0.6: 16}, least_share=0.8)
     assert (packed.taken.finalist.utilisation, packed.taken.n_worlds, packed.tried) == (0.6, 16, 2)
@@ -214,7 +218,7 @@ def test_if_none_is_good_all_worlds_say_which_stands_most_often() -> None:
 
 
 def test_an_engine_with_room_simulates_what_may_not_be_needed() -> None:
-    """The packing that is taken, and how many came before it, are the same."""
+    """The chosen packing, and the number of packings tried before it, are the same as without free capacity."""
     packings, standing = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 3, 0.6: 13, 0.5: 16}
     packed, requests = tried(packings, standing, spare=lambda: True)
     assert requests == [(utilisation, ALL) for utilisation in (0.7, 0.6, 0.5)]
@@ -239,7 +243,8 @@ def test_it_says_what_is_left_out_and_why() -> None:
 
 
 class SmallestFirst:
-    """An engine that simulates the smallest plans first, also of those that follow; two boxes do not stand."""
+    """An engine that simulates the smallest of all pending plans first, including plans that are added later. Packings
+    of two boxes do not stand."""
 
     name = "smallest-first"
 
@@ -266,7 +271,7 @@ class SmallestFirst:
 
 
 class Streaming(SmallestFirst):
-    """The same, which takes a stream of jobs."""
+    """The same engine as one that takes a stream of jobs."""
 
     @takes_stream
     def run(self, jobs: Any, sim: Simulation, progress: Any = None) -> Iterator[Outcome]:
@@ -275,8 +280,8 @@ class Streaming(SmallestFirst):
 
 @pytest.mark.parametrize("streams", [True, False])
 def test_no_order_waits_for_another(monkeypatch: pytest.MonkeyPatch, streams: bool) -> None:
-    """The second order's packing of two boxes falls, and that of one box is tried. The engine still has the worlds of
-    the first order then, if it takes jobs while it runs."""
+    """The packing of two boxes for the second order falls, so its packing of one box is tried next. If the engine takes
+    jobs while it runs, worlds of the first order are still pending at that time."""
     large = Order(ORDER.target, (JAM,) * 3)
     three = finalists(large, PhysicalOptions(width=1))[:1]
     packings_by_order = {large: three, ORDER: [finalist(0.7), finalist(0.6, boxes=1)]}
@@ -292,7 +297,8 @@ def test_no_order_waits_for_another(monkeypatch: pytest.MonkeyPatch, streams: bo
 
 
 def test_worlds_are_those_of_a_score() -> None:
-    """With errors, and without; those with errors end when a box is lost."""
+    """The packer simulates the same worlds as a score, with and without errors. Worlds with errors end when a box is
+    lost (tilted by more than 20°)."""
     plan = make_plan("p", 3)
     engine = SmallestFirst()
     petmjx.score([plan], confidence=4, engine=engine)
@@ -304,12 +310,13 @@ def test_worlds_are_those_of_a_score() -> None:
     assert [job.has_errors for job in (world.job for world in WorldsOfPlans(0, {}).of(plan, [0]))] == [False]
 
 
-# ---------------------------------------------------------------------- the whole
+# ---------------------------------------------------------------------- the packer as a whole
 
 
 @pytest.fixture(scope="module")
 def small_orders(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One that fits, one of which a box is too tall, and one without a place."""
+    """A file of three orders: one whose boxes all fit, one with a box that is too tall, and one whose boxes have no
+    place."""
     large = order(2, **{"length/mm": 1300})
     large["item_sequence"]["1"]["length/mm"] = 1300
     content = {"fits": order(5), "tall": order(3, **{"height/mm": 2500}), "none": large}

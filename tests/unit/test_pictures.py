@@ -1,4 +1,4 @@
-"""Pictures, films and figures have what they should at known places; and what is said where they cannot be drawn."""
+"""Pictures, films and figures show boxes at known places. If a machine cannot draw them, a message gives the reason."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def pixels_of(path: Path) -> np.ndarray:
 
 
 def share_of(pixel: np.ndarray, rgb: tuple[float, float, float]) -> float:
-    """How bright a pixel is, as a share of a colour; NaN where it is of another hue."""
+    """Brightness of a pixel as a share of the brightness of a colour; NaN if the pixel has another hue."""
     bright = pixel @ rgb / (255 * np.dot(rgb, rgb))
     return float(bright) if np.abs(pixel / 255 - bright * np.array(rgb)).max() < 0.02 else float("nan")
 
@@ -47,7 +47,8 @@ def share_of(pixel: np.ndarray, rgb: tuple[float, float, float]) -> float:
 @needs_pictures()
 @pytest.mark.parametrize("view", ["iso", "front", "top", "-140/35"])
 def test_boxes_are_seen_where_the_camera_projects_them(view: str, tmp_path: Path) -> None:
-    """The centre of the face that looks most towards the camera has the box's hue, and on top its very colour."""
+    """At the projected centre of the face that is turned most towards the camera, the pixel has the hue of the box. On
+    the top face, it has exactly the box's colour."""
     story = standing_story(STORY)
     petmjx.draw(story, tmp_path / "x.png", view=view, size=(400, 300), at="end")
     pixels = pixels_of(tmp_path / "x.png")
@@ -94,7 +95,7 @@ def test_arrows_are_drawn_in_transparent_boxes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("lost", [np.nan, np.inf, 1e30], ids=str)
 @pytest.mark.parametrize("colour", list(Colour))
 def test_boxes_that_are_nowhere_are_left_out(colour: Colour, lost: float, tmp_path: Path) -> None:
-    """Of invalid worlds there are pictures too: of what is still somewhere."""
+    """Worlds of which some boxes have no finite position can be drawn: the picture shows the other boxes."""
     pos, quat = STORY.history.pos.copy(), STORY.history.quat.copy()
     pos[10:, 2], quat[10:, 2] = lost, np.nan
     broken = replace(STORY, history=replace(STORY.history, pos=pos, quat=quat))
@@ -141,7 +142,7 @@ def encoded(path: Path, frames: Iterator[bytes]) -> None:
 
 
 def test_ffmpeg_runs_nothing_of_python_between_fork_and_exec(tmp_path: Path) -> None:
-    """JAX, once it is loaded, warns of any fork that does."""
+    """Once JAX is loaded, it warns of every fork that runs Python code."""
     forks: list[int] = []
     os.register_at_fork(before=lambda: forks.append(1))
     encoded(tmp_path / "a:b.mp4", iter([bytes(32 * 16 * 3)]))

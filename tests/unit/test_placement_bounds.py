@@ -1,4 +1,5 @@
-"""Placements that stand or fall beyond doubt: by their geometry, and as they are simulated."""
+"""Closed-form bounds: placements that surely stand or fall. The bounds are compared with geometry and with
+simulations."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ BOX = (400, 300, 200)
 
 
 def pile(*boxes: tuple[Any, ...], **options: Any) -> petmjx.Pallets:
-    """A pallet with boxes of a corner, and perhaps a size and a mass."""
+    """A pallet with these boxes. Each box is a corner, perhaps followed by a size and a mass."""
     pallets = petmjx.Pallets(**{**MUJOCO, **options})
     for corner, *more in boxes:
         size, mass = (*more, *(BOX, 6.0)[len(more) :])
@@ -36,17 +37,18 @@ def test_what_the_geometry_decides() -> None:
     assert said(one, (400, 200, 200)) == STANDS  # on the box
     assert said(one, (425, 250, 200)) == STANDS  # its weight is 175 and 100 mm from the edges
     assert said(one, (590, 200, 200)) == OPEN  # 10 mm from the edge
-    assert said(one, (620, 200, 200)) == FALLS  # 20 mm beyond it
-    assert said(one, (0, 0, 50)) == OPEN  # nothing is below
-    assert said(one, (500, 200, 100)) == OPEN  # in the box
-    assert said(one, (400, 200, 200), BOX, 700.0) == OPEN  # too heavy for what is below
-    assert said(one, (550, 300, 200), (90, 90, 600)) == OPEN  # slender
+    assert said(one, (620, 200, 200)) == FALLS  # its weight acts 20 mm beyond the edge
+    assert said(one, (0, 0, 50)) == OPEN  # no body is below the box
+    assert said(one, (500, 200, 100)) == OPEN  # the place overlaps the box on the pallet
+    assert said(one, (400, 200, 200), BOX, 700.0) == OPEN  # too heavy for the box below
+    assert said(one, (550, 300, 200), (90, 90, 600)) == OPEN  # the box is slender
 
 
 def test_what_may_catch_a_box_leaves_it_open() -> None:
-    """It hangs over the edge by 150 mm: a box as high as the support bears it, one that is 20 mm lower may, one that is
-    150 mm lower does not; a wall before it may lean it, and one that is farther than it turns does not. At its side a
-    low box cannot hold it by friction, a high one may, and so may low ones on both sides, which may jam it."""
+    """The box hangs over the edge of its support by 150 mm. A neighbour as high as the support bears it; a neighbour 20
+    mm lower may catch it; a neighbour 150 mm lower does not. If a wall stands in front of the box, the box may lean on
+    it, unless the wall is farther away than the box turns. A low box at its side cannot hold it by friction. A high box
+    at its side may hold it, and so may low boxes on both sides, between which it may jam."""
     support = ((440, 200, 0), (110, 300, 200))
     hanging = {"corner": (440, 200, 200), "size": (300, 300, 200)}
     expected = {
@@ -68,16 +70,18 @@ def test_what_may_catch_a_box_leaves_it_open() -> None:
 
 
 def test_a_box_beside_holds_by_friction_as_much_as_the_friction_below_allows() -> None:
-    """A box on a beam hangs out by 48 mm, and a heavy one touches its side. By its friction, μ² times the lever with
-    μ = 0.5, it holds 25 mm where they touch up to 50 mm above the base, and 64 mm where they touch up to the top."""
+    """A box on a beam hangs over by 48 mm, and a heavy box touches its side. The friction at the side can hold the box
+    up to a limit: μ² times the lever, with μ = 0.5. If the faces touch up to 50 mm above the base, the limit is an
+    overhang of 25 mm; if they touch up to the top, it is 64 mm."""
     for top, verdict in ((250, FALLS), (440, OPEN)):
         pallets = pile(((300, 200, 0), (72, 300, 200)), ((300, 500, 0), (160, 200, top), 20.0))
         assert said(pallets, (300, 200, 200), (240, 300, 240)) == verdict, top
 
 
 def test_a_box_that_has_moved_leaves_open_what_it_may_touch_and_what_stands() -> None:
-    """A box leans on one that is 5 mm lower than its support. On the far side of the pallet falling boxes are decided,
-    beside the leaning box they are not; and no box stands beyond doubt."""
+    """A box leans on a neighbour that is 5 mm lower than its support. For boxes on the far side of the pallet, the
+    bounds still decide that they fall. For boxes beside the leaning box, they do not decide. No box surely stands any
+    more."""
     support, lower = ((440, 200, 0), (110, 300, 200)), ((600, 200, 0), (300, 300, 195))
     pallets = pile(support, lower, ((0, 0, 0), (200, 200, 300)), ((380, 600, 0), (50, 100, 250)))
     hanging, beside = ((150, 0, 300), (200, 200, 200)), ((380, 480, 250), (50, 200, 200))
@@ -95,8 +99,8 @@ def test_nothing_is_decided_between_walls_which_may_catch_a_box() -> None:
 
 
 def test_loads_on_boxes_below_count() -> None:
-    """A long box hangs over by as much as its weight allows. What is put onto its free end tips it; on the other end it
-    does not."""
+    """A long box hangs over as far as its own weight allows. A box that is put onto its free end tips it; a box on its
+    other end does not."""
     long = ((300, 200, 200), (600, 300, 100), 6.0)
     pallets = pile(((300, 200, 0), (400, 300, 200)), long)
     end, middle = (750, 250, 300), (350, 250, 300)
@@ -111,7 +115,7 @@ def test_loads_on_boxes_below_count() -> None:
 def test_nothing_is_decided_on_a_pallet_that_does_not_rest_where_its_plan_is() -> None:
     pallets = pile(((400, 200, 0),))
     pallets.place(size_mm=BOX, corner_mm=(0, 0, 0), mass_kg=6, error=[3], error_strength=1e-3)
-    assert said(pallets, (800, 200, 0)) == OPEN  # however small the error
+    assert said(pallets, (800, 200, 0)) == OPEN  # however small the error is
     pallets.take_back()
     assert said(pallets, (800, 200, 0)) == OPEN, "how it rests is not known until something is placed"
     pallets.reset()
@@ -129,25 +133,25 @@ def test_pallets_that_are_copied_or_lose_boxes_are_decided_by_their_boxes() -> N
     pallets.reset(1)
     pallets.place(corner_mm=(190, 0, 0), pallet=1, **box)
     pallets.fork([1], [2])
-    assert pallets.decided(**top).tolist() == [STANDS, OPEN, OPEN]  # 10 mm inside the edge
+    assert pallets.decided(**top).tolist() == [STANDS, OPEN, OPEN]  # the weight acts 10 mm inside the edge
 
 
 def test_edges_of_hulls() -> None:
-    """Distances of random places are those of the hull's half-planes, by SciPy."""
+    """The distances of random points from the edges of convex hulls equal the distances that SciPy computes."""
     spatial = pytest.importorskip("scipy.spatial")
     rng = np.random.default_rng(0)
     corners = rng.integers(0, 400, (30, 8, 2)).astype(float)
     places = rng.uniform(-100, 500, (30, 2))
     margins = _margin(_hull_edges(corners), places)
     for points, place, margin in zip(corners, places, margins.tolist(), strict=True):
-        equations = spatial.ConvexHull(points).equations  # n · p + d ≤ 0 inside
+        equations = spatial.ConvexHull(points).equations  # n · p + d ≤ 0 inside the hull
         assert margin == pytest.approx(-(equations[:, :2] @ place + equations[:, 2]).max(), abs=1e-6)
     square = np.array([[[0, 0], [0, 100], [100, 100], [100, 0]]], float)
     assert _margin(_hull_edges(square), np.array([[30.0, 50.0]])) == 30
 
 
 def test_simulations_agree_with_the_bounds() -> None:
-    """Some of the placements that ``python -m benchmarks loop bounds`` simulates by the ten thousand."""
+    """Simulates a few of the placements that ``python -m benchmarks loop bounds`` simulates by the ten thousand."""
     summary = bounds(make_engine("mujoco", threads=1), 200, seed=1)
     assert summary["faults"] == []
     assert summary["simulated"] == 200
@@ -155,7 +159,8 @@ def test_simulations_agree_with_the_bounds() -> None:
 
 
 def test_stands_is_what_trials_say() -> None:
-    """Also of what no bound decides, where a trial ends as soon as a box is tilted too far."""
+    """``stands`` gives the same answers as complete trials, also for placements that the bounds do not decide. Trials
+    of ``stands`` end as soon as a box is tilted too far."""
     pallets = pile(((0, 0, 0),), ((400, 0, 0), (400, 300, 185)), ((0, 300, 0), (300, 300, 300)))
     x, y = np.meshgrid(np.arange(0, 700, 90), (0, 150))
     places = pallets.places(size_mm=BOX, grid_mm=np.column_stack([x.ravel(), y.ravel()]).astype(float), hulls=False)

@@ -1,4 +1,4 @@
-"""How boxes are placed, as an option, as an axis of sweeps and as a field of plans."""
+"""How boxes are placed (``placing``): as an option, as an axis of sweeps, and as a field of plans."""
 
 from __future__ import annotations
 
@@ -127,7 +127,8 @@ def test_a_run_goes_on_only_with_the_same_approaches(tmp_path: Path) -> None:
 
 
 def test_tines_tilt_a_box_by_half_of_the_threshold_at_most() -> None:
-    """How a box was let go must not be taken for a sign: 28 mm wide it would lie at 21°."""
+    """The tilt with which a box is released must not count as a sign of failure. A box 28 mm wide would be tilted by
+    21° on the tines."""
     sim = Simulation(placing="tines")
     path = approach_path_of(make_scene([((28.0, 300.0, 20.0), (0.0, 0.0, 0.0), 0.5)], sim), sim)
     assert path is not None

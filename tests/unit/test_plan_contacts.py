@@ -1,4 +1,5 @@
-"""What criteria are made of: contacts, their hulls, and how loads are shared."""
+"""The quantities from which criteria are computed: contacts between boxes, their convex hulls, and the shares in which
+supports bear a load."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ def three_posts() -> list[Box]:
 def test_lever_rule_of_two() -> None:
     contacts = find_contacts(make_plan(boxes=[beam(0, 100, 0, 200), beam(300, 400, 0, 200), beam(0, 400, 200, 300)]))
     shares = lever_rule(contacts)[contacts.upper == 2]
-    load = np.array([4.0, 4 * 125, 4 * 150])  # at 125, a quarter of the way from 50 to 350
+    load = np.array([4.0, 4 * 125, 4 * 150])  # the load acts at x = 125, a quarter of the distance from 50 to 350
     assert (shares @ load)[:, 0] == pytest.approx([3, 1])
 
 

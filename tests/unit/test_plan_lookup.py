@@ -1,4 +1,5 @@
-"""A run keeps its plans, to the last bit: its folder alone is enough, wherever they came from and it is now."""
+"""A run stores its plans, to the last bit. So the run's folder is enough to read the plans, wherever they came from and
+wherever the folder is now."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ FIELDS = [name for name in Plan.__slots__ if name != "source"]
 
 
 def plans() -> list[Plan]:
-    """With and without everything that a plan may say."""
+    """Plans with only the required fields, and plans with all optional fields."""
     tower = {"size_mm": [[400, 300, 200]] * 2, "corner_mm": [[0, 0, 0], [0, 0, 200]], "mass_kg": [6.1, 5 / 3]}
     odd = np.nextafter(np.array([[400.0, 300, 200]] * 2), 1e9)
     everything = {
@@ -68,7 +69,8 @@ def test_what_is_kept_is_what_was_given(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of objects, one of a file that is gone, and a sweep whose file is gone; all in another folder now."""
+    """Three runs in folders that were moved: a run of plan objects, a run whose plan file is gone, and a sweep whose
+    sweep file is gone."""
     made, now = tmp_path_factory.mktemp("made"), tmp_path_factory.mktemp("now")
     boxes = {"size_mm": [[400, 300, 200]] * 2, "mass_kg": [6.0, 5.0], "strength_n": [1.0, 1.0]}
     objects = [Plan.from_boxes(f"p{k}", corner_mm=[[0, 0, 0], [60.0 * k, 0, 200]], **boxes) for k in range(3)]
@@ -133,7 +135,7 @@ def test_resumed_runs_keep_them_once(tmp_path: Path) -> None:
 
 
 def test_the_folder_of_a_run_stands_for_its_plans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Also of plans that are in no file."""
+    """This also holds for plans that were never in a file."""
     folder, again, file = tmp_path / "R", tmp_path / "again", tmp_path / "plans.json"
     given = plans()[:3]
     names = [plan.plan_id for plan in given]

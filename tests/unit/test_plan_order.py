@@ -1,4 +1,5 @@
-"""Rows come in the order in which plans were given, one a plan; what was skipped is told apart."""
+"""The rows of results have the order in which the plans were given, with one row per plan. Skipped plans can be
+recognised."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ from petmjx.results.plan_order import WorldRanks
 from petmjx.results.run_writer import RunWriter
 
 PLANS = [make_plan(f"plan-{(7 * k) % 20:02}", stack(1 + (5 * k) % 4)) for k in range(20)]
-"""Neither sorted by id nor by size."""
+"""The plans are sorted neither by id nor by size."""
 IDS = [plan.plan_id for plan in PLANS]
 
 
@@ -28,7 +29,7 @@ def score(plans: Any, **options: Any) -> petmjx.RunResults:
 
 
 def is_in_order(results: petmjx.RunResults, ids: list[str] = IDS) -> None:
-    """In Python, and for readers that know nothing of petmjx."""
+    """Check the order of rows in Python, and in the files for readers that know nothing of petmjx."""
     assert results.worlds.plan_id.tolist() == ids
     assert results.boxes.drop_duplicates(["plan_id", "variant"]).plan_id.tolist() == ids
     for _, box in results.boxes.groupby(["plan_id", "variant"]).box:
@@ -41,7 +42,7 @@ def is_in_order(results: petmjx.RunResults, ids: list[str] = IDS) -> None:
 
 @pytest.fixture(params=[1_000, 3])
 def parts(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run in one part, and in many."""
+    """The tests run twice: with all worlds in one part (file), and with many parts."""
     defaults = RunWriter.__init__.__kwdefaults__
     assert defaults is not None
     monkeypatch.setitem(defaults, "worlds_per_part", request.param)
@@ -113,7 +114,7 @@ def test_a_plan_that_is_given_twice_has_two_rows() -> None:
 
 
 def test_ranks_of_a_score_are_the_numbers_of_its_plans(tmp_path: Path) -> None:
-    """In a shard, too: its rows have the ranks that they have in the whole run."""
+    """In a shard, too, a row has the rank that it has in the whole run."""
     score(PLANS, out=tmp_path / "run")
     assert sorted(pd.read_parquet(tmp_path / "run/worlds")["rank"]) == [*range(20)]
     shard = score(PLANS, out=tmp_path / "shard", shard="2/3")
@@ -123,7 +124,7 @@ def test_ranks_of_a_score_are_the_numbers_of_its_plans(tmp_path: Path) -> None:
 
 
 def test_ranks_of_a_search_have_gaps() -> None:
-    """Its plans have as many variants as their searches take."""
+    """Plans of a search have different numbers of variants, so the ranks have gaps."""
     ranks = WorldRanks(["b", "a"])
     worlds = [("b", 0), ("b", 7), ("a", 0), ("a", 3), ("unknown", 0)]
     numbers = [ranks.rank(*world) for world in worlds]

@@ -1,4 +1,4 @@
-"""What is odd about plans that can be used: overlaps, boxes outside, boxes that float."""
+"""Warnings about plans that can be simulated: overlapping boxes, boxes outside the carrier, floating boxes."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_overlaps_agree_with_a_plain_loop() -> None:
 def test_overlap_is_a_shared_length_beyond_the_tolerance(tolerance: float) -> None:
     rng = np.random.default_rng(58)
     low = rng.integers(0, 12, (40, 9)) / 4 + rng.choice([0.0, 1e-13, 0.1], (40, 9))
-    high = low + rng.choice([0.0, 0.25, 0.5, 0.1, 3.0], (40, 9))  # some no thicker than the tolerance
+    high = low + rng.choice([0.0, 0.25, 0.5, 0.1, 3.0], (40, 9))  # some boxes are no thicker than the tolerance
     np.testing.assert_array_equal(overlap(low, high, tolerance), shared_length(low, high) > tolerance)
 
 

@@ -1,4 +1,4 @@
-"""Reading plans: file formats, and speed."""
+"""Reading plans: file formats and speed."""
 
 from __future__ import annotations
 
@@ -126,7 +126,8 @@ print(json.dumps([len(found), n_boxes, len(found.skipped), wall_s, cpu_s, peak_b
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads its peak from Linux's /proc")
 def test_all_of_bed_bpp_is_read_quickly_in_little_memory(repository: Path) -> None:
-    """10,003 plans with 430,129 placements in about 100 MB, in a process of its own for an honest peak."""
+    """10,003 plans with 430,129 placements are read in a process of its own, so that the largest memory of this process
+    is that of reading; about 100 MB."""
     box = [
         json.dumps(
             placement((i % 2 * 600, i // 2 % 2 * 400, i // 4 * 220), (600, 399 - i, 220), sequence=i + 1, id="ID")
@@ -148,7 +149,8 @@ def test_all_of_bed_bpp_is_read_quickly_in_little_memory(repository: Path) -> No
         f"{n_plans} plans, {n_boxes} placements: {wall_s:.2f} s wall, {cpu_s:.2f} s CPU, peak {peak_bytes / 1e6:.0f} MB"
     )
     assert (n_plans, n_boxes, n_skipped) == (N_PLANS, N_PLANS * BOXES_PER_PLAN, 0)
-    # Reading is one thread: its CPU time is its wall time on an idle machine, and a busy one does not fail this.
+    # Reading uses one thread, so its CPU time equals its wall-clock time on an idle machine. CPU time is tested, so
+    # that the test does not fail on a busy machine.
     assert cpu_s < TIME_LIMIT_S
     assert peak_bytes < PEAK_LIMIT_BYTES
     Path("big.json").unlink()

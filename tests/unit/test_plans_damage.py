@@ -1,4 +1,5 @@
-"""Damaged files: whatever happens to the bytes, a file is read as JSON whole, or refused with the place."""
+"""Damaged plan files: whatever happens to the bytes, a file is either read completely as JSON, or refused with the
+place of the damage."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_reader import load_plans
 from petmjx.plans.plan_set import PlanSet
 
-pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # boxes at random places look like anything
+pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # boxes at random places cause all kinds of notes
 
 N_PLANS = 14
 
@@ -46,11 +47,12 @@ def sample_plans(seed: int) -> dict[str, list[dict[str, Any]]]:
 
 
 class Pairs(list[tuple[str, Any]]):
-    """A JSON object, whose ids may be repeated."""
+    """The pairs of a JSON object, in which ids may be repeated."""
 
 
 class Sample:
-    """A whole file, its plans as read from it, and each plan's bytes from the key's quote to the last bracket."""
+    """An undamaged file, the plans read from it, and the bytes of each plan, from the opening quote of its id to its
+    last bracket."""
 
     def __init__(self, seed: int, indent: int | None, folder: Path) -> None:
         plans = sample_plans(seed)
@@ -84,7 +86,8 @@ def same(a: Plan, b: Plan) -> bool:
 
 
 def check(sample: Sample, damaged: bytes) -> bool:
-    """Check one damaged copy against Python's decoder of whole texts; returns whether it is still JSON."""
+    """Compare the reading of a damaged copy with that of Python's JSON decoder. Returns whether the copy is still
+    JSON."""
     plan_set = sample.load(damaged)
     read = {plan.plan_id: plan for plan in plan_set}
     assert len(read) == len(plan_set)
@@ -162,7 +165,8 @@ def test_any_single_replacement_is_read_whole_or_refused(
 ) -> None:
     sample = samples[which]
     begin = int(at * len(sample.data))
-    assume(begin > 0 or not put.startswith(b"\x1f\x8b"))  # that makes it a gzip file, with nothing of the plans in it
+    # these two bytes would make the file a gzip file without any of the plans
+    assume(begin > 0 or not put.startswith(b"\x1f\x8b"))
     replaced = sample.data[:begin] + put + sample.data[begin + cut :]
     assume(foreign_kind(replaced) is None)
     check(sample, replaced)
@@ -182,7 +186,7 @@ STRUCTURE = st.lists(st.sampled_from(['"', "{", "}", "[", "]", ",", ":", "\\", "
 def test_structure_broken_at_a_plan_start_is_read_whole_or_refused(
     samples: list[Sample], which: int, plan: int, offset: int, cut: int, put: list[str]
 ) -> None:
-    """Brackets, quotes and commas lost or added where plans meet."""
+    """Brackets, quotes and commas are removed or added where one plan ends and the next begins."""
     sample = samples[which]
     begin = max(sample.data.index(list(sample.bytes_of.values())[plan]) + offset, 0)
     check(sample, sample.data[:begin] + "".join(put).encode() + sample.data[begin + cut :])
@@ -213,7 +217,8 @@ def test_a_damaged_spot_is_one_line_with_its_place(samples: list[Sample]) -> Non
 
 
 def test_of_a_refused_file_nothing_is_left(samples: list[Sample], tmp_path: Path) -> None:
-    """Its ids are free, its plans have no numbers, and its unread fields and bad plans are not told."""
+    """Its ids may be used by other files, its plans get no numbers, and no warning names its unknown fields or bad
+    plans."""
     text = json.dumps({"bad": [], "A": [placement(colour="red")], "B": [placement()]})
     (tmp_path / "a.json").write_text(text[:-1])
     (tmp_path / "b.json").write_text(json.dumps({"B": [placement()], "A": [placement()]}))

@@ -1,4 +1,4 @@
-"""Plans from data frames and plain values."""
+"""Plans made from data frames and plain values in Python."""
 
 from __future__ import annotations
 
@@ -90,7 +90,8 @@ def test_plans_from_boxes() -> None:
 
 
 def test_sizes_as_boxes_stand_are_not_turned_again() -> None:
-    """A plan's own arrays with its own orientation are the plan, in millimetres or not, and so is a pallet's."""
+    """The arrays of a plan, together with its ``orientation``, give the same plan again, in millimetres or in another
+    unit. The same holds for the plan of a pallet (``Pallets``)."""
     box = {"length_mm": 600, "width_mm": 200, "height_mm": 100, "weight_kg": 6, "x_mm": 0, "y_mm": 0}
     more = {"com_length_mm": [50, 0], "com_width_mm": [0, 10]}
     plan = Plan.from_boxes("A", [{**box, "z_mm": 0}, {**box, "z_mm": 100}], orientation=[1, 0], **more)

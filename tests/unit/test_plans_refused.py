@@ -1,4 +1,4 @@
-"""What is refused of plans: every kind of bad input gets one line and costs nothing else."""
+"""Plans that are refused: for each kind of bad input there is one line, and all other plans are read."""
 
 from __future__ import annotations
 
@@ -269,7 +269,8 @@ PATHS = [
 @settings(max_examples=400, deadline=None, derandomize=True)
 @given(path=st.sampled_from(PATHS), value=JSON_VALUES)
 def test_the_fast_and_the_exact_check_agree(path: list[Any], value: Any) -> None:
-    """A plan is refused exactly if a fault is found in one of its placements, and then for that fault."""
+    """The fast check refuses a plan exactly if the check of each field finds a fault in a placement, and the message
+    names this fault."""
     box: Any = placement()
     holder: Any = [box]
     for key in [0, *path][:-1]:

@@ -1,4 +1,4 @@
-"""A generator that a thread runs ahead."""
+"""Prefetch: a thread runs a generator ahead of its consumer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from petmjx.common.prefetch import prefetch
 
 
 class Numbers:
-    """0, 1, … and how far somebody has come with them."""
+    """A generator of 0, 1, …, with the number of values that it has made so far."""
 
     def __init__(self, count: int, error: Exception | None = None) -> None:
         self.count, self.error = count, error
@@ -41,7 +41,7 @@ def test_items_come_in_order_from_a_thread_that_is_ahead() -> None:
     ahead = prefetch(numbers.all(), most=3)
     assert numbers.made == 0
     head = [next(ahead)]
-    for _ in range(5):  # one was taken, three may wait, and one more is made
+    for _ in range(5):  # one value was taken, three may wait, and one more is made
         assert numbers.ahead.acquire(timeout=60)
     assert not numbers.ahead.acquire(timeout=0.05)
     assert [*head, *ahead] == [*range(20)]
@@ -59,7 +59,8 @@ def test_an_error_comes_after_what_came_before_it() -> None:
 
 
 def test_an_error_holds_nothing_of_the_generator() -> None:
-    """What has failed for want of memory must be free before it is tried again."""
+    """After an error, nothing keeps the generator's objects alive: if memory was short, it must be free before the next
+    attempt."""
 
     class Large:
         pass
@@ -82,7 +83,8 @@ def test_an_error_holds_nothing_of_the_generator() -> None:
 
 
 def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
-    """Else another run would take what the threads still work with. The second thread takes longer than the first."""
+    """If the wait ended at an interrupt, another run could use objects that the threads still use. The second thread
+    takes longer than the first."""
     closing, interrupted = threading.Event(), threading.Event()
     done: list[float] = []
 
@@ -117,7 +119,7 @@ def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
 
 @pytest.mark.parametrize("most", [1, 100])
 def test_to_close_it_closes_the_generator_and_ends_its_thread(most: int) -> None:
-    """Whether the thread waits for room or not."""
+    """This holds whether the thread waits for room or not."""
     numbers = Numbers(10**9)
     ahead = prefetch(numbers.all(), most=most)
     assert next(ahead) == 0

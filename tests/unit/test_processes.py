@@ -1,4 +1,5 @@
-"""Processes that do a share of the work end with the one that started them, and do not keep it from ending."""
+"""Processes that do a part of the work end together with the process that started them, and do not prevent it from
+ending."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ def test_none_is_left_when_their_parent_is_killed(number: int, tmp_path: Path) -
         assert parent.stdout is not None
         assert parent.stdout.readline() == b"9\n"
         parent.send_signal(number)
-        parent.communicate(timeout=120)  # it ends when nobody has standard output any more
+        parent.communicate(timeout=120)  # the process ends when no process has its standard output open any more
     assert parent.returncode == -number
 
 
@@ -82,7 +83,7 @@ def test_what_tasks_raise_is_raised() -> None:
 
 
 def told(number: int) -> tuple[str | None, int, int]:
-    """Which GPUs the process may use, how late it comes, and a square."""
+    """GPUs that the process may use, its niceness, and the square of a number."""
     return os.environ.get("CUDA_VISIBLE_DEVICES"), os.nice(0), number**2
 
 

@@ -1,4 +1,5 @@
-"""Profiles: windows to the step, exact integrals, the RMS a PSD asks for, and reproducible phases."""
+"""Profiles that shake the pallet: windows that are exact to the step, exact integrals, the RMS that a PSD prescribes,
+and reproducible phases."""
 
 from __future__ import annotations
 
@@ -25,10 +26,10 @@ from petmjx.world.random_streams import WorldKey
 
 DT = 0.002
 FIRST_DRAWS = [0.08556518956524295, 0.26279225484417856, 0.4202946722471652]
-"""WorldKey(7, "00100408", 3).rng("x").random(3)"""
+"""The values of WorldKey(7, "00100408", 3).rng("x").random(3)."""
 
 ROUNDING = 1e-12
-"""Sums of some thousand float64 terms of size 1."""
+"""Rounding error of sums of some thousand float64 terms of size 1."""
 
 PSD = ((1.0, 1e-4), (4.0, 1e-2), (16.0, 1e-2), (40.0, 1e-3), (200.0, 1e-5))
 
@@ -44,7 +45,7 @@ def defined(table: dict[str, object], folder: Path = Path()) -> Profile:
 def test_radial_is_ten_windows_of_fifteen_or_so_steps_with_the_table_s_vectors() -> None:
     rows = samples(RADIAL)
     acting = np.flatnonzero(rows.any(axis=1))
-    # int(0.33/dt) − int(0.3/dt) is 15 or 16 steps, as truncation falls; ten windows that do not touch.
+    # int(0.33/dt) − int(0.3/dt) is 15 or 16 steps, depending on truncation. The ten windows do not touch each other.
     starts = acting[np.flatnonzero(np.diff(acting, prepend=-10) > 1)]
     assert starts.tolist() == [int(t / DT) for t in (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 3.1, 3.4)]
     expected = [int((t + 0.03) / DT) - int(t / DT) for t in (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 3.1, 3.4)]
@@ -85,7 +86,8 @@ def test_demo_chain_is_seven_scaled_radials() -> None:
     assert not rows[: int(24.0 / DT) - 11000].any()
     assert rows[int(24.0 / DT) - 11000, 0] == math.sqrt(2)
     assert rows[int(39.0 / DT) - 11000, 0] == pytest.approx(2 * math.sqrt(2))
-    # At 10.1 s after the chain's begin the third and the fourth radial would push together; the reference pushes once.
+    # At 10.1 s after the beginning of the chain, its third and fourth radial would push together. In the reference
+    # implementation, only one of them pushes.
     at = int((22.0 + 10.1) / DT) - 11000 + 5
     assert rows[at].tolist() in ([1.2, 0.0, 1.2], [0.0, 1.3 * math.sqrt(2), 0.1 * 1.3])
 
@@ -94,7 +96,8 @@ def test_windows_that_replace_each_other_act_one_at_a_time() -> None:
     def push(start_s: float, x: float) -> Window:
         return Window(start_s, 0.02, (x, 0.0, 0.0))
 
-    # Together, then one that begins while another acts: its force ends with the first end after it.
+    # Two windows that act together, then a window that begins while another one acts: its force ends at the first end
+    # of a window after its beginning.
     windows = (push(0.01, 1.0), push(0.01, 2.0), push(0.1, 4.0), push(0.11, 8.0))
     added = samples(WindowProfile("add", windows, "test"))[:, 0]
     replaced = samples(WindowProfile("replace", windows, "test", replaces=True))[:, 0]
@@ -107,7 +110,8 @@ def test_windows_that_replace_each_other_act_one_at_a_time() -> None:
 
 def test_impulse_of_a_chain_is_the_sum_of_its_links() -> None:
     twice = chain("twice", [(RADIAL, 0.0, 1.0), (RADIAL, 1.0, 0.5), (JOLTS, 0.25, 2.0)], "test")
-    # Steps per window differ by at most one from offset to offset, so compare at a timestep that divides all times.
+    # The number of steps of a window differs by at most one between offsets. So the comparison uses a timestep that
+    # divides all times.
     dt = 0.01 / 64
     total = twice.excitation(dt).samples.sum(axis=0) * dt
     radial = RADIAL.excitation(dt).samples.sum(axis=0) * dt
@@ -145,7 +149,8 @@ def test_tilt_keeps_gravity_s_length_and_tells_its_angle() -> None:
     gravity = np.array([0.0, 0.0, -STANDARD_GRAVITY]) - samples(tilt)
     np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), STANDARD_GRAVITY, rtol=ROUNDING)
     angle = np.degrees(np.arctan2(-gravity[:, 0], -gravity[:, 2]))
-    # 10°/s for 3 s, 0.5 s of rest, and back within 1 s; the angle during a step is that at its end.
+    # The carrier tilts by 10°/s for 3 s, rests for 0.5 s, and returns within 1 s. The angle during a step is the angle
+    # at the end of the step.
     expected = {1: 0.02, 700: 14.0, 750: 15.0, 1500: 30.0, 1600: 30.0, 1750: 30.0, 2000: 15.0, len(angle): 0.0}
     for step, angle_deg in expected.items():
         assert angle[step - 1] == pytest.approx(angle_deg, abs=1e-9)
@@ -163,7 +168,7 @@ def test_half_sine_changes_velocity_by_two_over_pi(duration_ms: float) -> None:
 def test_psd_integral_has_its_closed_forms() -> None:
     flat = ((10.0, 0.02), (60.0, 0.02))
     assert psd_rms_g(flat) == pytest.approx(1.0)
-    reciprocal = ((1.0, 0.5), (100.0, 0.005))  # slope −1: the logarithm
+    reciprocal = ((1.0, 0.5), (100.0, 0.005))  # a slope of −1, for which the integral is a logarithm
     assert psd_integral(reciprocal, np.array([100.0]))[0] == pytest.approx(0.5 * math.log(100))
     grid = np.geomspace(1, 200, 200_001)
     density = np.exp(np.interp(np.log(grid), np.log([f for f, _ in PSD]), np.log([g for _, g in PSD])))
@@ -179,7 +184,7 @@ def test_random_vibration_has_the_psd_s_rms(duration_s: float) -> None:
     assert rms[0] == pytest.approx(psd_rms_g(PSD), rel=1e-9)
     assert rms[2] == pytest.approx(psd_rms_g(PSD), rel=1e-9)
     assert rms[1] == 0
-    # The spectrum is where the PSD is, not only its sum.
+    # Not only the integral of the spectrum is right: its power is at the frequencies of the PSD.
     power = 2 * np.abs(np.fft.rfft(rows[:, 0]) / len(rows)) ** 2
     frequency = np.fft.rfftfreq(len(rows), DT)
     plateau = (frequency > 4.5) & (frequency < 15.5)
@@ -199,7 +204,7 @@ def test_random_vibration_depends_on_seed_plan_replicate_and_name_alone() -> Non
 
 
 def test_random_numbers_are_the_same_on_every_machine() -> None:
-    # Written down once: whoever changes the key derivation changes every published sweep.
+    # These numbers are fixed: a change of the way in which keys give random numbers would change every published sweep.
     drawn = WorldKey(7, "00100408", 3).rng("x").random(3)
     np.testing.assert_array_equal(drawn, WorldKey(7, "00100408", 3).rng("x").random(3))
     assert drawn.tolist() == pytest.approx(FIRST_DRAWS, abs=1e-15)
@@ -291,7 +296,7 @@ def test_psd_tables_from_csv(tmp_path: Path) -> None:
 
 
 def test_tilt_turns_whatever_gravity_there_is(tmp_path: Path) -> None:
-    """A load slides at atan μ on the moon, too; an acceleration in m/s² is the same everywhere."""
+    """A load slides at atan μ on the moon, too. An acceleration in m/s² does not depend on gravity."""
     excitations: dict[tuple[str, float], np.ndarray] = {}
     for profile, gravity in ((name, g) for name in ("tilt", "eumos-40509") for g in (9.81, 1.62)):
         file = tmp_path / "sweep.toml"

@@ -1,4 +1,5 @@
-"""Errors of Python speak of arguments, those of the command line of options; and what misled in small things."""
+"""Errors in Python name arguments, and errors of the command line name options. The other tests are for messages and
+values that were misleading."""
 
 from __future__ import annotations
 
@@ -76,7 +77,7 @@ def test_lines_come_while_no_world_ends() -> None:
         name = "slow"
 
         def run(self, jobs: Any, sim: Any, progress: Any = None) -> Any:
-            while len(messages) < 4:  # the thread says how far it is
+            while len(messages) < 4:  # the progress thread reports how far the run is
                 time.sleep(0.01)
             yield from MujocoEngine(1).run(jobs, sim, progress)
 
@@ -122,7 +123,8 @@ def test_what_a_duration_means_is_said(options: dict[str, Any], said: str | None
 
 
 def test_no_film_is_a_number_of_turns(tmp_path: Path) -> None:
-    """As the reference of a sweep over turns; it is the same as without film, to the last bit."""
+    """0 turns are a reference in a sweep over numbers of turns. The results are the same as without film, to the last
+    bit."""
     sweep = '[axes]\nprofile = "eumos-40509"\ndirection = ["+x"]\nlevel = [0.6]\n'
     (tmp_path / "turns.toml").write_text(sweep + "wrap_turns = [0, 4]\n")
     (tmp_path / "none.toml").write_text(sweep)

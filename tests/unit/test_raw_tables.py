@@ -1,4 +1,4 @@
-"""Tables of other tools as they are: separators, encodings, decimal signs, headers below titles, units, workbooks."""
+"""Tables of other tools: separators, encodings, decimal signs, headers below titles, units, workbooks."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_masse_is_a_weight_and_masze_are_sizes() -> None:
         ("1'200.5", ".", 1200.5),
         ("Decimal('600.0')", ",", 600.0),
         ("12,5 cm", ",", 12.5),
-        ("1.200", ",", None),  # 1200 or 1.2
+        ("1.200", ",", None),  # either 1200 or 1.2
         ("1,200", "", None),
         ("4O0", ".", None),
         ("1_000", ".", None),

@@ -1,4 +1,4 @@
-"""What runs in a worker's process: it works without Ray, too."""
+"""The code that runs in a worker's process. It also works without Ray."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_processes_beside_a_worker_look_at_the_outcomes_of_large_chunks(monkeypa
 
 @pytest.fixture
 def gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A GPU, as far as a worker asks before it builds its engine."""
+    """A worker checks whether there is a GPU before it builds its engine. The check finds one."""
     monkeypatch.setattr(ray_actor, "why_no_warp_at_once", lambda: None)
 
 
@@ -116,7 +116,7 @@ def test_the_engine_of_a_gpu_is_built_while_jobs_are_made(monkeypatch: pytest.Mo
 def test_an_engine_that_cannot_be_built_on_a_gpu_is_told(
     thorough: bool, error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not as an error of the engine, for which others would stand in."""
+    """The error is not taken for an error of a running engine, which would lead to a simulation on another engine."""
 
     def fail(name: str) -> None:
         raise error

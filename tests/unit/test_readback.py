@@ -1,4 +1,5 @@
-"""Rows of tables on their way to the host: nothing of them changes, and each is where it is looked for."""
+"""Readback: rows of the device's tables are copied to the host without any change of their bits, and in the right
+order."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ SIM, ROWS, BOXES = Simulation(), 2 * READ_BACK_ROWS + 5, 3
 
 @pytest.fixture(scope="module")
 def tables() -> tuple[Worlds, State]:
-    """States of random bits, of which many are no number."""
+    """Worlds, and states with random bits, many of which are NaN."""
     worlds = upload_worlds([Job(make_scene(BOXES))] * ROWS, ROWS, BOXES, {}, SIM)
     state = fresh_state(worlds, all_placed=False, ends=jnp.full(ROWS, NEVER, jnp.int32), rest_steps=1)
     rng = np.random.default_rng(7)
@@ -47,7 +48,7 @@ def test_they_have_the_bits_of_the_table(count: int, tables: tuple[Worlds, State
         some = jnp.asarray(np.resize(rows[number * READ_BACK_ROWS :][:READ_BACK_ROWS], READ_BACK_ROWS))
         chosen = take_rows(table, some)
         jax.tree.map(assert_same_bits, state, chosen)
-        # what is made of no number is none, with any bits
+        # results that are computed from NaN are NaN, but their bits are not defined
         jax.tree.map(np.testing.assert_array_equal, measured, reduce_metrics(chosen, take_rows(worlds, some), SIM))
 
 

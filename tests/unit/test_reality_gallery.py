@@ -1,4 +1,5 @@
-"""The gallery of measurements: tosses that petmjx itself made are met, and what the data tell of noise and friction."""
+"""The comparison of petmjx with measurements: tosses that petmjx itself simulated are reproduced, and noise and
+friction are estimated correctly from the data."""
 
 from __future__ import annotations
 
@@ -17,11 +18,11 @@ from benchmarks.tosses import Path3, Start, Tosses, read_tosses
 RATE_HZ = 148.0
 N, SAMPLES = 8, 90
 SIGMA_M_S, SIGMA_RAD_S = 0.02, 0.1
-"""Noise of velocities of the tosses below."""
+"""Noise of the first velocities of the tosses below, m/s and rad/s."""
 
 
 def made(friction: float = 0.18) -> Tosses:
-    """Tosses as petmjx has them, whose first samples have noise in their velocities."""
+    """Tosses simulated by petmjx. The velocities of their first samples have noise."""
     rng = np.random.default_rng(3)
     counts = np.full(N, SAMPLES)
     pos = np.column_stack([rng.uniform(-0.1, 0.1, (N, 2)), rng.uniform(0.16, 0.2, N)])
@@ -75,7 +76,8 @@ def test_noise_of_velocities_is_found_from_the_flight(own: Tosses) -> None:
     velocity = own.velocity.copy()
     velocity[own.first] += rng.normal(0.0, np.repeat([SIGMA_M_S, SIGMA_RAD_S], 3), (N, 6))
     sigma = tosses.noise(Tosses(own.rate_hz, own.n_samples, own.pos, own.quat, velocity))
-    # 24 numbers each; and the parabola of petmjx's own steps differs from a parabola by g·dt/2, 10 mm/s
+    # There are only 24 numbers of each kind. Also, petmjx's steps follow another parabola than the exact one, which
+    # changes the velocity by g·dt/2, 10 mm/s.
     assert sigma.vel_m_s == pytest.approx(SIGMA_M_S, rel=0.5)
     assert sigma.angvel_rad_s == pytest.approx(SIGMA_RAD_S, rel=0.5)
     assert sigma.turn_rad < 0.005
@@ -107,7 +109,7 @@ def test_a_point_drawn_like_the_others_is_within_regions_as_often_as_they_say() 
 def test_faces_and_time_to_rest() -> None:
     turned = np.array([np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0])
     assert tosses.face_up(np.array([1.0, 0.0, 0.0, 0.0])) == 4
-    # turned about x by 90° the cube has its y axis up
+    # turned by 90° about x, the cube has its y axis up
     assert tosses.face_up(turned) == 2
     assert tosses.face_up(np.full(4, np.nan)) == -1
     pos = np.zeros((40, 3))
@@ -115,7 +117,7 @@ def test_faces_and_time_to_rest() -> None:
     movement = tosses.wholes([Path3(pos, np.tile([1.0, 0.0, 0.0, 0.0], (40, 1)))], 100.0)
     assert movement.way_mm[0] == pytest.approx(100.0)
     assert movement.turn_deg[0] == 0.0
-    assert movement.duration_s[0] == pytest.approx(0.18)  # then it is within 3 mm of its end
+    assert movement.duration_s[0] == pytest.approx(0.18)  # at this time, the cube is within 3 mm of its final place
 
 
 def test_a_toss_without_an_end_is_infinitely_far(own: Tosses) -> None:

@@ -22,19 +22,20 @@ SECTION = re.compile(r"^## (.+)$", flags=re.MULTILINE)
 
 @dataclass(frozen=True)
 class Copy:
-    """A copy of the repository in which recipes are followed."""
+    """A copy of the repository in which the recipes are followed."""
 
     folder: Path
     document: str
 
     def blocks(self, section: str, language: str) -> list[str]:
-        """The code blocks of a section."""
+        """The code blocks in a language of a section of docs/extending.md."""
         _, *parts = SECTION.split(self.document)
         sections = dict(zip(parts[::2], parts[1::2], strict=True))
         return [body for name, body in BLOCK.findall(sections[section]) if name == language]
 
     def change(self, diff: str) -> None:
-        """Apply a diff, in which lines without a mark say where; ``@@`` stands between places in a file."""
+        """Apply a diff of the page. Its lines without a mark show the place of the change; ``@@`` separates two places
+        in a file."""
         for change in re.split(r"^--- ", diff, flags=re.MULTILINE)[1:]:
             name, _, body = change.partition("\n")
             path = self.folder / name
@@ -73,7 +74,7 @@ def copy(tmp_path: Path, repository: Path) -> Copy:
     for name in COPIED:
         source, target = repository / name, tmp_path / name
         if source.is_dir():
-            # with bytecode, which is that of a source with its date and size
+            # bytecode is copied, too: it is valid for a source with the same date and size
             shutil.copytree(source, target, ignore=shutil.ignore_patterns("*.png", "*.gif"))
         else:
             shutil.copy(source, target)
@@ -135,12 +136,13 @@ sim = petmjx.Simulation(check='static', duration_s=0.2)
 (outcome,) = MjxWarpEngine(1, allow_cpu=True).run([Job(build_scene(plan, sim))], sim)
 print(np.isnan(outcome.boxes.max_rise_m).tolist())
 """
-"""What the kernels of mjx-warp do not know has no value."""
+"""A program that scores a plan with mjx-warp. Its kernels do not measure the metric of the recipe, so the column has no
+value."""
 
 
 def test_a_column(copy: Copy) -> None:
-    """The array programs are those of mjx-jax on a stepper whose boxes stay where they are; MJX takes half a minute to
-    compile."""
+    """Array programs are tested with the rules of mjx-jax on a stepper that moves no box, since compiling MJX takes
+    half a minute."""
     pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
     scored = f"{STACK}options = dict(check='static', duration_s=0.2, sample_interval_s=0.1)\n"
     scored += "run = petmjx.score(plan, engine={}, **options)\nprint(run.boxes.max_rise_m.abs().lt(0.001).tolist())"

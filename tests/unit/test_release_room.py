@@ -1,5 +1,5 @@
-"""Room for boxes that appear where places and sizes have errors: the least translations, by closed forms, and verdicts
-that contacts do not decide."""
+"""Room for boxes that appear at their places although places and sizes have errors. Boxes are moved by the smallest
+translations, which are compared with closed forms, and contacts do not decide verdicts."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from petmjx.world.release_places import CLEAR_M, make_room
 from petmjx.world.scene import Scene
 
 KNOWN_M = 5e-6
-"""What may be missing of a place: rows of boxes add what is left at each of their contacts."""
+"""Tolerance of a place, m: in a row of boxes, the remaining errors of all contacts add up."""
 GAP_M = 1e-4
-"""Between neighbours of the plan."""
+"""Gap between neighbours in the plan, m."""
 
 
 def row(size: list[float], place: list[float], planned: list[float], **options: Any) -> FloatArray:
-    """Places along x of boxes 1 m wide in y, in a row, from those drawn."""
+    """Final places along x of boxes in a row, from their drawn places. The boxes are 1 m wide in y."""
     n = len(size)
     half = np.column_stack([np.array(size) / 2, np.full((n, 2), 0.5)])
     planned_half = np.full((n, 3), 0.5)
@@ -49,13 +49,16 @@ def test_two_boxes_share_the_way_apart_and_one_that_stands_leaves_it_to_the_othe
     np.testing.assert_allclose(places, [-0.001, 1.0 + GAP_M + 0.001], atol=KNOWN_M)
     places = row([1.002, 1.002], planned, planned, movable=np.array([False, True]))
     np.testing.assert_allclose(places, [0.0, 1.002 + GAP_M], atol=KNOWN_M)
-    wide = [0.0, 1.003]  # in the plan 3 mm apart, drawn 1 mm into each other: then they are as far apart as boxes need
+    # in the plan, the boxes are 3 mm apart; with errors they overlap by 1 mm. They are then moved apart only by the
+    # usual gap
+    wide = [0.0, 1.003]
     places = row([1.002, 1.002], [0.001, 1.002], wide)
     np.testing.assert_allclose(places, [0.001 - (0.001 + CLEAR_M) / 2, 1.002 + (0.001 + CLEAR_M) / 2], atol=KNOWN_M)
 
 
 def test_a_row_of_wide_boxes_spreads_from_its_middle() -> None:
-    """By symmetry the middle box stays; each of the others then goes as far as all between it and the middle need."""
+    """By symmetry, the middle box keeps its place. Each other box moves by as much as all boxes between it and the
+    middle box need."""
     n, wider = 7, 0.002
     planned = [k * (1.0 + GAP_M) for k in range(n)]
     places = row([1.0 + wider] * n, planned, planned)
@@ -63,7 +66,8 @@ def test_a_row_of_wide_boxes_spreads_from_its_middle() -> None:
 
 
 def test_the_translations_are_the_least() -> None:
-    """In a row they are those of an isotonic regression: places less what the boxes before take may only rise."""
+    """In a row, the smallest translations are the solution of an isotonic regression: place minus the widths of all
+    boxes before it may only increase from box to box."""
     rng = np.random.default_rng(11)
     n = 9
     planned = np.arange(n) * (1.0 + GAP_M)
@@ -106,7 +110,7 @@ def test_turned_boxes_are_apart_and_no_world_depends_on_another() -> None:
 
 
 def separation(one: FloatArray, other: FloatArray, yaws: tuple[float, float]) -> float:
-    """How far two turned rectangles are apart, by projecting their corners on all four axes, m."""
+    """Distance between two turned rectangles, m, from the projections of their corners on all four axes."""
     gaps = []
     for yaw in yaws:
         for axis in (np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])):
@@ -119,8 +123,8 @@ ERRORS = "seed = 7\n[axes]\nplacement_error_x_mm = 3\nsize_tolerance_mm = 1"
 
 
 def ledge(n: int, margin: float) -> petmjx.Plan:
-    """Boxes of 300 mm side by side on a narrower base of two, past whose ends the outer ones' middles are not by this
-    margin, mm."""
+    """A plan of boxes of 300 mm side by side on a narrower base of two boxes. The centres of the outer boxes are inside
+    the ends of the base by this margin, mm."""
     base = (n - 1) * 300.0 + 2 * margin
     x = (n * 300.0 - base) / 2
     return petmjx.Plan.from_boxes(
@@ -132,7 +136,8 @@ def ledge(n: int, margin: float) -> petmjx.Plan:
 
 
 def overhang_m(scene: Scene) -> float:
-    """How far the middle of one of the upper boxes is past the base's end, m; negative: all stand."""
+    """Largest distance of the centre of an upper box beyond the end of the base, m. If it is negative, all boxes
+    stand."""
     x, half = scene.start_pos[:, 0], scene.half_size[:, 0]
     return float(max((x[0] - half[0]) - x[2:].min(), x[2:].max() - (x[1] + half[1])))
 
@@ -146,13 +151,15 @@ def ledges(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[petmjx.Plan],
 def test_whether_boxes_that_appear_stand_follows_from_statics_in_any_contacts(
     ledges: tuple[list[petmjx.Plan], Any],
 ) -> None:
-    """Boxes that pushed each other apart would have gone over the ends, some at one timestep and some at another."""
+    """If contacts pushed the boxes apart, some would tip over the ends of the base, and which boxes tip would depend on
+    the timestep."""
     plans, errors = ledges
     sweep = confidence_sweep(8, errors, {"placing": "exact"})
     every = SweepPlan(sweep, plans)
     scenes = {(group.plan.plan_id, group.index): scene for group, scene in every.scenes(every.groups())}
     stands = {key: overhang_m(scene) < 0 for key, scene in scenes.items()}
-    sure = [key for key, scene in scenes.items() if abs(overhang_m(scene)) > 5e-4]  # softness and gaps
+    # a smaller distance may be changed by soft contacts and gaps
+    sure = [key for key, scene in scenes.items() if abs(overhang_m(scene)) > 5e-4]
     assert len(sure) >= 12
     assert 0 < sum(stands[key] for key in sure) < len(sure)
     for physics in ({}, {"timestep_s": 0.004}, {"solref": (0.04, 1.25)}):

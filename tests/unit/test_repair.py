@@ -1,4 +1,5 @@
-"""Repairs: for each cause of a fall the smallest change, which is needed, allowed, and makes the plan stand."""
+"""Repairs: for each cause of a fall, petmjx finds the smallest change. The change is needed and allowed, and the
+changed plan stands."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ from petmjx.repairs.states import Candidate, State, batch_of, key_of
 from petmjx.repairs.trials import Answer, Asked, OutOfTime, Question, Steps, Together, Trial, TrialStream
 
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
-"""Repairs without worlds with errors, which take most of the time."""
+"""Options for repairs without worlds with errors, whose simulation takes the most time."""
 
 COUNTERWEIGHT: Sequence[Box] = (
     ((200, 300, 300), (0, 0, 0), 10),
@@ -40,17 +41,19 @@ COUNTERWEIGHT: Sequence[Box] = (
     ((150, 300, 200), (210, 0, 400), 6),
     ((200, 300, 300), (0, 0, 400), 12),
 )
-"""A beam that the box on its free end tips, before the box comes that holds its other end down."""
+"""A beam with a box on its free end. This box tips the beam before the box comes that holds the other end of the beam
+down."""
 
 LATE_SUPPORT: Sequence[Box] = (
     ((200, 300, 200), (0, 0, 0), 5),
     ((600, 300, 100), (0, 0, 200), 5),
     ((200, 300, 200), (400, 0, 0), 5),
 )
-"""A board on two boxes, the second of which comes after it."""
+"""A board on two boxes. The second of these boxes is placed only after the board."""
 
 TOWER: Sequence[Box] = tuple(((200.0, 200.0, 150.0), (70.0 * k, 0.0, 150.0 * k), 4.0) for k in range(4))
-"""A stair: each box alone is in balance on the one below, all together tip over the lowest one's edge."""
+"""A stair of boxes: each box alone is in balance on the box below, but all together tip over the edge of the lowest
+box."""
 
 
 def repaired(boxes: Sequence[Box], **options: Any) -> Repaired:
@@ -63,7 +66,7 @@ def verdict(plan: Plan) -> str:
 
 
 def check(result: Repaired) -> None:
-    """The plan stands, is allowed, and falls without any one of the changes."""
+    """Check that the repaired plan stands, is allowed, and falls without any one of its changes."""
     assert result.stands
     assert verdict(result.plan) == "stable"
     rules = Rules(result.before, Simulation(), 2000.0, 0)
@@ -94,7 +97,7 @@ def test_a_support_comes_before_the_box_on_it() -> None:
 
 
 def test_an_overhang_is_moved_inside() -> None:
-    """Half of 400 mm may hang over; 230 mm do, and so at least 30 mm are missing."""
+    """Half of the box's 400 mm may hang over, but 230 mm do. So the box must be moved by at least 30 mm."""
     result = repaired(stack(2, 230.0), forbid=("order", "place"))
     (change,) = result.changes
     assert isinstance(change, Move)
@@ -112,7 +115,8 @@ def test_a_stair_stands_after_one_change() -> None:
 
 
 def test_an_unsupported_corner_gets_a_box_under_it() -> None:
-    """The lid lies on two columns at the left. A third column, as high, stands beside them: it can go under the lid."""
+    """The lid lies on two columns at its left side. A third column of the same height stands beside them: it can be put
+    under the lid."""
     boxes: Sequence[Box] = (
         ((150, 150, 200), (0, 0, 0), 4),
         ((150, 150, 200), (0, 350, 0), 4),
@@ -176,8 +180,8 @@ def test_shares_with_errors_are_those_of_a_score() -> None:
 
 
 def test_the_least_film_that_holds_is_used() -> None:
-    """A carton of 300 mm slides on the carrier beyond μ·g = 0.5 g. Film that holds it needs so many turns, and no
-    fewer."""
+    """A carton of 300 mm slides on the carrier beyond μ·g = 0.5 g. The number of turns of film in the repair is the
+    smallest number that holds the carton."""
     plan = make_plan(boxes=[((300, 300, 100), (0, 0, 0), 20)])
     options = {**FAST, "profile": "eumos-40509", "level": 0.8, "forbid": [k for k in Kind if k is not Kind.FILM]}
     (result,) = petmjx.repair(plan, **options).each
@@ -187,7 +191,7 @@ def test_the_least_film_that_holds_is_used() -> None:
         assert again.trial_before.stands == stands
 
 
-# ---------------------------------------------------------------------- drafts and rules
+# ---------------------------------------------------------------------- drafts (plans with changes) and rules
 
 
 def test_a_draft_without_changes_is_the_plan() -> None:
@@ -198,7 +202,7 @@ def test_a_draft_without_changes_is_the_plan() -> None:
 
 
 def test_a_turned_box_keeps_its_contents() -> None:
-    """The item's centre of mass stays where it is in the item, whichever way the box lies."""
+    """The centre of mass stays at the same place within the item, whichever way the box is turned."""
     plan = Plan.from_boxes(
         "p", size_mm=[[400, 200, 100]] * 2, corner_mm=[[0, 0, 0], [0, 300, 0]], mass_kg=[5, 5], orientation=[0, 1],
         com_length_mm=[50, 30], com_width_mm=[20, -10],
@@ -286,13 +290,14 @@ def test_exchanged_boxes_have_each_others_place_and_time() -> None:
 def test_statics_names_the_box_that_is_too_much() -> None:
     (balance,) = balances([Draft.of(make_plan(boxes=COUNTERWEIGHT))], Simulation())
     assert (balance.box.tolist(), balance.step.tolist(), balance.cause.tolist()) == ([1], [2], [2])
-    # 2 kg at 180 mm and 6 kg at 285 mm on a box that ends at 200 mm (boxes are 0.1 mm smaller)
+    # 2 kg at x = 180 mm and 6 kg at 285 mm, on a box that ends at 200 mm (boxes are 0.1 mm smaller than planned)
     assert balance.depth_mm[0] == pytest.approx((2 * 180 + 6 * 285) / 8 - 200, abs=0.2)
     assert balance.last_mm[0] > 0
 
 
 def test_a_search_asks_for_the_same_worlds_again() -> None:
-    """What is simulated depends on the plan and the options alone, not on which drafts are simulated first."""
+    """Two searches simulate the same worlds, since the worlds depend only on the plan and the options, not on which
+    worlds are simulated first."""
     plan, requests = make_plan(boxes=TOWER), []
     for _ in range(2):
         question = Question({"engine": "mujoco", "threads": 1 + len(requests)}, RepairOptions(worlds=0))
@@ -310,8 +315,8 @@ def test_a_search_asks_for_the_same_worlds_again() -> None:
 
 
 def test_a_draft_is_judged_as_it_is_scored() -> None:
-    """A judged world ends when a box tilts: whether it stands is as in the whole simulation, and so is the first box,
-    but for the counterweight, whose support tilts by 5° first."""
+    """A judged world ends when a box tilts by 5°. Its verdict is that of the whole simulation, and so is the first box.
+    An exception is the counterweight: its support tilts by 5° before the first box fails."""
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (COUNTERWEIGHT, TOWER, LATE_SUPPORT, stack(2))]
     judged = question.trials([Asked(draft, True) for draft in drafts])
@@ -430,7 +435,8 @@ def test_parts_of_a_search_wait_only_for_their_own_trials() -> None:
 
 
 def test_only_changes_that_are_needed_are_left() -> None:
-    """Of sixteen moves two are needed: groups are undone before single ones, with fewer trials than one by one."""
+    """Two of sixteen moves are needed. The search undoes groups of changes before single changes, so it needs fewer
+    trials than if it undid the changes one by one."""
     plan = make_plan(boxes=[((100, 100, 100), (150 * k, 0, 0), 1) for k in range(16)])
     search = Search(plan, Simulation(), RepairOptions(worlds=0))
     changes = tuple(Move(k, 20.0, 0.0) for k in reversed(range(16)))
@@ -454,7 +460,8 @@ def test_only_changes_that_are_needed_are_left() -> None:
 
 
 def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_first() -> None:
-    """The upper box of a stack can be moved to the edge of balance, or well inside, where it stands with errors."""
+    """The upper box of a stack can be moved to the edge of balance, or well inside, where it also stands with
+    errors."""
     plan = make_plan(boxes=stack(2, 230.0))
     search = Search(plan, Simulation(), RepairOptions(worlds=4))
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=4))
@@ -506,8 +513,9 @@ def test_worlds_in_which_different_boxes_fall_come_first() -> None:
 
 
 def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
-    """One fault is mended. The other stack stands as planned, half a millimetre from its edge, and falls with many
-    errors: its box is moved inside, too, but only if that is wanted, and if both changes are needed."""
+    """The repair mends one fault. A second stack stands as planned, but with its load only half a millimetre inside the
+    edge, so it falls with many errors. The box of this stack is moved inside, too, but only if a share with errors is
+    required, and only if both changes are needed."""
     plan = make_plan(boxes=(*stack(2, 230.0), *stack(2, 199.5, at_mm=(0.0, 500.0))))
     moves = Move(1, -60.0, 0.0), Move(0, 0.0, 40.0, (1,))
     draft = applied(Draft.of(plan), moves)
@@ -588,7 +596,8 @@ def test_statics_of_a_draft_does_not_depend_on_the_drafts_beside_it() -> None:
 
 
 TWO_FAULTS: Sequence[Box] = (*stack(3, 230.0), *stack(2, 230.0, at_mm=(0.0, 600.0)))
-"""Two stacks, each with a box that has more than half beyond the one below; on the first one's lies a third."""
+"""Two stacks, each with a box that has more than half of its length beyond the box below. In the first stack, a third
+box lies on this box."""
 
 
 def test_faults_are_counted_by_taking_off_what_falls() -> None:
@@ -639,8 +648,8 @@ def test_each_way_to_change_a_box_is_judged_before_other_amounts() -> None:
 
 
 def test_a_plan_with_faults_all_over_is_built_anew() -> None:
-    """Of a stair the third box is too much. It is put elsewhere, and the one on it, if need be; what stands under
-    it is not touched, and in the best way no load is beyond an edge."""
+    """The third box of a stair goes beyond the edge. It is put elsewhere, if necessary together with the box on it. The
+    boxes below keep their places, and in the best result no load is beyond an edge."""
     draft = Draft.of(make_plan(boxes=TOWER))
     rules, sim = Rules(draft.plan, Simulation(), 2000.0, built=2), Simulation()
     (balance,) = balances([draft], sim)
@@ -656,7 +665,8 @@ def test_a_plan_with_faults_all_over_is_built_anew() -> None:
 
 
 def test_searches_in_several_processes_end_as_in_one() -> None:
-    """Plans are given to two processes. That a plan stands once its last box is moved, is said here."""
+    """Two processes search for repairs of these plans. In place of a simulation, the test says that a plan stands once
+    its last box is moved."""
     plans = [
         make_plan(f"{k}", boxes=[((300, 300, 100 + k), (0, 0, 0), 1), ((90, 90, 90), (0, 0, 100 + k), 1)])
         for k in range(8)
@@ -689,7 +699,8 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
 
 
 def test_judging_ends_when_the_time_is_up() -> None:
-    """A batch on a GPU may have thousands of drafts. The engine can be used again."""
+    """A batch on a GPU may have thousands of drafts, so judging must end within the batch. The engine can be used again
+    afterwards."""
     drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (TOWER, stack(2))]
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     try:
@@ -710,7 +721,7 @@ def test_a_search_whose_seconds_are_spent_says_so() -> None:
 
 
 def test_a_load_that_nothing_bears_has_no_weakness() -> None:
-    """One box inside another: the upper one's corner lies in the lower one, and nothing bears its load."""
+    """One box overlaps another: the corner of the upper box lies inside the lower box, so no body bears its load."""
     boxes: Sequence[Box] = (((600, 400, 250), (0, 0, 0), 12), ((600, 400, 250), (100, 0, 100), 12))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -719,7 +730,7 @@ def test_a_load_that_nothing_bears_has_no_weakness() -> None:
 
 
 def test_notes_are_those_of_a_score() -> None:
-    """A box of 600 mm from x = 220 mm reaches through the wall of a roll container of 710 mm."""
+    """A box of 600 mm that begins at x = 220 mm reaches through the wall of a roll container of 710 mm."""
     plan = make_plan(boxes=(((600, 400, 250), (220, 0, 0), 12),))
     how = {"engine": "mujoco", "threads": 1, "carrier": "rollcontainer-4"}
     (note,) = petmjx.repair(plan, worlds=0, **how).notes
@@ -752,7 +763,7 @@ def test_unusable_options_are_refused(options: dict[str, Any], message: str) -> 
         petmjx.repair(make_plan(boxes=stack(2, 300.0)), **{"engine": "mujoco", "threads": 1, **options})
 
 
-# ---------------------------------------------------------------------- the command and its page
+# ---------------------------------------------------------------------- the command and its HTML page
 
 
 def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -783,7 +794,8 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The interrupt comes after some answers of the engine, or (None) while shares with errors are simulated."""
+    """The interrupt comes after this number of answers of the engine, or, if it is None, while the shares with errors
+    are simulated."""
     source, out = tmp_path / "plans.json", tmp_path / "repaired.json"
     petmjx.save_plans([make_plan("stands", stack(2)), make_plan("falls", COUNTERWEIGHT)], source)
     answers, n_answers = TrialStream.answers, 0

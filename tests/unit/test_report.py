@@ -1,4 +1,4 @@
-"""The report about runs: its numbers are those of the tables, and no text of a plan becomes markup."""
+"""The report about runs: its numbers are those of the tables, and text from plans never becomes markup."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from petmjx.show.report.sweep_answers import correlation_ratio, largest_survived
 from petmjx.show.report.verdict_shares import verdict_table
 
 NASTY = "<img src=x onerror=alert(1)>\"'&</script><!-- 🧀 é"
-"""An id that is markup, if somebody forgets to escape it."""
+"""A plan id that becomes markup if it is not escaped."""
 
 
 class Balance(HTMLParser):
-    """Whether every element that is opened is closed, in order."""
+    """Checks that every HTML element that is opened is closed, in the right order."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -57,7 +57,7 @@ class Balance(HTMLParser):
 
 
 def checked(html: str) -> str:
-    """A page's markup without its scripts, once it has proved well-formed."""
+    """The markup of a page without its scripts, after a check that it is well-formed."""
     balance = Balance()
     balance.feed(html)
     assert balance.open == []
@@ -73,7 +73,7 @@ def page_of(*folders: Path, **options: Any) -> str:
 
 
 def words_of(html: str) -> str:
-    """The text of markup, without its layout."""
+    """The text of an HTML page, without its tags."""
     return " ".join(re.sub(r"<[^>]*>", " ", html).split())
 
 
@@ -298,7 +298,8 @@ def test_largest_levels_are_below_every_failure() -> None:
 def test_explained_variance_is_that_of_one_way_analysis() -> None:
     values = pd.Series([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
     assert correlation_ratio(values, pd.Series(list("aabbba"))) == pytest.approx(1.0)
-    assert correlation_ratio(values, pd.Series(list("ababab"))) == pytest.approx(1 / 9)  # means 2/3 and 1/3 about 1/2
+    # the means 2/3 and 1/3 differ from the total mean 1/2
+    assert correlation_ratio(values, pd.Series(list("ababab"))) == pytest.approx(1 / 9)
     assert math.isnan(correlation_ratio(pd.Series([1.0, 1.0]), pd.Series(["a", "b"])))
 
 
@@ -306,7 +307,7 @@ SHORT = '[simulation]\ncheck = "static"\nduration_s = 0.1\nrest_s = 0.05\n'
 
 
 def swept(folder: Path, rest: str) -> tuple[pd.DataFrame, Path]:
-    """The worlds of a short sweep of two plans of two boxes each, and its folder."""
+    """Worlds of a short sweep of two plans, and the folder of the sweep's run."""
     import petmjx
 
     write_plans(folder / "two.json", ["a", "b"], n_boxes=4)
@@ -404,7 +405,8 @@ def test_a_page_to_send_is_about_each_plan_of_a_chain(tmp_path: Path) -> None:
     assert sentence(row).startswith("Arrives in 0 of 2 worlds: P = 0.0 % (0.0 % to 65.8 %, 95 %). Weakest leg: truck")
     facts = "\n".join(_facts(run, plans[0]))
     mass_kg, height_m = plans[0].mass_kg[0], plans[0].size_mm[0, 2] / 1000
-    # four sides, each pressed by 2·T, T = 50 N · 8 · height / 0.5 m; film sticks with 0.3 of it
+    # film presses on each of the four sides with 2·T, where T = 50 N · 8 · height / 0.5 m; it sticks with 0.3 times
+    # this force
     held_n = 0.3 * 4 * 2 * 50 * 8 * height_m / 0.5
     assert "Film of 50 N a turn across 500 mm: 8 turns from film on." in facts
     slides_g = 0.5 + held_n / (mass_kg * 9.81)

@@ -1,4 +1,5 @@
-"""The page of a report in headless Chromium: the table, its filters, the address, a plan in 3D; without any request."""
+"""The page of a report in headless Chromium: the table, its filters, the address, and a plan in 3D. The page makes no
+request."""
 
 from __future__ import annotations
 
@@ -32,14 +33,14 @@ def html(run: Path) -> str:
 
 
 def opened_report(open_page: OpenPage, html: str, **options: Any) -> Opened:
-    """The page, once its table is there."""
+    """The opened page, as soon as its table is complete."""
     opened = open_page(html, **options)
     opened.until(READY)
     return opened
 
 
 def shown(opened: Opened) -> list[str]:
-    """Plans of the table's rows that are in the page, from the first."""
+    """Plan ids of the table's rows that the page contains at present, from the first row on."""
     return [str(text) for text in opened.page.locator("table.rows tbody th").all_inner_texts()]
 
 
@@ -141,7 +142,7 @@ def test_a_click_on_a_box_names_it(open_page: OpenPage, html: str) -> None:
     opened = opened_report(open_page, html, fragment="plan=plan-0")
     opened.until("document.querySelectorAll('.card3d canvas').length === 1")
     opened.settled()
-    opened.page.locator(".card3d canvas").click()  # in its middle
+    opened.page.locator(".card3d canvas").click()  # a click in the middle of the picture
     assert opened.page.locator(".card3d [role=status]").inner_text().startswith("Box ")
     assert opened.page.locator("table.boxes tr[aria-current]").count() == 1
 
@@ -214,7 +215,8 @@ def test_it_fits_a_phone(open_page: OpenPage, html: str, dark: bool) -> None:
     opened.until("document.querySelectorAll('.card3d canvas').length === 1")
     assert opened.page.evaluate("document.documentElement.scrollWidth") <= 400
     opened.page.locator("table.rows tbody tr[data-at='1']").click()
-    opened.until("Math.abs(document.querySelector('#plan').getBoundingClientRect().top) < 40")  # seen, and not below
+    # the plan is visible: it is near the top of the window, not below it
+    opened.until("Math.abs(document.querySelector('#plan').getBoundingClientRect().top) < 40")
     background = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (background == "rgb(255, 255, 255)") is not dark
 

@@ -1,4 +1,4 @@
-"""When the next box is placed: what is quiet, what creeps, and that the engines agree on it."""
+"""When the next box is placed: which pallets are quiet, which boxes creep, and that the engines agree."""
 
 from __future__ import annotations
 
@@ -31,14 +31,16 @@ AT_HOME = np.concatenate([SCENE.start_pos, SCENE.start_quat], axis=1)
 QUIET = Simulation().quiet
 ADAPTIVE = Simulation()
 ANY_PACE = Simulation(quiet={"slow_m_s": 1.0, "still_m_s": 1.0})
-"""What is quiet is at rest: nothing creeps."""
+"""With these options no box creeps: every quiet box is slow and still."""
 ONE_LOOK = Simulation(quiet={"poll_steps": 25})
 RARE_LOOKS = Simulation(quiet={"poll_steps": 40})
-"""One look is enough: a pallet in which a box creeps is not quiet at the look that finds it."""
+"""One look (check for quiet) is enough with these options, since looks are rare. A pallet in which a box creeps is not
+quiet at the look that finds the box."""
 
 
 def velocities(pace: np.ndarray) -> np.ndarray:
-    """(box, 6): every second box slides, the others turn, at a pace given in units of the speed of quiet boxes."""
+    """(box, 6) velocities. Every second box slides, the other boxes turn. ``pace`` is the speed of each box in units of
+    ``quiet_m_s``."""
     rows = np.zeros((len(pace), 6))
     rows[::2, 1] = pace[::2] * QUIET.quiet_m_s
     rows[1::2, 4] = pace[1::2] * QUIET.quiet_m_s / np.linalg.norm(SCENE.half_size[0])
@@ -46,19 +48,19 @@ def velocities(pace: np.ndarray) -> np.ndarray:
 
 
 def quiet_on_c(paces: np.ndarray, sim: Simulation, failed: bool) -> list[bool]:
-    """Whether the C engine calls the pallet quiet at each poll. ``paces``: (poll, box)."""
+    """Whether the rule of the engine ``mujoco`` finds the pallet quiet, for each look. ``paces``: (look, box)."""
     rule = QuietRule(sim, SCENE)
     return [rule.look(AT_HOME, velocities(pace), failed) for pace in paces]
 
 
 @functools.cache
 def _count_quiet(sim: Simulation) -> Any:
-    """Compiled once for all paces."""
+    """The rule of the MJX engines as a compiled function, which is used for all paces."""
     return jax.jit(Rules(sim, build_timetable(sim, BOXES), BOXES, driven=False).count_quiet)
 
 
 def quiet_on_mjx(paces: np.ndarray, sim: Simulation, failed: bool) -> list[bool]:
-    """The same of the rules that the MJX engines share."""
+    """Whether the rule that the MJX engines share finds the pallet quiet, for each look."""
     worlds = upload_worlds([Job(SCENE)], 1, BOXES, {}, sim)
     state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER), rest_steps=1)
     tilt = jnp.where(failed, 1.1 * sim.thresholds.tilt_deg, 0.0)
@@ -81,7 +83,7 @@ def test_the_engines_agree_on_what_is_quiet(sim: Simulation, failed: bool) -> No
     rng = np.random.default_rng(5)
     seen = set()
     for _ in range(12):
-        # Paces that wander through all that matters: above the limit, slowing, steady, at rest.
+        # Random speeds that pass through all cases of the rules: above the limit, slowing down, steady, at rest.
         steps = rng.normal(-0.12, 0.3, (40, BOXES)) * (rng.random((40, BOXES)) < 0.5)
         paces = 3.0 * np.exp(np.cumsum(steps, axis=0)) * rng.uniform(0.2, 1.0, BOXES)
         on_c = quiet_on_c(paces, sim, failed)
@@ -102,15 +104,15 @@ ONE_CREEPS = np.where(np.arange(BOXES) == 1, 0.3, FADING)
 @pytest.mark.parametrize(
     ("paces", "sim", "failed", "first_quiet"),
     [
-        # Three polls of five steps make the 15 that all must be slow.
+        # Three looks, 5 steps apart, make up the 15 steps for which all boxes must be slow.
         (AT_REST, ADAPTIVE, False, 2),
         (STEADY, ANY_PACE, False, 2),
         (STEADY, ADAPTIVE, False, None),
         (STEADY, ADAPTIVE, True, 2),
-        # slower than what is slow, but not slowing: a box that begins to topple
+        # the box is slow, but its speed grows: it begins to topple
         (FASTER, ADAPTIVE, False, None),
         (FASTER, ADAPTIVE, True, 2),
-        # exp(−0.4) = 0.67 over two polls is slower than 0.7
+        # over two looks the speed falls to exp(−0.4) = 0.67 of its first value, which is below the share of 0.7
         (FADING, ADAPTIVE, False, 2),
         (ONE_CREEPS, ADAPTIVE, False, None),
         (ONE_CREEPS, ANY_PACE, False, 2),
@@ -140,7 +142,8 @@ def test_a_placement_begins_the_count_anew() -> None:
 
 
 def test_a_box_that_begins_to_topple_is_waited_for() -> None:
-    """Its centre is 1 mm beyond the edge that it stands on: for half a second it is slower than the limit."""
+    """The centre of the upper box is 1 mm beyond the edge of its support. So for half a second, the box is slower than
+    the limit for quiet."""
     boxes: tuple[Box, ...] = (((400, 400, 400), (0, 0, 0), 20.0), ((400, 400, 400), (201, 0, 400), 5.0))
     outcomes = {}
     hasty = Simulation(quiet={"quiet_m_s": 1.0, "slow_m_s": 1.0, "still_m_s": 1.0})
@@ -153,8 +156,8 @@ def test_a_box_that_begins_to_topple_is_waited_for() -> None:
 
 @pytest.mark.parametrize("phase_s", np.linspace(-0.12, 0.12, 9))
 def test_a_box_that_turns_round_does_not_rest(phase_s: float) -> None:
-    """A box that rocks by 5 mm in 5 s is slower than ``still_m_s`` for a moment where it turns round, and has not moved
-    in a window around it."""
+    """A box rocks by 5 mm with a period of 5 s. At its turning point it is slower than ``still_m_s`` for a moment, and
+    its mean speed in a window around this moment is also small."""
     rule = QuietRule(ADAPTIVE, make_scene(1))
     rate, amplitude_m = 2 * math.pi / 5.0, 0.005
     window_s = QUIET.still_steps * ADAPTIVE.physics.timestep_s
@@ -167,6 +170,6 @@ def test_a_box_that_turns_round_does_not_rest(phase_s: float) -> None:
     before, after = pose(phase_s - window_s), pose(phase_s)
     assert rule.motion(before, after, velocity, window_s) == (True, True)
     assert rule.motion(after, after, np.zeros((1, 6)), window_s) == (False, False)
-    # preset reference, whose boxes creep by themselves, asks for their way alone
+    # with the preset reference, whose boxes always creep a little, only the distance that a box moves is tested
     creeps = QuietRule(Simulation(physics="reference"), make_scene(1))
     assert creeps.motion(after, after, np.full((1, 6), 1.0), window_s) == (False, False)

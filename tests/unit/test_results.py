@@ -1,4 +1,4 @@
-"""Results on disk: what is written is read back, whole or not at all."""
+"""Results on disk: they are read back as they were written, and each file is complete or absent."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SPEC_BOXES = (
 def write_run(
     folder: Path, ids: tuple[str, ...] = ("a", "b"), end: BaseException | None = None, **options: Any
 ) -> None:
-    """Write a run with a standing world for each id; ``end`` is raised after the last."""
+    """Write a run with a stable world for each id. If ``end`` is given, it is raised after the last world."""
     with RunWriter(folder, {}, **options) as run:
         for plan_id in ids:
             run.add(make_plan(plan_id), 0, "fixed", make_outcome())
@@ -92,7 +92,7 @@ def test_round_trip(tmp_path: Path) -> None:
     assert pd.isna(stands["culprit"])
     assert pd.isna(stands["first_sign_s"])
     assert pd.isna(stands["first_drop_s"])
-    assert stands["max_shift_m"] == 0.006  # the largest component of box 2: -2 · 3 mm
+    assert stands["max_shift_m"] == 0.006  # the largest component of the shift of box 2 is -2 · 3 mm
     assert (stands["max_tilt_deg"], stands["max_lin_acc"], stands["max_ang_acc"]) == (3.0, 30.0, 60.0)
     assert (stands["max_top_force_n"], stands["rest_top_force_n"]) == (300.0, 150.0)
     assert (stands["sim_time_s"], stands["n_steps"], stands["n_dropped"]) == (1.5, 750, 0)
@@ -302,5 +302,6 @@ def test_writing_is_never_what_a_run_waits_for(tmp_path: Path) -> None:
         for number in range(4_000):
             run.add(plan, number, "fixed", outcome)
     worlds_per_s = 4_000 / (time.process_time() - start)
-    # about 10,000 on an idle core; the margin is for a busy machine. An H100 finishes a few hundred.
+    # An idle core writes about 10,000 worlds/s; the limit allows for a busy machine. An H100 finishes a few hundred
+    # worlds/s.
     assert worlds_per_s > 2_000

@@ -1,4 +1,5 @@
-"""Runs that go on after anything, and runs that are shared out: the tables are those of one uninterrupted run."""
+"""Runs that are resumed after any interruption, and runs that are divided into shards: their tables equal those of one
+uninterrupted run."""
 
 from __future__ import annotations
 
@@ -50,7 +51,7 @@ KINDS = {"grid": GRID, "search": SEARCH, "sample": SAMPLE.replace('"eumos-40509"
 
 
 class Counting(MujocoEngine):
-    """Counts its jobs, and is interrupted after some of them."""
+    """An engine that counts its jobs, and is interrupted after some of them."""
 
     def __init__(self, interrupt_after: int | None = None) -> None:
         super().__init__(threads=2)
@@ -68,12 +69,13 @@ class Counting(MujocoEngine):
 
 @pytest.fixture
 def without_physics(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of what happens to outcomes. ``test_what_is_there_is_not_simulated_again`` has physics."""
+    """Replace the simulation of a world, for tests of what happens to outcomes.
+    ``test_what_is_there_is_not_simulated_again`` simulates worlds."""
     monkeypatch.setattr(WorldRun, "run", end_without_physics)
 
 
 def simulate(kind: str, folder: Path, **options: Any) -> petmjx.RunResults:
-    """A score, or a sweep of that kind, of a few small plans."""
+    """A score of a few small plans, or a sweep of this kind."""
     options = {"engine": Counting(), "out": folder, **options}
     if kind == "score":
         return petmjx.score(options.pop("plans", PLANS[:8]), **options)
@@ -104,7 +106,7 @@ def test_what_is_there_is_not_simulated_again(kind: str, after: int, tmp_path: P
 
 
 def test_runs_that_are_killed_many_times_go_on(tmp_path: Path) -> None:
-    """In a process of their own, since it forks."""
+    """The runs are killed in a process of their own, since killing uses fork."""
     script = Path(__file__).parents[1] / "support" / "kills.py"
     kills = {"score": 16, "grid": 8, "search": 8}
     command = [sys.executable, str(script), str(tmp_path), *(str(word) for pair in kills.items() for word in pair)]
@@ -156,7 +158,8 @@ def test_leftovers_of_a_part_are_taken_away(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         simulate("score", tmp_path, engine=Counting(3))
     for table, schema in schemas().items():
-        if table in ("boxes", "attempts"):  # whole, since parts appear whole, but not listed
+        # these files are complete, since parts appear completely or not at all; but run.json does not list them
+        if table in ("boxes", "attempts"):
             write_table(schema.empty_table(), tmp_path / table / "part-00007.parquet")
     simulate("score", tmp_path, resume=True)
     listed = load_run(tmp_path).info["parts"]["boxes"]
@@ -269,7 +272,7 @@ def test_the_digest_of_ten_thousand_plans_is_quick() -> None:
     start = time.process_time()
     manifest = Manifest({}, records_of(plans))
     assert manifest.identity["plans"]["count"] == 10_003
-    assert time.process_time() - start < 2.0  # 0.3 s on an idle core; the margin is for a busy machine
+    assert time.process_time() - start < 2.0  # 0.3 s on an idle core; the limit allows for a busy machine
     assert Manifest({}, records_of(plans[::-1])).identity == manifest.identity
     heavier = replace(plans[5], mass_kg=plans[5].mass_kg + 1e-9)
     other = Manifest({}, records_of([*plans[:5], heavier, *plans[6:]]))
@@ -327,7 +330,7 @@ def test_merged_shards_tell_the_input_apart_as_the_run_without_shards_does(tmp_p
     merged = petmjx.merge_runs(folders, tmp_path / "merged").info
     assert full_info["counts"]["odd_plans"] == 1
     of_shards = [load_run(folder).info["counts"]["odd_plans"] for folder in folders]
-    assert sorted(of_shards) == [0, 1]  # each counts its own
+    assert sorted(of_shards) == [0, 1]  # each shard counts its own plans
     assert {name: merged[name] for name in ("counts", "skipped", "warnings")} == {
         name: full_info[name] for name in ("counts", "skipped", "warnings")
     }

@@ -1,4 +1,4 @@
-"""Parts of a run appear whole or not at all, whatever stops it."""
+"""Parts (files) of a run's tables appear completely or not at all, whatever ends the run."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from petmjx.results.world_rows import ROW_BYTES, Part
 
 
 def worlds_on_disk(folder: Path) -> int:
-    """As run.json has them."""
+    """Number of worlds on disk, by run.json."""
     n_worlds: int = json.loads((folder / "run.json").read_text())["counts"]["worlds"]
     return n_worlds
 
 
 class Holding:
-    """Holds up the writing of tables for as long as it is told to."""
+    """Delays the writing of tables until ``let_go`` is set."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.let_go = threading.Event()
@@ -50,7 +50,7 @@ class Holding:
 
 
 def full_once(monkeypatch: pytest.MonkeyPatch, after_s: float = 0.0) -> Iterator[int]:
-    """Let the first table that is written meet a full disk; counts the tables."""
+    """The first table that is written fails because the disk is full. Returns a counter of written tables."""
     real, calls = run_folder.pq.write_table, itertools.count()
 
     def write_table(*args: Any, **options: Any) -> None:
@@ -94,7 +94,8 @@ def test_worlds_are_gathered_while_a_part_is_written(tmp_path: Path, monkeypatch
 
 
 def test_every_part_is_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Worlds end in another order than that of the plans. Each part is in order, and ranks sort all of them."""
+    """Worlds end in another order than that of the plans. The rows of each part are sorted, and ranks sort the rows of
+    all parts."""
     written: list[str] = []
     write = run_table_files.write_table
 
@@ -124,7 +125,7 @@ def test_every_part_is_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_what_waits_is_written_in_time_though_the_engine_is_silent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Time counts from the first waiting world on, whatever comes after it."""
+    """The time to the next part is counted from the first waiting world on, whatever is added after it."""
     with RunWriter(tmp_path, {}, seconds_per_part=0.5) as run:
         begin = time.monotonic()
         add_worlds(run, 0)
@@ -141,7 +142,7 @@ def test_what_waits_is_written_in_time_though_the_engine_is_silent(
 
 
 def test_adding_waits_while_too_many_worlds_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """So memory is bounded, however slow the disk is."""
+    """Because of this wait, memory is bounded, however slow the disk is."""
     monkeypatch.setattr(run_writer, "MOST_WAITING_BYTES", 4 * ROW_BYTES)
     holding = Holding(monkeypatch)
     added: list[int] = []
@@ -170,7 +171,7 @@ def test_the_thread_ends_with_the_run(tmp_path: Path) -> None:
     with pytest.raises(InputError), RunWriter(tmp_path / "run", {}):
         pass
     assert "petmjx-writer" not in {thread.name for thread in threading.enumerate()}
-    write_run(tmp_path / "run", overwrite=True)  # the folder is free
+    write_run(tmp_path / "run", overwrite=True)  # the folder is not locked any more
 
 
 def test_run_json_says_finished_when_all_worlds_are_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -195,7 +196,7 @@ def test_ctrl_c_keeps_whole_parts_and_says_how_many(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_while_the_rest_is_written_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first one while the run waits for the writer, further ones while the run ends."""
+    """The first interrupt comes while the run waits for the writer, further interrupts while the run ends."""
     holding = Holding(monkeypatch)
     timers = [threading.Timer(delay_s, signal.raise_signal, [signal.SIGINT]) for delay_s in (0.3, 0.5, 0.6)]
     timers.append(threading.Timer(0.8, holding.let_go.set))
@@ -241,7 +242,7 @@ def test_ctrl_c_while_a_run_begins_leaves_the_folder_free(tmp_path: Path, monkey
 
 
 def test_a_run_whose_end_was_interrupted_ends_with_the_process(tmp_path: Path) -> None:
-    """Nobody waits for an answer of a thread that has ended."""
+    """The process does not wait for an answer of a thread that has ended."""
     run = RunWriter(tmp_path, {}).__enter__()
     add_worlds(run, 0, 1)
     run._end_at_exit()
@@ -257,7 +258,7 @@ def write_and_flush(folder: Path) -> None:
 
 
 def assert_has_whole(folder: Path, worlds: int) -> None:
-    """An interrupted run has so many worlds, each once."""
+    """Check that an interrupted run has this number of worlds, each world once."""
     results = load_run(folder)
     numbers = [str(number) for number in range(worlds)]
     assert results.worlds.plan_id.tolist() == numbers
@@ -315,7 +316,7 @@ def test_a_disk_that_was_full_for_a_while_is_tried_again(tmp_path: Path, monkeyp
 
 
 def test_a_run_file_that_could_not_be_written_is_written_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The part is on disk, and no world follows."""
+    """The part is on disk, but run.json could not be written. It is written later, although no further world ends."""
     failures = [OSError(28, "No space left on device")] * 2
 
     def failing(entries: dict[str, Any], folder: Path) -> None:
@@ -331,7 +332,7 @@ def test_a_run_file_that_could_not_be_written_is_written_later(tmp_path: Path, m
 
 
 def test_rows_that_cannot_be_packed_keep_no_others_from_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are tried again, and the run that ends without them says so."""
+    """The writer tries these rows again. If the run ends without them, run.json reports this."""
     tables = Part.tables
 
     def packed(part: Part, schemas: Any) -> Any:
@@ -349,7 +350,7 @@ def test_rows_that_cannot_be_packed_keep_no_others_from_disk(tmp_path: Path, mon
 
 
 def test_a_run_ends_once(tmp_path: Path) -> None:
-    """Another run may have its folder by then."""
+    """The end of a run is written only once, because another run may use the folder afterwards."""
     with RunWriter(tmp_path, {}) as run:
         run.add(make_plan("mine"), 0, "fixed", make_outcome())
     write_run(tmp_path, ids=("theirs",), overwrite=True)
@@ -361,7 +362,7 @@ def test_a_run_ends_once(tmp_path: Path) -> None:
 
 
 def test_a_part_that_failed_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Readers that know nothing of run.json read all files of a table."""
+    """Readers that do not know run.json read all files of a table, so no file of a failed part may remain."""
 
     def no_room(*_: Any) -> None:
         raise MemoryError("no room")
@@ -402,7 +403,7 @@ def test_a_crash_between_the_renames_of_a_part_leaves_readable_results(tmp_path:
     assert sorted(set(results.boxes.plan_id)) == ["0", "1"]
     assert results.info["status"] == "running"
     assert results.info["counts"]["worlds"] == 2
-    # leftovers do not disturb a reader that knows nothing of petmjx, and overwriting takes them away
+    # files that are left over do not disturb a reader that does not know petmjx, and --overwrite removes them
     assert len(pd.read_parquet(out / "worlds")) == 2
     write_run(out, overwrite=True)
     assert part_files(out) == ["boxes/part-00000.parquet", "run.json", "worlds/part-00000.parquet"]
@@ -438,7 +439,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_full_disk_ends_the_run_when_too_many_worlds_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are written in the end, if there is room again."""
+    """If there is room again at the end, the waiting worlds are written."""
     monkeypatch.setattr(run_writer, "MOST_WAITING_BYTES", 4 * ROW_BYTES)
     calls = full_once(monkeypatch)
     with pytest.raises(PetmjxError, match="cannot write results: No space left"):

@@ -1,9 +1,9 @@
-"""Folders that petmjx wrote before rows had ranks: they are read, resumed and merged as they were.
+"""Run folders of earlier versions, whose rows have no ranks, are read, resumed and merged.
 
 ``tests/support/old_runs.zip`` was written at commit 6a85e320 by the engine of ``support.fake_engine``, in parts of two
-worlds: ``whole``; ``cut``, which was interrupted after three worlds; the shards ``one`` and ``two``; ``recorded``, by
-``mujoco``; and ``large-cut``, a sweep interrupted after eleven worlds, with its parts numbered as in runs of more than
-50,000 worlds.
+worlds. It has these runs: ``whole``, complete; ``cut``, interrupted after three worlds; the shards ``one`` and ``two``;
+``recorded``, made with ``mujoco``; and ``large-cut``, a sweep that was interrupted after eleven worlds and whose parts
+are numbered as in runs of more than 50,000 worlds.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from petmjx.results.history_tables import read_history
 from petmjx.results.run_reader import rows_of
 
 PLANS = [make_plan(f"plan-{(3 * k) % 5}", stack(1 + (2 * k) % 3)) for k in range(5)]
-"""The plans of these runs, in an order that is neither that of their ids nor that of their sizes."""
+"""The plans of these runs, sorted neither by id nor by size."""
 
 IDS = [plan.plan_id for plan in PLANS]
 ERRORS = "replicates = 4\n[axes]\nplacement_error_mm = 3\n"
@@ -38,14 +38,14 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def old_runs(unpacked: Path, tmp_path: Path) -> Path:
-    """A copy that a test may change."""
+    """A copy of the old runs that a test may change."""
     with zipfile.ZipFile(ARCHIVE) as archive:
         archive.extractall(tmp_path)
     return tmp_path
 
 
 def assert_same_tables(results: petmjx.RunResults, expected: petmjx.RunResults) -> None:
-    """Equal to the last bit."""
+    """Check that all tables are equal to the last bit."""
     for table in ("worlds", "boxes", "attempts", "summary"):
         frame, expected_frame = getattr(results, table), getattr(expected, table)
         assert (frame is None) == (expected_frame is None)
@@ -55,7 +55,8 @@ def assert_same_tables(results: petmjx.RunResults, expected: petmjx.RunResults) 
 
 
 def assert_ranked(results: petmjx.RunResults, ranks: range) -> None:
-    """All rows have ranks, in the files, and these sort them as the results are sorted."""
+    """Check that all rows in the files have ranks, and that the ranks sort the rows in the same order as that of the
+    results."""
     for table, frame in (("worlds", results.worlds), ("boxes", results.boxes)):
         rows = pd.read_parquet(results.path / table).sort_values("rank", kind="stable")
         assert rows.plan_id.tolist() == frame.plan_id.tolist()

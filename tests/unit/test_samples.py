@@ -1,4 +1,4 @@
-"""Generated, packed, hand-made and bundled plans: statistics, geometry, determinism, bad orders."""
+"""Generated, packed, hand-made and bundled plans: statistics, geometry, reproducibility, bad orders."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ N = 100
 SEED = 7
 
 STATISTICS_TOLERANCE_BOXES = 4.2
-"""Three standard errors of a mean of 100 draws with a spread of 14."""
+"""Three standard errors of the mean number of boxes of 100 drawn orders, whose standard deviation is 14."""
 
 Plan = list[dict[str, Any]]
 
@@ -42,7 +42,7 @@ def strict_plans() -> dict[str, Plan]:
 
 
 def geometry(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 3) low and high corners in mm, orientation applied."""
+    """(n, 3) lowest and highest corners of the boxes as placed, mm."""
     low = np.array([placement["flb_coordinates"] for placement in plan], dtype=float)
     size = []
     for placement in plan:
@@ -53,8 +53,8 @@ def geometry(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
 
 
 def support_shares(plan: Plan) -> list[float]:
-    """Share of each box's base that rests on the carrier or on boxes placed before it. Written box by box, unlike
-    the packer."""
+    """Share of each box's base that rests on the carrier or on boxes placed before it. Computed box by box, in another
+    way than by the packer."""
     low, high = geometry(plan)
     shares = []
     for k in range(len(plan)):
@@ -124,7 +124,7 @@ def test_cartons_have_sizes_weights_and_densities_of_groceries() -> None:
     assert weights.max() <= 20
     assert np.ptp(weights) > 10
     density = weights / volumes
-    assert density.min() > 59  # the range is 60 to 900 before the weight is rounded to grams
+    assert density.min() > 59  # the range is 60 to 900 kg/m³ before the weight is rounded to grams
     assert density.max() < 901
     assert np.corrcoef(np.log(volumes), np.log(weights))[0, 1] > 0.6
 
@@ -159,7 +159,7 @@ def test_loose_plans_use_the_freedom_they_have_and_no_more() -> None:
 
 
 def test_no_box_is_put_below_one_that_stands(plans: dict[str, Plan]) -> None:
-    """Every placement can be reached from above: what covers a box comes after it."""
+    """A robot can reach every place from above: a box that covers another box is placed after it."""
     for plan in list(plans.values())[:40]:
         low, high = geometry(plan)
         shared = np.minimum(high[:, None, :2], high[None, :, :2]) - np.maximum(low[:, None, :2], low[None, :, :2])
@@ -316,7 +316,7 @@ def test_repeated_order_ids_are_told(tmp_path: Path) -> None:
 
 
 def test_boxes_that_find_no_place_are_named(tmp_path: Path) -> None:
-    """Items are told by their numbers in the order, and an order of which nothing fits makes no plan."""
+    """Items are named by their numbers in the order. An order of which no item fits gives no plan."""
     orders = {"fits": order(), "some": order(4, **{"height/mm": 2500}), "none": order(2, **{"length/mm": 1300})}
     orders["none"]["item_sequence"]["1"]["length/mm"] = 1300
     left_out: list[LeftOutItems] = []
@@ -344,7 +344,8 @@ def test_real_orders_are_packed(real_data: Path) -> None:
     assert {plan_id: ordered[plan_id] - len(plan) for plan_id, plan in packed.items() if plan_id in missing} == missing
     assert sum(missing.values()) == sum(ordered.values()) - sum(map(len, packed.values())) > 0
     for plan_id, plan in packed.items():
-        assert len(plan) >= 0.6 * ordered[plan_id]  # the three roll containers hold more than fits below 2 m
+        # the three orders for roll containers have more boxes than fit below 2 m
+        assert len(plan) >= 0.6 * ordered[plan_id]
         assert n_overlapping_pairs(plan) == 0
         assert min(support_shares(plan)) >= PackRules().min_support - 1e-9
 
@@ -369,7 +370,7 @@ def test_handmade_geometry_is_what_the_reasons_say() -> None:
     ("plan_id", "overhang"), [("hand-harmonic-stack", 0.45), ("hand-overhang-45", 0.45), ("hand-overhang-55", 0.55)]
 )
 def test_common_centres_of_leaning_stacks(plan_id: str, overhang: float) -> None:
-    """Above each box, the common centre of the boxes on it lies ``overhang`` lengths from that box's centre."""
+    """For each box, the common centre of all boxes above it is ``overhang`` lengths away from the box's centre."""
     (plan,) = [plan for plan in HANDMADE if plan.plan_id == plan_id]
     low, high = geometry(list(plan.placements))
     centre = (low + high)[:, 0] / 2

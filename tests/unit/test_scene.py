@@ -1,4 +1,4 @@
-"""Scenes of many plans that are made together are those that are made one by one, to the last bit."""
+"""Scenes that are made together for many plans equal scenes that are made one by one, to the last bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Tables of worlds that are alike are filled in together, to the last bit as one by one."""
+"""Tables of similar worlds that are filled in together equal tables that are filled in world by world, to the last
+bit."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ SHARE = Distribution(DistributionShape.NORMAL, 0.0, 0.05)
 
 
 def with_errors(sim: Simulation, count: int, n_boxes: int = 24) -> list[Scene]:
-    """Worlds of one plan with errors of everything."""
+    """Worlds of one plan with random errors of places, turns, sizes, masses, friction and drop heights."""
     change = PlacementChange(
         x_mm=ERROR, y_mm=ERROR, yaw_deg=ERROR, size_mm=ERROR, mass_rel=SHARE, friction_rel=SHARE, drop_height_mm=ERROR
     )

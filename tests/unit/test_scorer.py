@@ -1,4 +1,5 @@
-"""A warm engine for small calls: what a score says, from several threads, and nothing on a disk."""
+"""``petmjx.Scorer``, a warm engine for small calls: it gives the results of a score, also to several threads, and
+writes nothing to disk."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ def test_it_says_what_a_score_says_and_writes_nothing(monkeypatch: pytest.Monkey
         raise AssertionError("a file is opened")
 
     scorer = petmjx.Scorer(engine="mujoco", threads=2, carrier="epal-1")
-    scorer.score(PLANS[2])  # what is read once
+    scorer.score(PLANS[2])  # the first call also loads data that later calls reuse
     for name in ("open", "mkdir", "rename"):
         monkeypatch.setattr(os, name, none)
     results = scorer.score(PLANS)

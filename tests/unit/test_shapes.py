@@ -1,4 +1,5 @@
-"""Shapes: annotations hold at every call, records are as annotated, and axes have the names that are listed."""
+"""Shapes of arrays: annotations are checked at every call, records have the annotated shapes, and all names of axes are
+listed."""
 
 from __future__ import annotations
 
@@ -78,7 +79,8 @@ def test_results_are_checked_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def axis_sizes(record: Any) -> dict[str, int]:
-    """Sizes of a record's axes, after a check of its fields, and those of records in it, against their annotations."""
+    """Check all fields of a record, and of the records in it, against their annotations. Returns name of an axis →
+    size."""
     sizes: dict[str, int] = {}
 
     def visit(part: Any) -> None:
@@ -97,7 +99,7 @@ def axis_sizes(record: Any) -> dict[str, int]:
 
 
 def of_boxes(rows: int, boxes: int) -> dict[str, int]:
-    """Sizes of the axes of ``Worlds`` whose carriers have one shape."""
+    """Sizes of the axes of ``Worlds`` if each carrier has one shape."""
     of_bodies = {"body": boxes + 1, "body_end": boxes + 2, "shape": boxes + 1}
     return {"world": rows, "box": boxes, **of_bodies, "surface": MOST_SURFACES}
 
@@ -151,14 +153,15 @@ def test_states_are_cut_along_their_boxes_and_nothing_else(table: State) -> None
     for leaf, same in zip(jax.tree.leaves(table), jax.tree.leaves(narrow(table, WIDTH)), strict=True):
         np.testing.assert_array_equal(leaf, same)
     assert axis_sizes(take_rows(table, jnp.array([3, 99]))) == {"world": 2, "box": WIDTH}
-    # A record's box axis is its second in every field that has one.
+    # The box axis is the second axis of every field that has a box axis.
     for kind in (Metrics, State):
         has_boxes = {name for name, hint in get_type_hints(kind).items() if "box" in getattr(hint, "dim_str", "")}
         assert set(per_box(kind)) == has_boxes
 
 
 def test_states_can_be_put_into_tables_for_other_numbers_of_boxes(table: State) -> None:
-    """Boxes that a state has no columns for stay as they are in the table; those without columns there are lost."""
+    """If the state has fewer boxes than the table, the other boxes of the table stay unchanged. If it has more, the
+    additional boxes are dropped."""
     rows = jnp.array([5, 0, ROWS])
     anew = take_rows(jax.tree.map(lambda values: values + 1, table), jnp.arange(3))
     resized = put_resized(table, rows, narrow(anew, 2))
@@ -176,7 +179,7 @@ def test_states_can_be_put_into_tables_for_other_numbers_of_boxes(table: State) 
 
 
 def annotated_axes(path: Path) -> set[str]:
-    """Names of the axes in a module's jaxtyping annotations."""
+    """Names of the axes in the jaxtyping annotations of a module."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         match node:

@@ -1,4 +1,5 @@
-"""Intervals against published values, bisection against a known answer, EUMOS's limits at their edges."""
+"""Shares and searches: intervals compared with published values, bisections compared with known answers, and EUMOS's
+limits at their edges."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from petmjx.runs.transport_limits import eumos_assessment
 
 
 def moved(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> BoxMetrics:
-    """Boxes that came to rest in these places."""
+    """Metrics of boxes that came to rest at these places."""
     n = len(pos)
     return make_boxes(n, pos=pos, max_sway_m=np.array(max_sway_m), dropped=np.array([dropped] * n))
 
@@ -32,7 +33,8 @@ SLID = Probe.of(outcome(Verdict.UNSTABLE, Reason.SHIFT, culprit=0))
 
 
 def search_with(search: Bisection, survives: Callable[[int, float], bool], backwards: bool = False) -> int:
-    """Answer a search's tests, by item and level, to the end; how often the item that took longest had tests."""
+    """Run the tests of all items of a search until it ends. Returns the largest number of rounds of tests that an item
+    needed."""
     rounds = [0]
     for item in range(len(search.items)):
         rounds.append(0)
@@ -93,7 +95,7 @@ def test_share_standing_counts_by_plan_and_axis_and_leaves_invalid_worlds_out() 
 
 
 def shares_by_key(worlds: pd.DataFrame, axes: list[str]) -> pd.DataFrame:
-    """Rows by scope, plan id ("" for all), axis and value."""
+    """Shares of standing worlds, with the index scope, plan id ("" for all plans), axis and value."""
     return share_standing(worlds, axes).fillna({"plan_id": ""}).set_index([*KEYS])
 
 
@@ -183,7 +185,7 @@ def test_bisection_with_a_lower_bound_above_zero_tests_that_bound() -> None:
 
 def test_a_survivor_above_a_failure_is_told_and_not_believed() -> None:
     search = Bisection(np.arange(11) / 10, [STANDS], sections=4)
-    # Jams between 0.55 and 0.9: survives 0.6 and 0.8 although 0.4 fails.
+    # The pallet jams between 0.55 and 0.9: it survives 0.6 and 0.8 although it fails at 0.4.
     search_with(search, lambda _, level: level < 0.35 or 0.55 < level < 0.9)
     assert (search.largest_survived(0), search.first_failed(0)) == (0.3, 0.4)
     assert not search.items[0].monotone
@@ -248,7 +250,7 @@ SETTLED = np.array([[0.2, 0.15, 0.25], [0.2, 0.15, 0.75]])
 
 
 def assess(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> dict[str, Any]:
-    """EUMOS's columns, by their last words, of boxes that came to rest in these places."""
+    """EUMOS's columns, without the prefix ``eumos_``, of boxes that came to rest at these places."""
     assessment = eumos_assessment(moved(pos, max_sway_m, dropped), SETTLED, HALF)
     return {name.removeprefix("eumos_"): value for name, value in assessment.items()}
 

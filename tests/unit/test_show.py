@@ -1,4 +1,5 @@
-"""What is shown: tables fit the terminal, numbers stay whole, and nothing from a file reaches it raw."""
+"""Output in a terminal: tables fit its width, numbers are never cut, and control characters from files are not
+printed."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ CHINESE = "纸箱托盘计划" * 8
 
 
 def lines_of(renderables: RenderableType | Sequence[RenderableType], width: int = 200) -> list[str]:
-    """What is printed on a terminal of so many columns, without spaces at the end of lines."""
+    """The lines that are printed on a terminal of this width, in columns, without spaces at their ends."""
     file = io.StringIO()
     several = [*renderables] if isinstance(renderables, list) else [renderables]
     print_renderables(several, Console(file=file, width=width))
@@ -42,7 +43,7 @@ def lines_of(renderables: RenderableType | Sequence[RenderableType], width: int 
 
 
 def words_of(renderables: RenderableType | Sequence[RenderableType], width: int = 200) -> list[str]:
-    """The same with one space between words and no table lines."""
+    """The printed lines, with single spaces between words, and without the lines of tables."""
     return [" ".join(line.replace("│", " ").split()) for line in lines_of(renderables, width)]
 
 
@@ -192,7 +193,7 @@ def test_a_long_id_ruins_no_table(width: int, tmp_path: Path) -> None:
 def test_the_report_of_a_run(tmp_path: Path) -> None:
     path = written(tmp_path / ("folder-" * 20), {"a": make_outcome()})
     lines = lines_of(list(run_tables(load_run(path))), 80)
-    assert f"results in {path}" in lines  # whole, though it is longer than a line
+    assert f"results in {path}" in lines  # the path is printed whole, although it is longer than a line
 
 
 def test_notes_are_counted() -> None:
@@ -245,8 +246,8 @@ def levels(n_plans: int) -> pd.DataFrame:
 
 
 def test_a_grid_has_the_table_of_a_laboratory() -> None:
-    """A level has its largest deformations; levels that no laboratory steps to, and rows without levels, are left
-    out."""
+    """The table has one row per level of a laboratory's test, with the largest deformations at this level. Other
+    levels, and rows without a level, are left out."""
     row = {"scope": "plan", "plan_id": "a", "axis": "level_g", "n_worlds": 4, "n_standing": 4, "n_invalid": 0}
     row |= {"share": 1.0, "n_draws": 0, "low": np.nan, "high": np.nan, "n_eumos": 4, "eumos_share": 0.5}
     row |= {"eumos_elastic_share": 0.031, "eumos_permanent_share": 0.012, "eumos_foot_permanent_m": 0.034}
@@ -275,7 +276,7 @@ def test_tables_of_sweeps_fit(width: int) -> None:
         for line in lines_of(list(sweep_tables(summary)), width):
             assert cell_len(line) <= width
     lines = words_of(list(sweep_tables(shares(3))), 80)
-    # a wide table has no room for how many stand: the share and what it is of stay
+    # a wide table has no room for the number of standing worlds; the share and the number of worlds remain
     assert "all 120,000 50.0 % 40.0 % to 100.0 % 120,000 25.0 % -" in lines
     lines = words_of(list(sweep_tables(levels(3))), 120)
     assert "largest level, g survived, where placements stand at rest" in lines
@@ -286,7 +287,7 @@ def test_tables_of_sweeps_fit(width: int) -> None:
         "~ boxes still moved there when the longest wait was over",
     )
     assert "; ".join(doubts) in lines
-    lines = words_of(list(sweep_tables(levels(3).drop(columns="moving"))), 120)  # of a run of an earlier version
+    lines = words_of(list(sweep_tables(levels(3).drop(columns="moving"))), 120)  # the run is of an earlier version
     assert any(line.startswith("plan-0 eumos-40509 270 0.53 * slide 4 xxx") for line in lines)
 
 
@@ -312,7 +313,7 @@ def test_intervals_are_shown_where_there_are_any() -> None:
 )
 def test_levels_are_those_of_placements_that_stand(largest: list[float | None], expected: str) -> None:
     frame = levels(1 + len(largest)).iloc[1:].assign(largest_level_g=np.array(largest, dtype=float))
-    frame = frame if len(frame) else levels(1)  # which does not stand
+    frame = frame if len(frame) else levels(1)  # the plan does not stand
     assert f"eumos-40509 270 {expected}" in words_of(next(sweep_tables(frame)), 80)
 
 
@@ -347,7 +348,7 @@ def test_a_terminal_gets_a_bar() -> None:
     with progress(4, "plan", console) as shown:
         shown.update(1, "compiling [8 boxes]\x1b[2J")
         shown.update(4)
-    text = console.file.getvalue()  # type: ignore[attr-defined]  # it is the StringIO of the first line
+    text = console.file.getvalue()  # type: ignore[attr-defined]  # file is the StringIO of the first line
     assert "4 of 4 plans" in text
     assert "plans/s" in text
 
@@ -376,7 +377,8 @@ def test_the_last_worlds_are_expected_to_take_as_long_as_the_ones_before() -> No
     ):  # fmt: skip
         pace.update(done)
         left.append(pace.left)
-    # with two left, the last two of the 998 took from 20.0 s on; at the rate of all they would take 0 s
+    # When two worlds are left, the last two of the 998 finished worlds have taken the time since 20.0 s. At the mean
+    # rate of all worlds, the estimate would be 0 s.
     assert left == ["", "10 s left", "10 s left", "3 s left", "4 s left", "20 s left", "18 s left"]
     assert pace.words == ["999 of 1,000 worlds", "24.7 worlds/s", "18 s left"]
     pace.update(1000)
@@ -386,7 +388,8 @@ def test_the_last_worlds_are_expected_to_take_as_long_as_the_ones_before() -> No
 
 
 def test_the_time_left_follows_from_the_work_that_is_done_where_no_world_has_ended() -> None:
-    """A quarter of the work of a chain, its placements, takes 10 s; its four worlds arrive one after the other."""
+    """A quarter of the work of a chain, the placement of boxes, takes 10 s. The chain's four worlds arrive one after
+    the other."""
     now, left = 0.0, []
     pace = Throughput(4, "world", lambda: now)
     for now, done, share in ((10.0, 0, 0.25), (20.0, 0, 0.5), (35.0, 1, 0.875), (40.0, 4, 1.0)):  # noqa: B007

@@ -1,4 +1,5 @@
-"""The records of options: checks, presets, changes, and that they survive being written as JSON."""
+"""The records of options: checks of values, presets, changes, and that options are the same after they were written as
+JSON."""
 
 from __future__ import annotations
 
@@ -88,7 +89,7 @@ def test_options_are_sorted_by_record_and_unknown_ones_refused_with_a_hint() -> 
 
 def test_records_cannot_be_changed_in_place() -> None:
     with pytest.raises(ValueError, match="frozen"):
-        Simulation().interval_s = 1.0  # type: ignore[misc]  # what is tested
+        Simulation().interval_s = 1.0  # type: ignore[misc]  # the assignment is what is tested
 
 
 @pytest.mark.parametrize("name", list(PHYSICS))
@@ -129,7 +130,7 @@ def test_changes_keep_what_they_do_not_name() -> None:
     assert (changed.schedule, changed.interval_s, changed.check) == (Schedule.FIXED, 0.5, Check.ONE_BY_ONE)
     assert changed.thresholds == Thresholds(shift_m=0.03, tilt_deg=15)
     assert changed.physics == PHYSICS["reference"].changed(timestep_s=0.001)
-    # a table with a name of its own, or a record, replaces
+    # a table that names a preset, or a record, replaces all fields
     assert sim.changed(physics={"name": "pallet", "timestep_s": 0.001}).physics == Physics(timestep_s=0.001)
     assert sim.changed(thresholds=Thresholds(tilt_deg=15)).thresholds == Thresholds(tilt_deg=15)
     assert sim == Simulation(physics="reference", thresholds={"shift_m": 0.03}, interval_s=0.5)

@@ -1,4 +1,5 @@
-"""The documentation site, as far as it is tested without its packages (`make docs` tests the rest, with --strict)."""
+"""The documentation site, as far as it can be tested without the packages that build it (`make docs` tests the rest,
+with --strict)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What mjx-warp says of outcomes that are at hand."""
+"""The number of outcomes that mjx-warp reports as at hand, which need no further time slice of the device."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WAIT_S = 30
 
 
 def round_of(rows: NDArray[np.int64]) -> SliceResult:
-    """A batch for every two rows."""
+    """The result of a time slice in which these rows have ended, with one batch for every two rows."""
     picked: Any = [SimpleNamespace(rows=rows[first : first + 2]) for first in range(0, len(rows), 2)]
     recorder: Any = None
     return SliceResult(picked, recorder, (), range(10))
@@ -33,8 +33,8 @@ def round_of(rows: NDArray[np.int64]) -> SliceResult:
 def test_a_slice_in_which_no_world_has_ended_has_no_outcome_at_hand(
     ended: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So many worlds end in slices that have gone through before the first outcome is made, and one in a slice that
-    goes through after their last one."""
+    """``ended``: number of worlds that end in each slice. These slices have ended before the first outcome is made. One
+    more world ends in a slice that ends after the last of these outcomes."""
     gone_through, due = threading.Event(), threading.Event()
 
     def slices() -> Generator[SliceResult]:

@@ -1,4 +1,4 @@
-"""Sliding blocks against closed forms, and which profiles no load can survive."""
+"""Sliding blocks compared with closed forms, and the profiles that no unsecured load can survive."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ FORWARD = "en-12195-1-forward reaches 0.8 g: with friction 0.5 no unsecured load
 
 
 def steady(acceleration: tuple[float, float, float], duration_s: float) -> np.ndarray:
-    """An acceleration, m/s², that is constant for a time."""
+    """(steps, 3) an acceleration, m/s², that is constant for ``duration_s``."""
     return np.tile(np.array(acceleration), (round(duration_s / DT), 1))
 
 
 @pytest.mark.parametrize("direction_deg", [0.0, 90.0, 200.0])
 @pytest.mark.parametrize("level_g", [0.6, 0.8, 1.5])
 def test_a_block_slides_as_newton_says(level_g: float, direction_deg: float) -> None:
-    # pushed for 0.3 s by what friction leaves, then braked by friction: v²/2 (1/(a - µg) + 1/µg)
+    # for 0.3 s the block accelerates with a − µg, then friction brakes it: distance v²/2 · (1/(a − µg) + 1/µg)
     angle = math.radians(direction_deg)
     push = steady((level_g * G * math.cos(angle), level_g * G * math.sin(angle), 0.0), 0.3)
     excess = (level_g - 0.5) * G
@@ -37,15 +37,15 @@ def test_a_block_slides_as_newton_says(level_g: float, direction_deg: float) -> 
     expected = speed**2 / 2 * (1 / excess + 1 / (0.5 * G))
     assert slide_m(push, 0.5, G, DT) == pytest.approx(expected, rel=1e-9)
     standing_after = np.vstack([push, steady((0, 0, 0), 2.0)])
-    # the step in which it stops is counted as if its speed fell to 0 at the step's end
+    # in the step in which the block stops, its speed is taken to be 0 only at the step's end
     assert slide_m(standing_after, 0.5, G, DT) == pytest.approx(expected, rel=5e-3)
 
 
 def test_a_block_stays_up_to_its_friction() -> None:
     assert slide_m(steady((0.4999 * G, 0, 0), 10.0), 0.5, G, DT) == 0.0
-    assert slide_m(steady((0.6 * G, 0, 0.3 * G), 10.0), 0.5, G, DT) == 0.0  # heavier by 30 %
-    assert slide_m(steady((0.4 * G, 0, -0.3 * G), 1.0), 0.5, G, DT) > 0.0  # lighter
-    assert slide_m(steady((0.1, 0, 0), 0.1), 0.0, G, DT) == math.inf  # nothing ever stops it
+    assert slide_m(steady((0.6 * G, 0, 0.3 * G), 10.0), 0.5, G, DT) == 0.0  # the load is 30 % heavier
+    assert slide_m(steady((0.4 * G, 0, -0.3 * G), 1.0), 0.5, G, DT) > 0.0  # the load is lighter
+    assert slide_m(steady((0.1, 0, 0), 0.1), 0.0, G, DT) == math.inf  # nothing ever stops the load
     assert slide_m(np.zeros((0, 3)), 0.5, G, DT) == 0.0
 
 
@@ -56,8 +56,8 @@ def test_a_block_and_a_single_box_agree() -> None:
 
 
 def test_a_block_that_slides_has_its_kinetic_friction() -> None:
-    # 0.6 g for 0.3 s. Friction is 0.5 up to 1 cm/s, and 0.4 from 2 cm/s on; in between the acceleration grows with the
-    # speed, from 0.1 g to 0.2 g
+    # The load is accelerated by 0.6 g for 0.3 s. The friction coefficient is 0.5 up to 1 cm/s, and 0.4 from 2 cm/s on.
+    # Between these speeds, the acceleration grows in proportion to the speed, from 0.1 g to 0.2 g.
     push_s, share = 0.3, 0.8
     unit_s = STICKS_M_S / (0.1 * G)
     begin, begin_m = unit_s * (1 + math.log(2)), unit_s * STICKS_M_S * (1 / 2 + 1)

@@ -1,4 +1,4 @@
-"""Stories: one world of a run again, or as it was recorded, and what is said where that cannot be."""
+"""Stories: a world of a run, simulated again or as it was recorded, and the messages if neither is possible."""
 
 from __future__ import annotations
 

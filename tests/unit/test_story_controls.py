@@ -1,4 +1,4 @@
-"""The page of a story in headless Chromium: what play, the time line, clicks, keys, mouse and fingers do."""
+"""The page of a story in headless Chromium: the effects of play, the time line, clicks, keys, mouse and fingers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_dragging_the_time_line_moves_the_boxes(open_page: OpenPage) -> None:
 
 
 def test_poses_between_frames_are_interpolated(open_page: OpenPage) -> None:
-    """Between two frames the falling box is at another place than in either."""
+    """Between two frames, the falling box is at a place that differs from its places in both frames."""
     opened = opened_story(open_page, falling_story())
     pictures = []
     for time_s in (0.85, 0.875, 0.9):

@@ -1,4 +1,4 @@
-"""The page of a story in headless Chromium: what is seen, without any request, with and without WebGL."""
+"""The page of a story in headless Chromium: what it shows with and without WebGL. The page makes no request."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_boxes_have_the_colours_of_their_articles_where_they_should_be(open_page
     for box, face, colour in ((0, front, tea), (1, front, tea), (1, top, tea), (FALLING, front, milk)):
         x, y = on_canvas(opened, story, story.scene.target[box] + face)
         pixel = picture[int(y - frame["y"]), int(x - frame["x"])] / 255
-        # lit, so brighter or darker, but of the same hue
+        # light makes the colour brighter or darker, but does not change its hue
         assert np.corrcoef(pixel, rgb_of(colour))[0, 1] > 0.98
 
 

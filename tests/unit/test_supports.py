@@ -1,4 +1,4 @@
-"""What bears what by the plan, where loads act, and where boxes are released."""
+"""Supports in a plan: which body bears which box, where loads act, and where boxes are released."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def edges_mm(scene: Scene) -> list[float]:
 
 
 def test_a_tower_s_loads_act_at_their_common_centres() -> None:
-    """Centres at 200, 300 and 350 mm of boxes 400 mm long: 12 kg of 2 × 5 kg on 300 mm and 350 mm."""
+    """Three boxes 400 mm long have their centres at x = 200, 300 and 350 mm. The load of each box (its own weight and
+    that of the boxes above) acts at the common centre of these boxes."""
     scene = scene_of(
         ((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (100, 0, 200), 5.0), ((400, 300, 200), (150, 0, 400), 5.0)
     )
@@ -42,14 +43,15 @@ def test_a_tower_s_loads_act_at_their_common_centres() -> None:
     load = bearing.loads(3)
     np.testing.assert_allclose(load[:, 0], [15.0, 10.0, 5.0])
     np.testing.assert_allclose(load[:, 1] / load[:, 0], [0.85 / 3, 0.325, 0.35])
-    # of the tops that bear them: to 400, and from 100, and to 500 mm
+    # the contact areas reach from 0 to 400, from 100 to 400, and from 150 to 500 mm
     assert edges_mm(scene) == pytest.approx([400 - 850 / 3, 75.0, 150.0])
-    # the third box is not there yet
+    # the third box is not placed yet
     assert bearing.loads(2)[:, 0].tolist() == [10.0, 5.0, 0.0]
 
 
 def test_a_bridge_is_borne_within_the_hull_of_its_supports() -> None:
-    """Supports to 200 and from 400 mm; the load acts at 300 mm, over the gap, as far from the sides as it can be."""
+    """One support ends at x = 200 mm, the other begins at 400 mm. The load acts at 300 mm, over the gap, as far inside
+    the hull of both supports as possible."""
     scene = scene_of(
         ((200, 300, 200), (0, 0, 0), 5.0), ((200, 300, 200), (400, 0, 0), 5.0), ((600, 300, 200), (0, 0, 200), 8.0)
     )
@@ -58,13 +60,13 @@ def test_a_bridge_is_borne_within_the_hull_of_its_supports() -> None:
 
 
 def test_a_corner_hull_is_not_its_bounding_box() -> None:
-    """Two supports at opposite corners: the other corners of the square between them bear nothing."""
+    """Two supports are at opposite corners. The other two corners of the square around them bear nothing."""
     small = (100.0, 100.0, 100.0)
     top: Box = ((400, 400, 100), (0, 0, 100), 1.0)
     weight: Box = (small, (300, 0, 200), 1000.0)
     scene = scene_of((small, (0, 0, 0), 1.0), (small, (300, 300, 0), 1.0), top, weight)
     edge_mm = edges_mm(scene)[2]
-    # the hull's edge from (100, 0) to (400, 300); the load acts near (350, 50)
+    # the edge of the hull goes from (100, 0) to (400, 300); the load acts near (350, 50)
     point = (1000 * np.array([350.0, 50.0]) + np.array([200.0, 200.0])) / 1001
     assert edge_mm == pytest.approx((point[1] - point[0] + 100) / 2**0.5)
     assert edge_mm < 0
@@ -78,7 +80,8 @@ def test_what_hangs_in_the_air_has_no_edge() -> None:
 
 @pytest.mark.parametrize("boxes", [stack(5), stack(4, size_mm=(100, 100, 400), kg=(0.5, 5.0, 2.0, 1.0))])
 def test_boxes_are_released_as_they_will_rest(boxes: Sequence[Box]) -> None:
-    """They do not fall: a step later, and at rest, each is where it was released, to 2 % of what it has come down."""
+    """Released boxes do not fall: one step later, and at rest, each box is at its place of release, to within 2 % of
+    the distance that it has come down."""
     scene = make_scene(boxes, EXACT)
     live = LiveWorld(scene, EXACT)
     live.step(200)
@@ -109,7 +112,7 @@ def test_a_box_does_not_follow_a_support_that_has_gone() -> None:
 
 
 def test_the_order_of_boxes_does_not_matter() -> None:
-    """In a static check nothing is placed before anything else."""
+    """In a static check, all boxes stand from the start, so the order in the plan does not matter."""
     boxes: list[Box] = [
         ((200, 300, 200), (0, 0, 0), 5.0),
         ((200, 300, 200), (400, 0, 0), 5.0),
@@ -130,7 +133,8 @@ def test_a_load_acts_at_the_centre_of_mass() -> None:
 
 
 def test_scenes_together_have_the_numbers_of_each_alone() -> None:
-    """Random heaps of 1 to 12 boxes, to the last bit; boxes that are not placed have no edges."""
+    """Random heaps of 1 to 12 boxes: the distances are equal to the last bit. Boxes that are not placed have no
+    distance."""
     rng = np.random.default_rng(4)
     scenes = [scene_of(*random_heap(rng, n)) for n in (1, 12, 5, 8)]
     placed = [1, 7, 5, 0]
@@ -145,13 +149,15 @@ def test_scenes_together_have_the_numbers_of_each_alone() -> None:
 
 
 def test_scenes_that_are_alike_are_looked_at_together() -> None:
-    """With one board or many, and where boxes have errors or are elsewhere: the same contacts, to the last bit."""
+    """Similar scenes have the same contacts to the last bit, whether they are computed together or alone: on one board
+    or many, with random errors, and at other places."""
     rng = np.random.default_rng(6)
     for carrier in ("footprint", "epal-1"):
         sim = Simulation(carrier=carrier)
         scenes = [build_scene(make_plan("p", random_heap(rng, n)), sim) for n in (6, 6, 6, 9, 6, 9)]
         targets = [scene.target + rng.normal(0, 2e-4, scene.target.shape) for scene in scenes]
-        gaps_m = np.array([5e-4, 5e-4, 2e-2, 5e-4, 2e-2, 5e-4])  # with a larger gap boxes lean onto more bodies
+        # with a larger tolerance of height, boxes rest on more bodies
+        gaps_m = np.array([5e-4, 5e-4, 2e-2, 5e-4, 2e-2, 5e-4])
         together = find_bearings(scenes, targets, gaps_m)
         for number, (scene, target, gap_m) in enumerate(zip(scenes, targets, gaps_m.tolist(), strict=True)):
             bearing, expected = together.of_scene(number), find_bearing(replace(scene, target=target), gap_m)
@@ -173,13 +179,13 @@ def test_scenes_that_are_alike_are_looked_at_together() -> None:
 
 
 def random_heap(rng: np.random.Generator, n: int) -> list[Box]:
-    """Layers of boxes at random places, which rest on several others or none."""
+    """Layers of boxes at random places. Each box rests on several other boxes or on none."""
     corners = [(float(x), float(y), 200.0 * (k // 4)) for k, (x, y) in enumerate(rng.integers(0, 500, (n, 2)))]
     return [((400, 300, 200), corner, float(mass)) for corner, mass in zip(corners, rng.uniform(1, 20, n), strict=True)]
 
 
 def test_a_hull_s_edges_are_the_lines_with_all_corners_on_one_side() -> None:
-    """Random rectangles: no corner is outside, and each edge is on a pair of corners."""
+    """Random rectangles: no corner is outside the hull, and each edge goes through two corners."""
     rng = np.random.default_rng(5)
     for count in (1, 2, 3, 6):
         low = rng.integers(0, 6, (count, 2)).astype(float)
@@ -194,7 +200,8 @@ def test_a_hull_s_edges_are_the_lines_with_all_corners_on_one_side() -> None:
 
 
 def test_many_hulls_have_the_edges_of_each_alone() -> None:
-    """500 sets of one to six random rectangles: points are as far inside as by their edges one by one."""
+    """500 sets of one to six random rectangles: the distance of a point from the hull's edges is the same as for each
+    hull alone."""
     rng = np.random.default_rng(6)
     count = rng.integers(1, 7, 500)
     low = rng.integers(0, 8, (count.sum(), 2)) / 10

@@ -1,4 +1,4 @@
-"""Processes that look at the outcomes of a sweep: one set of them for its placements and its drives."""
+"""Processes that check the outcomes of a sweep: the same processes serve its placements and its drives."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ direction = ["+x", "+y"]
 def test_placements_and_drives_have_the_same_processes_beside_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """These start while boxes are placed, and end with the sweep. Results are as without them."""
+    """The processes start while boxes are placed, and end with the sweep. The results equal those without the
+    processes."""
     file, plans = write(tmp_path / "x.toml", FOUR_DRIVES), [make_plan("a", stack(2)), make_plan("b", stack(2, -380.0))]
     alone = petmjx.sweep(file, plans, engine="mujoco", threads=1)
     begun: list[CheckPool[Any]] = []
@@ -51,6 +52,6 @@ def test_placements_and_drives_have_the_same_processes_beside_them(
     results = petmjx.sweep(file, plans, engine="mujoco", threads=1)
     assert len(begun) == 1
     assert begun[0]._check_pool == []
-    assert sum(looks) == 2 + 4  # both placements, and the drives of the one that stands
+    assert sum(looks) == 2 + 4  # two placements, and the four drives of the placement that stands
     for mine, theirs in ((alone.worlds, results.worlds), (alone.boxes, results.boxes)):
         pd.testing.assert_frame_equal(mine, theirs, check_exact=True)

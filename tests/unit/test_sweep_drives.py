@@ -1,4 +1,4 @@
-"""Drives of sweeps: which start from which placement, and what ends them."""
+"""Drives (motions of placed pallets) in sweeps: from which placement each drive starts, and what ends it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_worlds_of_a_placement_that_is_not_driven_are_final_before_any_drive(tmp
 
 @pytest.mark.parametrize("name", ["chain-film-truck", "chain-to-wrapper", "en-12195-1", "radial-force"])
 def test_the_bounds_of_a_sweep_hold_for_all_of_its_drives(name: str) -> None:
-    """An engine makes room for them before they come."""
+    """An engine reserves memory for these bounds before the drives exist."""
     plan = SweepPlan(load_sweep(Path(__file__).parents[2] / "sweeps" / f"{name}.toml", plans_given=True), STACKS)
     groups = list(plan.groups())
     worlds = [(group.plan, variant) for group in groups for variant in group.variants]
@@ -56,7 +56,8 @@ def test_the_bounds_of_a_sweep_hold_for_all_of_its_drives(name: str) -> None:
 
 
 def test_early_stop_changes_no_answer_of_eumos_s_test(tmp_path: Path) -> None:
-    """A world ends when its culprit is lost: but not before it has swayed by more than the test allows."""
+    """A world ends when the first box to fail is lost (tilted by more than 20°), but not before this box has swayed by
+    more than EUMOS's test allows."""
     plans = [leaning("low"), leaning("tall", 6, 20.0)]
     grid = EUMOS_GRID.replace("from = 0.05, to = 0.8, step = 0.05", "from = 0.2, to = 0.8, step = 0.2")
     file = write_sweep(tmp_path, QUICK.replace("early_stop = false", "") + grid)
@@ -87,7 +88,7 @@ sample_interval_s = 0.04
 profile = "tilt"
 """
     (world,) = petmjx.sweep(write_sweep(tmp_path, text), [leaning("a", 1)], engine="mujoco").worlds.to_dict("records")
-    # atan 0.5 = 26.57°, and the time a box takes to slide 20 mm once it is past it
+    # atan 0.5 = 26.57°; a box then needs some time to slide 20 mm, in which the carrier tilts further
     assert 26.5 < world["fail_angle_deg"] < 30.0
     assert world["fail_angle_deg"] == pytest.approx(5.0 * world["sign_in_profile_s"])
     assert world["mode"] in ("slide", "drop")

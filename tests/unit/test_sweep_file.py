@@ -1,4 +1,5 @@
-"""Sweep files: the ready-made ones load, worlds are enumerated and forked as meant."""
+"""Sweep files: the ready-made files can be read, and a sweep makes the intended worlds and starts them from the right
+states."""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ def sweep_study(folder: Path, text: str) -> SweepStudy:
 
 
 def variants(plan: SweepPlan) -> list[Variant]:
-    """The variants of the first plan."""
+    """All variants of the first plan."""
     return [variant for _, members in plan.placements() for variant in members]
 
 
@@ -114,7 +115,8 @@ def test_a_grid_places_once_and_forks_into_all_drives(tmp_path: Path) -> None:
         "profile = ['radial', 'jolts']\ndirection = ['+x', 45]\nscale = {from = 0.5, to = 1.5, step = 0.5}",
     )
     groups = list(plan.groups())
-    # 2 masses without an error once each, 2 with one thrice each, and the nominal world.
+    # Each of 2 masses without an error is placed once; each of 2 masses with an error three times; and there is the
+    # nominal world.
     assert len(groups) == plan.n_placements + 1 == 9
     assert [len(group.variants) for group in groups] == [1] + [12] * 8
     assert plan.n_variants == sum(len(group.variants) for group in groups)
@@ -284,12 +286,13 @@ def test_radial_force_ends_where_the_reference_ends() -> None:
     assert (sim.check, sim.schedule, sim.early_stop) == (Check.ONE_BY_ONE, Schedule.FIXED, False)
     (variant,) = variants(plan)
     dt = sim.physics.timestep_s
-    # Reference: 25,000 steps for 40 boxes, 16,250 for 26, where the chain is cut.
+    # The reference implementation simulates 25,000 steps for 40 boxes, and 16,250 steps for 26 boxes, in which the
+    # chain of pushes is cut off.
     for packing_plan, total, nominal in zip(plan.plans, (25_000, 16_250), (11_000, 7_500), strict=True):
         drive = plan.drive(packing_plan, variant)
         assert drive is not None
         assert nominal + len(drive.excitation.samples) + int(drive.rest_s / dt) == total
-        # The chain's own first offset: 2 s.
+        # The chain itself begins with a pause of 2 s.
         assert np.flatnonzero(drive.excitation.samples.any(axis=1))[0] == 1000
 
 
@@ -322,7 +325,7 @@ def test_what_a_timestep_cannot_show_is_refused_before_the_run(tmp_path: Path) -
 def test_estimates_count_placements_once(tmp_path: Path) -> None:
     text = "[axes]\nprofile = 'eumos-40509'\nlevel = {{from = 0.01, to = 0.64, count = {count}}}"
     one, many = (sweep_study(tmp_path, text.format(count=count)) for count in (2, 64))
-    # 0.4 s of profile, and until the pallet is quiet
+    # the profile lasts 0.4 s, and then the pallet becomes quiet
     assert many.work.steps - one.work.steps == pytest.approx([62 * (200 + 220)])
     estimate = many.size(100.0)
     assert estimate.startswith("64 worlds (1 plan × 64 variants) from 1 placement, about ")

@@ -1,4 +1,4 @@
-"""Sweep files that are refused: one line, which names file and field and says what it should be."""
+"""Sweep files that are refused: one line names file and field, and says what the field should be."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from petmjx.common.errors import InputError
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
 
-# What stands under [axes] → what is said of it.
+# Lines below [axes] → a part of the error message.
 AXES = {
     "unknown axis": ("speed = [1]", "axes.speed: unknown field; there are profile, direction"),
     "empty axis": ("mass_factor = []", "axes.mass_factor is empty"),
@@ -58,7 +58,7 @@ AXES = {
     "line break in a name": ('"a\\nb" = 1', "axes.a\\nb: unknown field"),
 }
 
-# A whole file → what is said of it.
+# Contents of a sweep file → a part of the error message.
 FILES = {
     "no axes": ("seed = 1", "axes is empty: nothing is varied"),
     "random without psd": (

@@ -1,4 +1,5 @@
-"""Sweeps: every placement once, forks to the step, the same worlds however they are batched, and true answers."""
+"""Runs of sweeps: every placement is simulated once, drives start at the exact step, the batches do not change the
+worlds, and the answers are right."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.job import Job
 
 SOONEST, LATEST = 200 + 115, 200 + 250
-"""Fewest and most steps of EUMOS's profile at 2 ms, 0.4 s, with 0.5 s to come to rest; of worlds that rest then."""
+"""Smallest and largest number of steps of a drive with EUMOS's profile: 0.4 s at 2 ms, and at most 0.5 s until the
+pallet rests."""
 
 
 def test_64_profiles_cost_one_placement_and_64_profiles_to_the_step(tmp_path: Path) -> None:
@@ -51,7 +53,8 @@ def test_64_profiles_cost_one_placement_and_64_profiles_to_the_step(tmp_path: Pa
     assert LATEST in steps
     waited_for = [world.outcome for world in worlds if world.outcome.n_steps > LATEST]
     assert 0 < len(waited_for) < 8
-    assert {outcome.reason for outcome in waited_for} <= {Reason.NONE, Reason.SHIFT}  # what may change until it rests
+    # worlds with these reasons may still change until they rest
+    assert {outcome.reason for outcome in waited_for} <= {Reason.NONE, Reason.SHIFT}
     assert not any(Flag.MOVING in outcome.flags for outcome in waited_for)
     assert sorted(world.variant.index for world in worlds) == list(range(1, 65))
 
@@ -94,7 +97,7 @@ upper = 1.0
 
 
 COARSE_SEARCH = SEARCH + "tolerance = 0.05\n"
-"""Of fewer tests: how a search gets its answer."""
+"""A search with fewer tests, for tests of how a search finds its answer."""
 
 
 @pytest.mark.parametrize("text", [MIXED, COARSE_SEARCH], ids=["grid", "search"])
@@ -115,7 +118,7 @@ def test_a_collapsed_placement_is_not_shaken_and_worlds_have_parameters(tmp_path
     engine = Recorder(2)
     results = petmjx.sweep(write_sweep(tmp_path, text), [leaning("stands"), leaning("falls", 2, -380.0)], engine=engine)
     worlds = results.worlds.set_index(["plan_id", "variant"]).sort_index()
-    # 4 drives of the exact placement, and of each of the 2 replicates with an error
+    # 4 drives start from the exact placement, and 4 from each of 2 replicates with an error
     assert worlds.loc["stands"].index.tolist() == worlds.loc["falls"].index.tolist() == [*range(13)]
     falls = worlds.loc["falls"]
     assert set(falls["verdict"]) == {"unstable"}
@@ -150,16 +153,17 @@ def test_the_summary_has_shares_with_intervals_and_units(tmp_path: Path) -> None
     assert row["n_eumos_passed"] == chosen["eumos_passed"].sum()
     deformations = ["eumos_elastic_share", "eumos_permanent_share", "eumos_foot_permanent_m"]
     pd.testing.assert_series_equal(row[deformations], chosen[deformations].max(), check_names=False, check_dtype=False)
-    assert row["n_draws"] == 0  # the placement without an error is the same every time
+    assert row["n_draws"] == 0  # the placement without an error is the same in every replicate
     assert pd.isna(row["low"])
     drawn = summary.loc[("b", "placement_error_mm", "3")]
-    assert drawn["n_draws"] == 2  # replicates, each at several levels and directions
+    # each replicate is one draw, although it is simulated at several levels and directions
+    assert drawn["n_draws"] == 2
     assert drawn["low"] <= drawn["share"] <= drawn["high"]
     total = results.summary.query("scope == 'all' and axis == ''").iloc[0]
     assert pd.isna(total["plan_id"])
     assert total["n_worlds"] == len(worlds) == 26
     both = results.summary.query("scope == 'all' and axis == 'placement_error_mm' and value == '3'").iloc[0]
-    assert both["n_draws"] == 4  # random numbers are each plan's own
+    assert both["n_draws"] == 4  # each plan has its own random numbers
     units = results.units("summary")
     assert units["share"] == units["n_eumos"] == "1"
     assert units["plan_id"] == ""
@@ -192,7 +196,7 @@ def test_a_search_finds_the_largest_level_survived(tmp_path: Path) -> None:
     assert results.summary is not None
     summary = results.summary.set_index(["plan_id", "friction_factor", "direction_deg"])
     answer = summary.loc[("stands", 1.0, 0.0)]
-    # sliding begins at 0.5 g; with 0.3 s at the level, 20 mm need a little more
+    # sliding begins at 0.5 g; since the level is held for only 0.3 s, a shift of 20 mm needs a little more
     assert 0.5 <= answer["largest_level_g"] <= 0.56
     assert answer["first_failed_level_g"] == pytest.approx(answer["largest_level_g"] + 0.01)
     assert answer["mode"] == "slide"
@@ -209,13 +213,13 @@ def test_a_search_finds_the_largest_level_survived(tmp_path: Path) -> None:
     assert not fallen["stands_at_rest"]
     assert np.isnan(fallen["largest_level_g"])
     assert (fallen["box"], fallen["mode"], fallen["n_tests"]) == (1, "tilt", 0)
-    # one unsimulated row for each of its searches
+    # there is one row without a simulation for each search of this plan
     assert worlds.query("plan_id == 'falls'")["n_steps"].tolist() == [0] * 4
     assert results.units("summary")["largest_level_g"] == "g"
 
 
 class _Rounds:
-    """An engine that counts its runs, and takes lists of jobs."""
+    """An engine that takes jobs in lists and counts its runs."""
 
     name = "mujoco"
 
@@ -228,7 +232,7 @@ class _Rounds:
 
 
 class _OneRun(_Rounds):
-    """The same, which takes a stream of jobs."""
+    """The same engine as one that takes a stream of jobs."""
 
     @takes_stream
     def run(self, jobs: Any, sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
@@ -236,7 +240,8 @@ class _OneRun(_Rounds):
 
 
 def test_the_searches_of_a_sweep_do_not_wait_for_one_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All tests are in one run of an engine that takes a stream; answers and worlds are those of rounds."""
+    """An engine that takes a stream makes all tests in one run. Answers and worlds are those of an engine that needs a
+    run for each round of tests."""
     monkeypatch.setattr(WorldRun, "run", end_without_physics)
     plans = [leaning("a"), leaning("b", 2, -100.0)]
     tables = {}
@@ -244,7 +249,7 @@ def test_the_searches_of_a_sweep_do_not_wait_for_one_another(tmp_path: Path, mon
         engine = _OneRun() if streams else _Rounds()
         results = petmjx.sweep(write_sweep(tmp_path, COARSE_SEARCH), plans, engine=engine)
         assert results.summary is not None
-        # one for the placements; of a search in rounds one for each of them
+        # one run for the placements; with rounds, also one run for each round of a search
         assert (engine.runs == 2) == streams
         order = ["plan_id", "variant"]
         tables[streams] = results.worlds.sort_values(order).reset_index(drop=True), results.summary
@@ -256,7 +261,7 @@ def test_the_searches_of_a_sweep_do_not_wait_for_one_another(tmp_path: Path, mon
 
 
 class _NeverBelieved(Recorder):
-    """Every outcome is invalid."""
+    """An engine all of whose outcomes are invalid."""
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         for outcome in super().run(jobs, sim, progress):
@@ -289,7 +294,8 @@ def test_a_hard_landing_is_no_sign_of_the_drive() -> None:
 
 
 ASKEW = (((400, 300, 200), (0, 0, 0), 6.0), ((300, 200, 150), (50, 50, 260), 3.0))
-"""The second box falls by 60 mm and lies flat: it did not stand, but no box dropped."""
+"""The second box falls by 60 mm and then lies flat. So the placement does not stand, although no box dropped off the
+pallet."""
 
 GENTLE = QUICK.replace("early_stop = false", "") + '[axes]\nprofile = "eumos-40509"\nlevel = [0.05, 0.1]\n'
 
@@ -324,7 +330,7 @@ def test_without_early_stop_it_is_shaken_but_passes_nothing(tmp_path: Path) -> N
 
 
 class _Forgiving(Recorder):
-    """Placements do not stand; all that is shaken ends where it should."""
+    """An engine by which placements do not stand, but all boxes are within their limits after a drive."""
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         for outcome in super().run(jobs, sim, progress):

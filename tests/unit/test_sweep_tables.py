@@ -1,4 +1,5 @@
-"""Tables of searches have the axes of placements; bars of histograms end at thresholds; film secures loads."""
+"""Tables and charts of sweeps: tables of searches have the axes of placements, bars of histograms end at thresholds,
+and film counts as securing of a load."""
 
 from __future__ import annotations
 
@@ -43,7 +44,8 @@ def test_turns_of_film_are_in_the_tables(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_a_search_says_how_many_turns_a_plan_needs(capsys: pytest.CaptureFixture[str]) -> None:
-    """The weaker of two directions counts; with 16 turns the plan survives all levels, with 1 less than 0.3 g."""
+    """Of two directions, the smaller level counts. With 16 turns the plan survives all levels, with 1 turn it survives
+    less than 0.3 g."""
     levels = {"wrap_turns": [1.0, 1.0, 4.0, 4.0, 16.0, 16.0], "direction_deg": [0.0, 90.0] * 3}
     searches = summary(**levels).assign(
         largest_level_g=[0.5, 0.1 + 0.1, 0.1 + 0.2, 0.6, 0.8, 0.9],

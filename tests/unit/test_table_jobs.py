@@ -1,4 +1,4 @@
-"""Which jobs of a run get rows in which table of mjx-warp."""
+"""Tables of mjx-warp: which jobs of a run get rows in which table."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BY_HAND = Job(replace(SMALL.scene, placing=Placing(name="hand")))
 
 
 class RowsOnly(WorldTable):
-    """A table without states: rows with jobs."""
+    """A table that has rows with jobs, but no states."""
 
     def __init__(self, jobs: list[Job], rows: int, needs: KernelFeatures, profiles: int = 1) -> None:
         sim = Simulation()
@@ -153,7 +153,8 @@ def test_profiles_that_no_live_world_needs_give_way() -> None:
 
 
 def test_a_table_has_room_for_what_will_follow() -> None:
-    """For larger plans and drives of which no job is there yet; profiles take a bounded part of the memory."""
+    """The table has room for larger plans and for drives although no such job exists yet. Profiles take a limited part
+    of the memory."""
     pushed = replace(SMALL, drive=Drive(Excitation("push", "force", np.zeros((4, 3)))))
     for excitations, drive_steps, room in ((3, 700, 3), (None, 700, 8), (None, MOST_PROFILE_BYTES // 36, 3)):
         bounds = JobBounds(5, {2, 9, MAX_BOXES + 1}, drive_steps, excitations)

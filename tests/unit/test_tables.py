@@ -1,4 +1,4 @@
-"""Plans as tables: every form holds the same plans, and damage costs no more than the plans that it hits."""
+"""Plans as tables: every file format holds the same plans, and damage makes only the damaged plans unusable."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def ids(plan_set: PlanSet) -> list[str]:
 
 
 def same(a: Plan, b: Plan) -> bool:
-    """Whether all that reaches results is the same to the last bit, and all else that a file says."""
+    """Whether two plans are equal: everything that affects results to the last bit, and all other data of the file."""
     assert plan_digest(a) == plan_digest(b)
     assert (a.turned == b.turned).all()
     return (a.product_groups or ("",) * a.n_boxes) == (b.product_groups or ("",) * b.n_boxes)
@@ -109,11 +109,11 @@ def plan_lists(draw: st.DrawFn) -> list[Plan]:
     return plans
 
 
-@pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # plans of random numbers look like anything
+@pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # plans of random numbers cause all kinds of notes
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(plan_lists(), st.permutations(FORMS))
 def test_no_form_loses_anything(plans: list[Plan], forms: list[str]) -> None:
-    """From each form to the next, and through a data frame."""
+    """Plans are converted from each format to the next, and through a data frame."""
     plan_set = PlanSet(plans)
     for form in forms:
         petmjx.save_plans(plan_set.plans, form)
@@ -144,7 +144,7 @@ def test_files_of_all_forms_in_a_folder() -> None:
     assert messages(plan_set) == ["b.csv.gz: plan J: repeated plan id, first used in a.json"]
 
 
-# What decides the packing order.
+# The packing order.
 
 
 def test_rows_come_in_any_order() -> None:
@@ -172,7 +172,7 @@ def test_orientation_swaps_length_and_width() -> None:
     assert plan.orientation is None
 
 
-# What is refused.
+# Tables that are refused.
 
 FAULTS = [
     ({"weight_kg": -1}, "weight_kg must be > 0, got -1"),
@@ -349,7 +349,7 @@ def test_damaged_parquet() -> None:
     assert ids(load_plans("named.json")) == ["A"]
 
 
-@pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # what is damaged may look like other units
+@pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # damaged numbers may look like other units
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_no_damage_ends_in_a_traceback(data: st.DataObject) -> None:
@@ -382,7 +382,7 @@ def test_a_run_of_json_is_resumed_with_a_table() -> None:
 
 
 def test_a_large_table_is_read_quickly(tmp_path: Path) -> None:
-    """43,000 rows; 430,000 are to take at most 5 s on two idle cores, and this machine may be busy."""
+    """43,000 rows are read. The goal for 430,000 rows is 5 s on two idle cores; this machine may be busy."""
     n = 43_000
     frame = pd.DataFrame({"plan_id": np.arange(n) // 43, "sequence": np.arange(n) % 43 + 1, "article": "carton"})
     frame = frame.assign(length_mm=400, width_mm=300, height_mm=200, weight_kg=5.5, orientation=1, x_mm=0, y_mm=0)

@@ -1,4 +1,4 @@
-"""Text as messages show it."""
+"""Texts in the form in which messages show them."""
 
 from __future__ import annotations
 

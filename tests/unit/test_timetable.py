@@ -1,4 +1,4 @@
-"""Step tables against MuJoCo's clock, a running sum taken one step at a time."""
+"""Tables of steps compared with MuJoCo's clock, which is a running sum of timesteps."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_the_table_reaches_to_the_last_placement_of_the_largest_plan() -> None:
 @pytest.mark.parametrize("timestep_s", [0.002, 0.005, 0.01])
 @pytest.mark.parametrize("interval_s", [0.011, 0.1, 0.2, 0.7])
 def test_the_last_boxes_are_due_as_with_a_longer_table(interval_s: float, timestep_s: float) -> None:
-    """Placements take whole steps, so many of them take longer than their intervals."""
+    """Each placement takes whole steps, so many placements take longer than their intervals together."""
     sim = Simulation(interval_s=interval_s, settle_s=0.0, physics={"name": "pallet", "timestep_s": timestep_s})
     boxes = 200
     table, longer = (build_timetable(sim, n) for n in (boxes, 3 * boxes))

@@ -1,4 +1,5 @@
-"""The errors of mass and friction that sweeps draw: what they change, how far, and with whose random numbers."""
+"""Random errors of mass and friction in sweeps: what they change, by how much, and on which keys their random numbers
+depend."""
 
 from __future__ import annotations
 

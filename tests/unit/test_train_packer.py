@@ -1,4 +1,5 @@
-"""examples/train_packer: a training that stops goes on with the same bits, and its numbers are what it says."""
+"""The programs in examples/train_packer: a training that is stopped and resumed gives the same bits, and the numbers
+that it reports are right."""
 
 from __future__ import annotations
 
@@ -21,14 +22,14 @@ FOLDER = Path(__file__).resolve().parents[2] / "examples" / "train_packer"
 
 @pytest.fixture(scope="module", autouse=True)
 def importable() -> Iterator[None]:
-    """Its files import one another by their bare names."""
+    """The files of the folder can import one another by their bare names."""
     sys.path.insert(0, str(FOLDER))
     yield
     sys.path.remove(str(FOLDER))
 
 
 class Here:
-    """Calls in this process, in place of others."""
+    """An executor that runs all calls in this process, in place of other processes."""
 
     def map(self, function: Callable[..., Any], tasks: Any, chunksize: int = 1) -> Iterator[Any]:
         return map(function, tasks)
@@ -40,7 +41,7 @@ class Here:
 
 
 def labels(rng: np.random.Generator, count: int = 400) -> Any:
-    """Placements of which the first feature decides how likely they stand."""
+    """Random placements. The probability that a placement stands depends only on its first feature."""
     from labels import Labels
 
     features = rng.standard_normal((count, len(NAMES)))
@@ -73,7 +74,7 @@ def plan(**changes: Any) -> Any:
 
 
 def trained(monkeypatch: pytest.MonkeyPatch, out: Path, *stops: int) -> Any:
-    """A training that stops after so many updates, and goes on."""
+    """A training that stops after each of these numbers of updates, and is resumed."""
     import labeller
     import train
 
@@ -110,7 +111,7 @@ def test_a_training_that_stops_goes_on_with_the_same_bits(monkeypatch: pytest.Mo
 
 
 def test_what_is_played_is_what_is_counted() -> None:
-    """Outcomes are those of the packings, and gradients those of their numbers."""
+    """The reported outcomes are those of the packings."""
     import rollouts
 
     from petmjx.packers.learned_packer import pack_learned
@@ -133,7 +134,7 @@ def test_what_is_played_is_what_is_counted() -> None:
 
 
 def test_the_search_climbs() -> None:
-    """A noisy hill in 12 dimensions."""
+    """The search climbs a noisy hill in 12 dimensions."""
     from search import Search
 
     rng, steep = np.random.default_rng(0), np.linspace(0.2, 1.0, 12)
@@ -150,7 +151,9 @@ def test_the_head_learns_what_decides() -> None:
 
     head, report = fit(labels(np.random.default_rng(1), 4000), 0, 150)
     assert report["all"]["brier"] < 0.85 * report["all"]["brier_of_a_constant"]
-    assert report["all"]["ece"] < 0.08  # 0.05 to 0.063 with three seeds; of a head that believes all placements 0.22
+    # expected calibration error: 0.05 to 0.063 with three seeds; 0.22 for a head that estimates that all placements
+    # stand
+    assert report["all"]["ece"] < 0.08
     assert report["all"]["auc"] > 0.8
     assert sum(row["placements"] for row in report["usual"]["reliability"]) == report["usual"]["placements"]
     assert head.scores(np.eye(1, len(NAMES))).item() > head.scores(-np.eye(1, len(NAMES))).item()

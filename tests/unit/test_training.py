@@ -1,4 +1,4 @@
-"""Environments for people who train: scaled observations, sides, several pallets, curricula, Stable-Baselines3."""
+"""Environments for training: scaled observations, sides of boxes, several pallets, curricula, Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def test_scaled_observations_are_the_raw_ones_on_scales_that_end_at_1() -> None:
     raw, scaled = (PalletizingEnv(orders=orders, scaled=on, look_ahead=2, **THREADS) for on in (False, True))
     (before, _), (shown, _) = raw.reset(seed=0), scaled.reset(seed=0)
     for _ in range(2):
-        action = int(np.flatnonzero(before["action_mask"])[-1])  # the highest place
+        action = int(np.flatnonzero(before["action_mask"])[-1])  # the last legal place, which is the highest
         before, shown = raw.step(action)[0], scaled.step(action)[0]
     assert before["load_map"].max() > 50
-    longest = 1800.0  # of 1200, 800 and the largest height
+    longest = 1800.0  # the largest of 1200, 800 and the largest height
     saturated = {"load_map": LOAD_N, "left": LEFT, "mass": PALLET_KG}
     for name, values in before.items():
         assert raw.observation_space[name].contains(values), name
@@ -68,7 +68,8 @@ def test_scaled_observations_are_the_raw_ones_on_scales_that_end_at_1() -> None:
 
 
 def test_boxes_stand_on_the_sides_that_the_order_allows() -> None:
-    """Of 600 × 400 × 200 mm the height alone, and height or length, are vertical; ``all`` allows six sides."""
+    """Of a box of 600 × 400 × 200 mm, only the height may be vertical, or height and length. ``sides="all"`` allows all
+    six orientations."""
     orders = table((600, 400, 200), (600, 400, 200), upright=["h", "lh"])
     heights = {}
     for number, sides in enumerate(("order", "all")):
@@ -113,7 +114,7 @@ def test_several_open_pallets_take_the_boxes_of_one_order(actions: str) -> None:
     for step in range(4):
         legal = np.flatnonzero(observed["action_mask"])
         on = env.episodes.table.pallet[0, legal]
-        assert set(on.tolist()) == ({0, 1} if step < 3 else {0})  # the second pallet is full then
+        assert set(on.tolist()) == ({0, 1} if step < 3 else {0})  # the second pallet is full from then on
         action = int(legal[on == (0, 1, 1, 0)[step]][0])
         observed, _, terminated, truncated, info = env.step(action)
         placed.append(env.episodes.pallets.n_boxes.tolist())
@@ -143,7 +144,7 @@ def test_a_curriculum_grows_with_the_level() -> None:
         observed, _ = env.reset(seed=0, options={"level": level})
         seen[level] = observed["boxes"][: int(observed["left"][0]), :3]
         assert env.episodes._errors.tolist() == [2 * level]
-    np.testing.assert_array_equal(seen[0.0], [[400, 300, 200]])  # the mean
+    np.testing.assert_array_equal(seen[0.0], [[400, 300, 200]])  # the mean size of the order
     np.testing.assert_allclose(seen[0.5], [[500, 350, 250], [300, 250, 150]])
     np.testing.assert_array_equal(seen[1.0], orders[["length_mm", "width_mm", "height_mm"]])
     many = PalletizingVectorEnv(2, orders=orders, curriculum={"boxes": [1, 3]}, autoreset_mode="SameStep", **THREADS)
@@ -169,8 +170,8 @@ def test_a_curriculum_grows_with_the_level() -> None:
 
 
 def test_boxes_with_errors_are_placed_by_a_hand_beside_their_places() -> None:
-    """By about as much as the errors of docs/confidence.md say, twice as much at twice the strength, and the same again
-    when the pallet is built anew."""
+    """The errors have about the size that docs/confidence.md states. They are twice as large at twice the strength, and
+    the same when the pallet is built again."""
     strengths = np.repeat([0.0, 1.0, 2.0], 4)
     pallets = petmjx.Pallets(len(strengths), **THREADS)
     box = {"size_mm": (400, 300, 200), "mass_kg": 6.0}
@@ -182,13 +183,13 @@ def test_boxes_with_errors_are_placed_by_a_hand_beside_their_places() -> None:
     off = (results.middle_mm[:, 0] - planned)[:, :2]
     assert np.abs(off[:4]).max() < 0.001
     sd_mm = np.sqrt((off[4:8] ** 2).mean())
-    assert 0.5 < sd_mm < 5  # of 2 mm, from 8 numbers
+    assert 0.5 < sd_mm < 5  # the standard deviation should be 2 mm; it is estimated from 8 numbers
     np.testing.assert_allclose(off[8:], 2 * off[4:8], atol=0.3)
     on_top = pallets.place(corner_mm=[(400, 200, 200)] * 12, error=error + 9, error_strength=strengths, **box)
     pallets.place(corner_mm=[(0, 0, 0)] * 12, **box)
     pallets.take_back()
     pallets.take_back()
-    pallets.take_back()  # the last one is built again, without boxes
+    pallets.take_back()  # the last pallet is built again, without boxes
     pallets.place(corner_mm=[corner] * 12, error=error, error_strength=strengths, **box)
     again = pallets.place(corner_mm=[(400, 200, 200)] * 12, error=error + 9, error_strength=strengths, **box)
     np.testing.assert_array_equal(on_top.middle_mm, again.middle_mm)
@@ -235,7 +236,7 @@ def test_the_mask_sure_is_of_places_that_physics_allows() -> None:
 
 
 def test_a_window_shows_each_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where Matplotlib draws into files alone, the line says it; else each picture is drawn."""
+    """If Matplotlib can only draw into files, one line reports this. Otherwise every step draws a picture."""
     matplotlib = pytest.importorskip("matplotlib")
     monkeypatch.setattr(PalletizingEnv, "metadata", {**PalletizingEnv.metadata, "render_fps": 1000})
     env = PalletizingEnv(orders=table((400, 300, 200)), render_mode="human", **THREADS)
@@ -243,7 +244,7 @@ def test_a_window_shows_each_step(monkeypatch: pytest.MonkeyPatch) -> None:
     matplotlib.use("agg")
     with pytest.raises(InputError, match="render_mode: human needs a window, and Matplotlib's backend agg has none"):
         env.reset(seed=0)
-    monkeypatch.setattr(matplotlib, "get_backend", lambda: "tkagg")  # agg draws what a window would show
+    monkeypatch.setattr(matplotlib, "get_backend", lambda: "tkagg")  # the backend agg draws what a window would show
     drawn = []
     monkeypatch.setattr("matplotlib.pyplot.pause", drawn.append)
     env.reset(seed=0)
@@ -257,7 +258,7 @@ def test_a_window_shows_each_step(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(params=["interface", "stable_baselines3"])
 def vec_env(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> tuple[type[Any], type[Any]]:
-    """``PalletizingVecEnv`` and ``Monitor``: of the interface alone, and of Stable-Baselines3 itself."""
+    """``PalletizingVecEnv`` and ``Monitor``: stand-ins with only their interface, and those of Stable-Baselines3."""
     if request.param == "interface":
         return stand_in(monkeypatch), Monitor
     monitor = pytest.importorskip("stable_baselines3.common.monitor", reason="no Stable-Baselines3 (extra: sb3)")
@@ -288,7 +289,7 @@ def test_the_vec_env_is_the_vector_environment_with_infos_of_each(vec_env: tuple
         np.testing.assert_array_equal(env.get_attr("action_masks", 1)[0](), masks[1])
         actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in masks])
         if step == 0:
-            actions[2] = int(np.flatnonzero(~masks[2])[0])  # the one illegal action that is allowed
+            actions[2] = int(np.flatnonzero(~masks[2])[0])  # the only illegal action, which is allowed once
         last = observed
         observed, reward, over, infos = env.step(actions)
         expected, same, terminated, truncated, theirs = twin.step(actions)

@@ -1,4 +1,5 @@
-"""Options as they are typed: which of them contradict one another, and what an error is blamed on."""
+"""Options that are typed on the command line: which options contradict one another, and which option an error message
+names."""
 
 from __future__ import annotations
 

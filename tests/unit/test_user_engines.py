@@ -1,5 +1,5 @@
-"""An engine of the user's own keeps all that it has; and what ends a run leaves nothing behind, however often it is
-interrupted."""
+"""Engines that users write: petmjx keeps all their attributes. An interrupt leaves nothing behind, however often a run
+is interrupted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from petmjx.world.job import Job
 
 
 class Full:
-    """An engine that inherits nothing and has everything."""
+    """An engine that inherits from no class of petmjx and has all optional attributes."""
 
     name = "full"
     capabilities = Capability.FLOAT64 | Capability.CHECKS

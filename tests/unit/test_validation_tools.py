@@ -1,4 +1,5 @@
-"""The measurements behind docs/validation.md: how resting boxes drift and why, and how verdicts depend on details."""
+"""The measurements of docs/validation.md: how boxes that should rest drift, why they drift, and how verdicts depend on
+details."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ SHORT = Window(0.2, 0.6)
 
 
 def seen(**values: float) -> dict[str, object]:
-    """What was seen of a box that creeps for no visible reason, with changes."""
+    """Measured values of a box that creeps for no visible reason; the arguments change some of the values."""
     calm = {"drift_um_s": 5.0, "vertical_um_s": 0.0, "used": 0.1, "changes": 0.0, "pushed": 0.0, "askew_deg": 0.0}
     return {"plan_id": "a", "box": 0, **calm, **values}
 
@@ -54,7 +55,8 @@ def test_a_tower_rests_and_a_plan_that_falls_has_no_rows() -> None:
 
 
 def test_friction_gives_way_as_the_law_says() -> None:
-    """A box on a slope of 6° creeps at v = R · f / b: R goes with 1 / impratio, 1 / b with the time constant."""
+    """A box on a slope of 6° creeps at v = R · f / b. R is proportional to 1 / impratio, and 1 / b to the time
+    constant."""
 
     def creep(**values: Any) -> float:
         sim = Simulation(physics={"name": "pallet", "impratio": 1.0, **values}, thresholds={"tilt_deg": 90.0})
@@ -70,7 +72,7 @@ WEDGE: tuple[Box, ...] = (
     ((400, 300, 20), (0, 0, 0), 5.0),
     ((400, 300, 200), (200, 0, 20), 10.0),
 )
-"""The upper box stands on the carrier with one edge and leans on the plate with the other."""
+"""The upper box stands on the carrier with one edge and leans on the plate with another."""
 
 
 def test_changes_of_plans_keep_what_they_should() -> None:
@@ -109,7 +111,7 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 @pytest.mark.parametrize(("overhang_mm", "stands"), [(150.0, True), (230.0, False)])
 def test_a_pose_balances_or_not(overhang_mm: float, stands: bool) -> None:
-    """A box whose centre is 30 mm beyond the edge: the moment of its weight there, over half its shorter side."""
+    """The centre of a box is 30 mm beyond the edge. The moment of its weight about the edge cannot be balanced."""
     scene = make_scene([((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (overhang_mm, 0, 200), 2.0)])
     quat = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     residual = left_over(scene, PHYSICS["pallet"], scene.target, quat)

@@ -1,4 +1,5 @@
-"""Variants: what they change in a scene, what they leave alone, and whose random numbers they use."""
+"""Variants of a plan's world: what they change in a scene, what they leave unchanged, and which random numbers they
+use."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ from petmjx.world.variants import (
 NORMAL_5 = Distribution(DistributionShape.NORMAL, 0.0, 5.0)
 
 TOUCH_M = 1e-9
-"""Float64 rounding of heights of some metres."""
+"""Rounding error of heights of some metres in float64, m."""
 
 
 def make_plan(corner_mm: list[list[float]], size_mm: list[list[float]], plan_id: str = "plan") -> Plan:
@@ -42,7 +43,7 @@ def make_plan(corner_mm: list[list[float]], size_mm: list[list[float]], plan_id:
 
 
 def stack(n_columns: int = 3, n_layers: int = 4) -> Scene:
-    """Columns of boxes side by side along x, each layer bridged by nothing."""
+    """Columns of boxes side by side along x. No box connects two columns."""
     corners = [[400.0 * c, 0.0, 200.0 * layer] for layer in range(n_layers) for c in range(n_columns)]
     return build_scene(make_plan(corners, [[400, 300, 200]] * len(corners)), Simulation())
 
@@ -53,7 +54,7 @@ def vary(scene: Scene, replicate: int = 0, plan_id: str = "plan", seed: int = 0,
 
 
 def deepest_vertical_overlap(scene: Scene) -> float:
-    """Largest vertical penetration among boxes that stand over one another, m."""
+    """Largest vertical overlap of two boxes that stand above one another, m."""
     worst = -np.inf
     bottom = scene.start_pos[:, 2] - scene.half_size[:, 2]
     top = scene.start_pos[:, 2] + scene.half_size[:, 2]
@@ -129,7 +130,7 @@ def test_sizes_that_change_are_set_down_on_the_actual_tops(size: Distribution) -
     top = (varied.start_pos + varied.half_size)[:, 2].reshape(4, 3)
     np.testing.assert_allclose(bottom[0], 0.0, atol=TOUCH_M)
     assert deepest_vertical_overlap(varied) <= TOUCH_M
-    # Every box stands on the highest that it overlaps.
+    # Every box stands on the highest box that it overlaps, seen from above.
     for layer in range(1, 4):
         assert ((bottom[layer] - top[layer - 1]) >= -TOUCH_M).all()
     assert np.isclose(bottom[1:], top[:-1], rtol=0, atol=TOUCH_M).any()
@@ -146,7 +147,7 @@ def test_relative_tolerance_scales_each_dimension() -> None:
 
 def test_a_bridge_rests_on_the_higher_of_its_supports() -> None:
     corners = [[0, 0, 0], [400, 0, 0], [200, 0, 200]]
-    # with reference contacts a box is lower by the size reduction, and falls by it
+    # with the contacts of the preset reference, a box is lower by the size reduction, and falls by this distance
     for physics, fall_m in (("pallet", 0.0), ("reference", 1e-4)):
         scene = build_scene(make_plan(corners, [[400, 300, 200]] * 3), Simulation(physics=physics))
         varied = vary(scene, size_mm=NORMAL_5, replicate=4)
@@ -163,7 +164,8 @@ def test_a_box_pushed_over_a_slightly_higher_neighbour_is_set_on_it_and_a_wall_i
     varied = vary(
         scene, x_mm=Distribution(DistributionShape.FIXED, 10.0), y_mm=Distribution(DistributionShape.FIXED, 0.0)
     )
-    # All move alike, so box 2 comes over nothing new; moved alone it would stand on box 1, 4 mm higher.
+    # All boxes move in the same way, so box 2 comes over no other box. If it moved alone, it would stand on box 1, 4 mm
+    # higher.
     np.testing.assert_allclose(varied.start_pos[:, 2], scene.start_pos[:, 2], atol=TOUCH_M)
     for replicate in range(30):
         moved = vary(scene, x_mm=NORMAL_5, y_mm=NORMAL_5, replicate=replicate)

@@ -1,4 +1,5 @@
-"""Runs in workers: the same tables as without, also if workers die, and a process that stays as it was."""
+"""Runs in workers: the tables equal those of a run without workers, also if workers die, and the process keeps its
+global state."""
 
 from __future__ import annotations
 
@@ -52,7 +53,8 @@ def process_state() -> tuple[Any, ...]:
 
 @pytest.fixture(scope="module", autouse=True)
 def cluster() -> Iterator[None]:
-    """One cluster of two CPUs for all tests, whatever this machine has; starting it leaves no trace."""
+    """One Ray cluster with two CPUs for all tests, whatever this machine has. Starting the cluster changes nothing
+    global."""
     before = process_state()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("petmjx.engines.remote.ray_cluster.cpu_threads", lambda: 2)
@@ -72,7 +74,7 @@ def pool() -> Iterator[WorkerPool]:
 
 
 class Killer:
-    """A watcher that kills a worker when some worlds are done, each time so many more are."""
+    """A watcher that kills a worker each time that this number of worlds has ended."""
 
     def __init__(self, pool: WorkerPool, every: int) -> None:
         self.pool, self.every, self.done, self.killed = pool, every, 0, 0
@@ -125,7 +127,7 @@ def test_workers_that_are_killed_change_no_table(
 
 
 class _Deadly:
-    """Kills the process into which it is unpickled."""
+    """An object that ends the process in which it is unpickled."""
 
     def __reduce__(self) -> Any:
         return os._exit, (1,)
@@ -140,12 +142,12 @@ def test_only_the_world_that_kills_its_workers_is_invalid(pool: WorkerPool, caps
     assert [outcome.job for outcome in outcomes if outcome.reason is Reason.FAILED] == [5]
     assert outcomes[5].message == "the worker died while it simulated only this world, as did earlier workers"
     assert progress.worlds_done == 12
-    # in its next attempt it is alone from the beginning: it kills one worker more, and not two
+    # in its next attempt, the world is alone from the beginning: it kills one more worker, not two
     deaths = pool._deaths
     again = list(pool.run([jobs[5]], ATTEMPTS[1].apply_to_sim(SHORT)))
     assert again[0].reason is Reason.FAILED
     assert pool._deaths == deaths + 1
-    assert capsys.readouterr().out == ""  # only results belong there, not what Ray says of workers
+    assert capsys.readouterr().out == ""  # standard output has only results, no output of Ray about its workers
 
 
 def test_a_run_that_is_left_in_the_middle_leaves_the_pool_usable(pool: WorkerPool) -> None:
@@ -164,8 +166,8 @@ def test_a_run_that_is_left_in_the_middle_leaves_the_pool_usable(pool: WorkerPoo
 
 
 def wait_for_two(pool: WorkerPool) -> None:
-    """Both workers are ready. Ray once lost the start of one, and had not found it after 11 minutes: such a worker is
-    started again. A run goes on with the other one."""
+    """Wait until both workers are ready. A worker that does not become ready is killed and started again: Ray once lost
+    the start of a worker, and had not found it after 11 minutes. A run would continue with the other worker."""
     for _ in range(3):
         deadline = time.monotonic() + 40.0
         while len(pool.pids) < 2 and time.monotonic() < deadline:
@@ -180,7 +182,7 @@ def wait_for_two(pool: WorkerPool) -> None:
 
 
 def test_a_place_where_no_worker_gets_ready_any_more_is_left(pool: WorkerPool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a GPU that has broken down."""
+    """For example, a GPU may have broken down."""
     wait_for_two(pool)
     jobs = [Job(fake_scene(1.0, 10.0 + k)) for k in range(30)]
     outcomes = pool.run(jobs, SHORT)
@@ -189,7 +191,7 @@ def test_a_place_where_no_worker_gets_ready_any_more_is_left(pool: WorkerPool, m
     monkeypatch.setattr(pool_module, "FALSE_STARTS", 1)
     os.kill(pool.pids[0], signal.SIGKILL)
     assert len(list(outcomes)) == 29
-    patience = time.monotonic() + 60.0  # a worker takes a second or two until it says that it cannot start
+    patience = time.monotonic() + 60.0  # a worker needs a second or two until it reports that it cannot start
     while len(pool._places) == 2 and time.monotonic() < patience:
         assert len(list(pool.run(jobs * 8, SHORT))) == 240
     assert len(pool._places) == 1
@@ -198,7 +200,8 @@ def test_a_place_where_no_worker_gets_ready_any_more_is_left(pool: WorkerPool, m
 def test_a_ray_of_this_machine_that_has_died_is_not_waited_for(
     pool: WorkerPool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As when its process has been killed for memory: no worker can start any more."""
+    """For example, Ray's process may have been killed because memory was short. No worker can then be started any
+    more."""
     outcomes = pool.run([Job(fake_scene(1.0, 10.0 + k)) for k in range(30)], SHORT)
     next(outcomes)
     monkeypatch.setattr(pool_module, "START_S", 0.0)

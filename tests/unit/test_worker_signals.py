@@ -1,4 +1,4 @@
-"""Commands with workers that a signal ends: one line, nothing left behind, and a run that goes on."""
+"""Commands with workers that a signal ends: they print one line, leave nothing behind, and can be resumed."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ sys.exit(main(sys.argv[1:]))
 def test_a_signal_ends_a_command_with_workers_and_it_goes_on_without(
     number: signal.Signals, code: int, tmp_path: Path
 ) -> None:
-    """Ctrl-C in a terminal reaches the whole process group, Ray's processes too."""
+    """Ctrl-C in a terminal sends the signal to the whole process group, including the processes of Ray."""
     plans = write(tmp_path / "plans.json", {f"p{k:03}": TOWER for k in range(30)})
     options = ["--engine", "mujoco", "--out", str(tmp_path / "o"), "--workers", "1", "--threads", "1"]
     command = [sys.executable, "-c", _INTERRUPTED, "score", str(plans), *options]
@@ -77,18 +77,18 @@ def test_a_signal_while_ray_starts_leaves_nothing(tmp_path: Path) -> None:
             [*command, "--workers", "1"], stderr=subprocess.PIPE, text=True, env=environment
         ) as child:
             wait_for(lambda: any(Path(short).iterdir()))
-            time.sleep(0.5)  # Ray takes longer to start
+            time.sleep(0.5)  # Ray takes longer than this to start
             child.send_signal(signal.SIGTERM)
             _, stderr = child.communicate()
         assert child.returncode == 143
         assert stderr == "petmjx: interrupted: before the first plan was finished; nothing was written\n"
         assert not any(Path(short).iterdir())
-        # those that were just killed may take a moment to end
+        # processes that were just killed may take a moment to end
         wait_for(lambda: not [process for process in Path("/proc").glob("[0-9]*/cmdline") if short in _text(process)])
 
 
 def _text(path: Path) -> str:
-    """A file's text; empty if it is gone."""
+    """The text of a file; empty if the file does not exist any more."""
     try:
         return path.read_text(errors="replace")
     except OSError:

@@ -1,4 +1,4 @@
-"""Arguments of wrong types from Python: one line with the argument's name, and no traceback from inside."""
+"""Arguments of wrong types in Python: one line with the name of the argument, and no traceback from inside petmjx."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ pytestmark = [
 
 
 class Hostile:
-    """What answers no question."""
+    """An object that raises an error whatever it is asked."""
 
     def __array__(self, *args: Any, **kwargs: Any) -> Any:
         raise RuntimeError("no array")
@@ -67,7 +67,7 @@ FIELDS = {name: getattr(make_plan("A"), name) for name in inspect.signature(petm
 
 
 def _options(function: Any) -> list[str]:
-    """Arguments by name; without those with which a wrong value is a long run, or a fine one."""
+    """Names of arguments, without those for which a wrong value is valid or makes a run long."""
     slow = {"plans", "workers", "ray", "duration_s", "interval_s", "confidence", "out", "resume", "overwrite"}
     return [name for name in inspect.signature(function).parameters if name not in slow]
 
@@ -115,7 +115,7 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any], list[str]]] = {
 
 
 def _call(function: Callable[..., Any], arguments: dict[str, Any]) -> str | None:
-    """The line of the error; None: it was taken."""
+    """The line of the error; None if the call raised no error."""
     try:
         function(**arguments)
     except PetmjxError as error:
@@ -125,7 +125,8 @@ def _call(function: Callable[..., Any], arguments: dict[str, Any]) -> str | None
 
 @pytest.mark.parametrize("seed", range(4))
 def test_strange_arguments_are_one_line(seed: int) -> None:
-    """500 calls in all with a strange value somewhere; any other exception than petmjx's own fails the test."""
+    """500 calls in all, each with a strange value of one argument. Any other exception than petmjx's own fails the
+    test."""
     rng = random.Random(seed)
     refused = 0
     for _ in range(125):

@@ -1,1 +1,1 @@
-"""Engine mujoco: C MuJoCo on CPU threads, with exact models and one world per thread. It is the oracle."""
+"""Engine mujoco: C MuJoCo on CPU threads, one world per thread. The other engines are tested against it."""

@@ -1,5 +1,7 @@
-"""Contacts between faces of compliant boxes, as beds of springs in MuJoCo's data. The law:
-petmjx/world/compliance.py."""
+"""Contacts between faces of compliant boxes, computed as beds of springs and written into MuJoCo's data.
+
+The law of the springs is in petmjx/world/compliance.py.
+"""
 
 from __future__ import annotations
 
@@ -23,16 +25,18 @@ from petmjx.world.compliance import (
 from petmjx.world.scene import Scene
 
 PARALLEL: Final = 1e-6
-"""Two edges are parallel if the sine of their angle is below this; their distance is then measured at their middles."""
+"""Two edges count as parallel if the sine of the angle between them is below this. The distance of parallel edges is
+measured at their middles."""
 
 _LEVEL: Final = 1e-12
-"""Smallest slope of the depth. If the slope is smaller, the depth counts as the same everywhere."""
+"""Smallest slope of the depth over the pressed area. With a smaller slope, the depth counts as equal everywhere."""
 
 _FAR_M: Final = 1e3
-"""Distance of the line of depth 0 if the depth is the same everywhere, m."""
+"""If the depth is equal everywhere, this is used as the distance of the line on which the depth is 0, m."""
 
 _LEAST_MOMENT_M2: Final = 1e-18
-"""Smallest second moment per area, m². If the moment is smaller, the area counts as a line."""
+"""Smallest second moment of the pressed area, divided by the area, m². With a smaller one, the area counts as a
+line."""
 
 _TRUE: Final = np.ones(1, bool)
 _Y: Final = np.array([0.0, 1.0, 0.0])
@@ -41,7 +45,7 @@ _EAST: Final = np.array([1.0, 0.0, 0.0])
 _NEXT: Final = [1, 2, 0]
 _LAST: Final = [2, 0, 1]
 _FACES: Final = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
-"""For each axis of a box as the normal of a face: this axis, and the axes along the face's edges."""
+"""For each axis of a box, as the normal of a face: the number of this axis, and of the two axes along the edges."""
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 _ASIDE: Final = np.array([1.0, -1.0])
 _WAYS: Final = np.array([-1.0, 1.0])
@@ -67,14 +71,15 @@ _FIELDS: Final = (
     "exclude",
     "efc_address",
 )
-"""The fields of a contact in MuJoCo's data."""
+"""The names of the fields of a contact in MuJoCo's data."""
 
 
 class Beds:
-    """Replaces contacts between faces of compliant boxes by points that together have the force and moments of a bed.
+    """Replaces the contacts between two faces by four contact points, if a box is compliant. Together, the points have
+    the force and the moments of a bed of springs.
 
     Args:
-        bodies: (ngeom,) the body of each geom (``petmjx.world.mujoco_model.geom_bodies``).
+        bodies: (ngeom,) the body to which each geom belongs (``petmjx.world.mujoco_model.geom_bodies``).
     """
 
     def __init__(self, scene: Scene, physics: Physics, model: mujoco.MjModel, bodies: NDArray[np.intp]) -> None:
@@ -86,7 +91,7 @@ class Beds:
         self._plane = np.asarray(model.geom_type) == mujoco.mjtGeom.mjGEOM_PLANE
 
     def step1(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """``mj_step1``, with the beds; everything else is bit-identical."""
+        """``mj_step1`` of MuJoCo with beds of springs. All other results are bit-identical to those of ``mj_step1``."""
         mujoco.mj_checkPos(model, data)
         mujoco.mj_checkVel(model, data)
         mujoco.mj_kinematics(model, data)
@@ -101,12 +106,13 @@ class Beds:
         mujoco.mj_fwdVelocity(model, data)
 
     def press(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Replace the collider's contacts between two faces by the contacts of a bed, if a box is compliant."""
+        """Replace the contacts that MuJoCo found between two faces by the contacts of a bed, if one of the boxes is
+        compliant."""
         count = data.ncon
         if not count:
             return
         geom = data.contact.geom
-        # the collider lists all contacts of a pair consecutively
+        # MuJoCo lists all contacts of a pair of geoms one after another
         begin = np.flatnonzero(np.concatenate([_TRUE, (geom[1:] != geom[:-1]).any(axis=1)]))
         length = np.diff(begin, append=count)
         one, two = geom[begin].T
@@ -129,7 +135,7 @@ class Beds:
                     repeats[first : first + contacts] = 0
                     repeats[first] = POINTS_PER_BED * has_area
             if not _take(model, data, np.repeat(np.arange(count), repeats)):
-                return  # MuJoCo counts a warning for the full buffer, so the world gets an overflow flag
+                return  # a full buffer makes MuJoCo count a warning, and the world gets an overflow flag
             begin = (np.cumsum(repeats) - repeats)[begin[beds]]
         rows, contact = begin[:, None] + np.arange(POINTS_PER_BED), data.contact
         contact.pos[rows] = points[beds]
@@ -140,7 +146,8 @@ class Beds:
 
 
 def _take(model: mujoco.MjModel, data: mujoco.MjData, source: NDArray[np.intp]) -> bool:
-    """Replace the contacts by copies of the contacts ``source``; returns whether the buffer has room for them."""
+    """Replace the contacts in MuJoCo's data by copies of the contacts with the numbers ``source``. Returns whether the
+    buffer has room for them."""
     values = {name: np.array(getattr(data.contact, name))[source] for name in _FIELDS}
     for _ in range(len(source) - data.ncon):
         if mujoco.mj_addContact(model, data, mujoco.MjContact()):
@@ -152,7 +159,7 @@ def _take(model: mujoco.MjModel, data: mujoco.MjData, source: NDArray[np.intp]) 
 
 
 def frames(normal: FloatArray) -> FloatArray:
-    """(p, 9) frames of contacts with these (p, 3) unit normals, the same as from MuJoCo's ``mju_makeFrame``."""
+    """(p, 9) contact frames for (p, 3) unit normals, the same as from MuJoCo's ``mju_makeFrame``."""
     other = np.where(np.abs(normal[:, 1:2]) < 0.5, _Y, _Z)
     one = _unit(other - (other * normal).sum(axis=1, keepdims=True) * normal)
     return np.concatenate([normal, one, _cross(normal, one)], axis=1)
@@ -166,18 +173,18 @@ def face_pressure(
     two: NDArray[np.integer],
     normal: FloatArray,
 ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The pressure between p pairs of faces, each as four contact points.
+    """The pressure between the faces of p pairs of boxes, as four contact points for each pair.
 
     Args:
-        pos: (n, 3) middles of the boxes, m.
-        turn: (n, 9) rotation matrices, row by row.
-        half: (n, 3) half sizes, m.
+        pos: (n, 3) centres of the boxes, m.
+        turn: (n, 9) rotation matrices of the boxes, row by row.
+        half: (n, 3) half sizes of the boxes, m.
         one, two: (p,) numbers of the two boxes of each pair.
-        normal: (p, 3) normals from the collider, from the first box to the second.
+        normal: (p, 3) contact normals that MuJoCo found, from the first box to the second box.
 
     Returns:
-        (p,) whether two faces meet; (p, 3) unit normals; (p, 4, 3) points, m; (p, 4) depths, m; (p,) pressed area, m²;
-        (p,) smallest area that counts for the stiffness, m².
+        Six arrays: (p,) whether two faces meet; (p, 3) unit normals; (p, 4, 3) contact points, m; (p, 4) their depths,
+        m; (p,) pressed area, m²; (p,) smallest area with which the stiffness is computed, m².
     """
     count = len(one)
     boxes, toward = np.concatenate([one, two]), np.concatenate([normal, -normal])
@@ -186,7 +193,7 @@ def face_pressure(
     rows = np.arange(2 * count)[:, None]
     order = _FACES[np.abs(along).argmax(axis=1)]
     reach = half[boxes][rows, order]
-    # half axes of the face whose normal is nearest to this direction: outward, and along both edges
+    # half axes of the face whose normal is nearest to the contact normal: outward, and along both edges
     directions = columns[rows, order]
     directions[:, 0] *= np.copysign(1.0, along[rows, order[:, :1]])
     axes = directions * reach[:, :, None]
@@ -237,18 +244,18 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """``np.cross`` for few vectors, in a tenth of its time."""
+    """``np.cross`` for few vectors. It takes a tenth of the time of NumPy's function."""
     return np.asarray(a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT])
 
 
 def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
-    """Fill in the sides of two parallelograms as lines. A line has coefficients of x, y and 1; their sum is the
-    distance of a point inside the line.
+    """Write the sides of two parallelograms into ``lines``. A line has three coefficients: of x, of y, and a constant.
+    The sum a·x + b·y + c is the distance of the point (x, y) from the line, positive inside the parallelogram.
 
     Args:
-        edges: (p, 2, 2, 2) half edges; the axes are parallelogram, edge, coordinate.
-        at: (p, 2) middle of the first parallelogram; the middle of the second one is the origin.
-        lines: (p, 9, 3) lines; the first eight of nine are filled in.
+        edges: (p, 2, 2, 2) half edges. The axes are pair, parallelogram, edge and coordinate.
+        at: (p, 2) middle of the first parallelogram. The middle of the second parallelogram is the origin.
+        lines: (p, 9, 3) nine lines for each pair, of which the first eight are written.
     """
     cross = edges[:, :, :1, 0] * edges[:, :, 1:, 1] - edges[:, :, :1, 1] * edges[:, :, 1:, 0]
     length = np.sqrt((edges * edges).sum(axis=3))
@@ -262,23 +269,24 @@ def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
 
 
 def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Values of the region inside all lines: (p,) area, (p,) area without the last line, (p,) largest distance of the
-    region from the last line, (p, 2) centroid, and (p, 2, 2) root of the second moments per area.
+    """Properties of the region that is inside all lines. Returns five arrays: (p,) its area; (p,) its area without the
+    last line; (p,) the largest distance of a point of the region from the last line; (p, 2) its centroid; and (p, 2, 2)
+    a square root (Cholesky factor) of its second moments per area.
 
-    Each edge of the region is the part of a line that lies inside all other lines. Area and moments are sums over edges
-    (Green's theorem).
+    An edge of the region is the part of a line that is inside all other lines. The area and the moments are sums over
+    the edges, by Green's theorem.
 
     Args:
-        lines: (p, k, 3) in the form that ``_sides`` fills in.
+        lines: (p, k, 3) lines with three coefficients each, as ``_sides`` writes them.
     """
     across, offset = lines[:, :, :2], lines[:, :, 2]
     along = across[:, :, ::-1] * _ASIDE
     turned = across.transpose(0, 2, 1)
-    sine, cosine = along @ turned, across @ turned  # indices [j, k]: line j, cut by line k
+    sine, cosine = along @ turned, across @ turned  # [j, k]: line j, cut by line k
     parallel = np.abs(sine) < PARALLEL
     inside = offset[:, None, :] - offset[:, :, None] * np.where(parallel, np.rint(cosine), cosine)
     cut = -inside / np.where(parallel, 1.0, sine)
-    # if two lines coincide, only the first one is an edge
+    # if two lines coincide, only the first line is an edge
     outside = parallel & ((inside < 0) | ((inside == 0) & _LATER))
     low = np.where(sine >= PARALLEL, cut, -_FAR_M)
     high = np.where(sine <= -PARALLEL, cut, np.where(outside, -np.inf, _FAR_M))
@@ -287,7 +295,7 @@ def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     low, high = low.max(axis=2), high.min(axis=2)
     length = np.maximum(high - low, 0.0)
     is_edge = length > 0
-    share = np.where(is_edge, length * offset, 0.0)  # twice the area of the triangle of edge and origin
+    share = np.where(is_edge, length * offset, 0.0)  # twice the area of the triangle between the edge and the origin
     area = 0.5 * share.sum(axis=1)
     share /= np.where(area > 0, area, 1.0)[:, None]
     half_way = np.where(is_edge, 0.5 * (low + high), 0.0)

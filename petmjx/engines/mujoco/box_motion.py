@@ -1,4 +1,4 @@
-"""Shift, tilt, drop, excess and speed of boxes (NumPy). petmjx/engines/mjx/box_motion.py is a separate twin in JAX."""
+"""Shift, tilt, drop, excess and speed of boxes, in NumPy. petmjx/engines/mjx/box_motion.py computes the same in JAX."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from petmjx.options.simulation import Thresholds
 
 
 def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArray | None = None) -> FloatArray:
-    """(…, n, 3) displacements from the planned centres, m; components smaller than ``floor_m`` count as 0.
+    """(…, n, 3) displacements of the boxes' centres from the planned centres, m. Components whose magnitude is below
+    ``floor_m`` become 0.
 
     Args:
-        sinks_m: (n,) expected descent of each box, m. This descent does not count as displacement. None: no descent is
-            expected.
+        sinks_m: (n,) expected descent of each box, m, which does not count as displacement. If None, no box is expected
+            to descend.
     """
     delta = pos - target
     if sinks_m is not None:
@@ -24,15 +25,15 @@ def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArr
 
 
 def tilt_deg(quat: FloatArray) -> FloatArray:
-    """(n,) angle between each box's z axis and the world's, degrees."""
+    """(n,) angle between each box's z axis and the world's z axis, degrees."""
     x, y = quat[:, 1], quat[:, 2]
-    # The sine of half the angle is accurate near 0; the cosine of the full angle is not.
+    # The sine of half the angle is accurate for small angles; the cosine of the full angle is not.
     half_sine = np.sqrt(np.minimum((x * x + y * y) / np.einsum("ij,ij->i", quat, quat), 1.0))
     return np.asarray(np.degrees(2.0 * np.arcsin(half_sine)))
 
 
 def lowest_z(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(n,) z of the lowest point of each rotated box, m."""
+    """(n,) z coordinate of the lowest point of each rotated box, m."""
     w, x, y, z = quat.T
     norm2 = w * w + x * x + y * y + z * z
     row = np.abs(np.stack((2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))) / norm2
@@ -40,36 +41,37 @@ def lowest_z(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatA
 
 
 def has_dropped(pos: FloatArray, quat: FloatArray, half_size: FloatArray, thresholds: Thresholds) -> NDArray[np.bool_]:
-    """(n,) whether the box's centre is below the carrier's top, or its lowest point is below ``drop_hull_z_m``."""
+    """(n,) whether each box's centre is below the carrier's top, or its lowest point is below ``drop_hull_z_m``."""
     return np.asarray((pos[:, 2] < 0.0) | (lowest_z(pos, quat, half_size) < thresholds.drop_hull_z_m))
 
 
 def excess(shift_m: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_], thresholds: Thresholds) -> FloatArray:
-    """(n,) excess of each box: the larger of shift / its threshold and tilt / its threshold; at least 1 for a dropped
-    box.
+    """(n,) excess of each box: shift divided by its threshold, or tilt divided by its threshold, whichever is larger.
+    The excess of a dropped box is at least 1.
 
-    A value above 1 is a sign of failure, and so is a drop.
+    A box has failed if its excess is above 1 or if it has dropped.
     """
     worst = np.maximum(np.abs(shift_m).max(axis=1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
     return np.asarray(np.maximum(worst, dropped))
 
 
 def speed(vel: FloatArray, radius_m: FloatArray) -> FloatArray:
-    """(n,) speed of each box's fastest point, m/s. The value is an upper bound: ‖v‖ + r·‖ω‖.
+    """(n,) upper bound of the speed of each box's fastest point, m/s: ‖v‖ + r·‖ω‖.
 
     Args:
-        vel: (n, 6) velocities of the centres, m/s, and angular velocities, rad/s.
-        radius_m: (n,) half diagonals of the boxes.
+        vel: (n, 6) velocities of the centres, m/s, followed by angular velocities, rad/s.
+        radius_m: (n,) half diagonals of the boxes, m.
     """
     return np.asarray(np.linalg.norm(vel[:, :3], axis=1) + radius_m * np.linalg.norm(vel[:, 3:], axis=1))
 
 
 def moved(before: FloatArray, after: FloatArray, radius_m: FloatArray) -> FloatArray:
-    """(n,) largest distance by which any point of each box has moved, m: ‖Δc‖ + r·2·‖Δq‖, for small rotations.
+    """(n,) upper bound of the distance by which any point of each box has moved, m: ‖Δc‖ + r·2·‖Δq‖, for small
+    rotations.
 
     Args:
-        before, after: (n, 7) centres, m, and unit quaternions.
-        radius_m: (n,) half diagonals of the boxes.
+        before, after: (n, 7) centres (m) and unit quaternions of the boxes at two times.
+        radius_m: (n,) half diagonals of the boxes, m.
     """
     change = after - before
     return np.asarray(np.linalg.norm(change[:, :3], axis=1) + 2 * radius_m * np.linalg.norm(change[:, 3:], axis=1))

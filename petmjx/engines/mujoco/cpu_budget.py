@@ -1,4 +1,4 @@
-"""Time budget of a world on C MuJoCo. A budget is needed since a step may take any time if boxes overlap or
+"""The time limit of a world on C MuJoCo. It is needed because one step may take very long if boxes overlap or
 collapse."""
 
 from __future__ import annotations
@@ -12,28 +12,29 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.job import Job
 
 LEAST_S: Final = {Check.STATIC: 30.0, Check.ONE_BY_ONE: 300.0}
-"""CPU time that every world may take, s. Static checks of third-party plans of up to 241 boxes take up to 6 s."""
+"""CPU time that every world may take at least, s. Third-party plans of up to 241 boxes, with all boxes placed at once,
+take up to 6 s."""
 
 MOST_TIMES: Final = 20.0
-"""Largest time of a world, as a multiple of its expected time. The slowest collapsing plans take five times their
+"""Largest CPU time of a world, as a multiple of its expected time. The slowest collapsing plans take five times their
 expected time."""
 
 LONG_S: Final = 5.0
-"""Wall-clock time after which the progress of a single world is shown, s."""
+"""Wall-clock time after which the user sees the progress of a single world, s."""
 
 SLOW_S: Final = 0.05
-"""If the time between two checks of the budget is at least this long, the budget is checked at each step, s."""
+"""If at least this time passes between two checks of the budget, the budget is then checked at each step, s."""
 
 
 class Budget:
-    """The time budget of one attempt at a world. The thread that simulates the world creates the budget and checks it.
+    """The time limit of one attempt at a world. The thread that simulates the world creates the budget and checks it.
 
     Args:
-        timeout_s: wall-clock time limit, s; None: the CPU time that ``LEAST_S`` and ``MOST_TIMES`` allow. In this case
-            worlds with soft boxes have no limit, since their time is not estimated.
+        timeout_s: wall-clock time limit, s. If None, CPU time is limited by ``LEAST_S`` and ``MOST_TIMES``. Worlds with
+            soft boxes then have no limit, since their time cannot be estimated.
 
     Attributes:
-        slow: whether the time between the last two checks was at least ``SLOW_S``.
+        slow: whether at least ``SLOW_S`` passed between the last two checks.
     """
 
     def __init__(self, job: Job, sim: Simulation, timeout_s: float | None = None) -> None:
@@ -47,14 +48,14 @@ class Budget:
         self.slow = False
 
     def is_spent(self, steps: int, placed: int) -> bool:
-        """Whether the time is up. ``steps``: number of steps of the world so far; ``placed``: number of placed
+        """Whether the time is used up. ``steps``: number of steps of the world so far; ``placed``: number of placed
         boxes."""
         self._steps, self._placed = steps, placed
         now_s = self._clock()
         self.slow, self._last_s = now_s - self._last_s >= SLOW_S, now_s
         if now_s - self._begin_s <= self._most_s:
             return False
-        if not self._is_exact:  # few worlds need the exact limit
+        if not self._is_exact:  # the exact limit is computed only for the few worlds that need it
             self._is_exact = True
             soft = self._job.scene.soft is not None
             expected_s = float(MEASURED.of_jobs([self._job], self._sim)[0])
@@ -63,7 +64,8 @@ class Budget:
 
     @property
     def so_far(self) -> str:
-        """Progress of a world that takes long, as text for the user; empty until then. Any thread may read it."""
+        """The progress of a world that takes long, as text for the user. Empty before ``LONG_S``. Any thread may read
+        it."""
         seconds = time.monotonic() - self._made_s
         if seconds < LONG_S:
             return ""
@@ -71,7 +73,7 @@ class Budget:
 
     @property
     def words(self) -> str:
-        """One line that reports that the budget is spent."""
+        """A message of one line for a world that used up its time."""
         kind = "" if self._timeout_s is not None else " of CPU time"
         return f"no verdict within {duration(self._most_s)}{kind}: {self._reach}; world_timeout_s allows more"
 

@@ -1,4 +1,4 @@
-"""The ``mujoco`` engine: the exact model of each plan on C MuJoCo, one world per thread."""
+"""The engine ``mujoco``: simulates the exact model of each plan on C MuJoCo, one world per thread."""
 
 from __future__ import annotations
 
@@ -28,23 +28,24 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LOOK_S: Final = 0.25
-"""Longest wait for a world, s. A signal that arrives just before a wait is noticed only after it."""
+"""Longest uninterrupted wait for a world, s. A signal, such as Ctrl-C, may be noticed this much later."""
 
 
 class MujocoEngine(Engine):
-    """Simulates each world alone, on its exact model. This engine is the oracle, and without a GPU it is the fastest
-    engine for little work.
+    """Simulates each world alone, on its exact model. The other engines are tested against this engine. Without a GPU,
+    it is the fastest engine for a small amount of work.
 
-    ``mj_step`` takes all steps up to the next event without the GIL, so threads scale with cores. A world's outcome
-    does not depend on the number of threads.
+    ``mj_step`` takes all steps up to the next event without Python's global interpreter lock, so the speed grows with
+    the number of CPU cores. The outcome of a world does not depend on the number of threads.
 
-    If the simulation of a world raises an exception, the world is invalid and other worlds continue. Causes are a model
-    that does not compile, a lack of memory, or an error in MuJoCo.
+    If the simulation of a world raises an exception, the world is invalid and the other worlds continue. Possible
+    reasons are a model that does not compile, a lack of memory, or an error in MuJoCo.
 
     Args:
-        threads: number of worlds simulated at once; None: the number of CPU threads that this process may use.
-        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: a limit that follows from the
-            expected time (petmjx/engines/mujoco/cpu_budget.py).
+        threads: number of worlds that are simulated at once. If None, it is the number of CPU threads that this process
+            may use.
+        world_timeout_s: longest wall-clock time of one attempt at a world, s. If None, the limit follows from the
+            world's expected time (petmjx/engines/mujoco/cpu_budget.py).
     """
 
     name = "mujoco"
@@ -56,11 +57,11 @@ class MujocoEngine(Engine):
         self.world_timeout_s = world_timeout_s
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> MujocoWorlds:
-        """See ``Engine.open``. Worlds run on this engine's threads, and have room for any number of boxes."""
+        """See ``Engine.open``. The worlds run on this engine's threads, and may get any number of boxes."""
         return MujocoWorlds(scenes, sim, self.threads)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """See ``Engine.paths``. Worlds run on this engine's threads."""
+        """See ``Engine.paths``. The worlds run on this engine's threads."""
         return paths(bodies, sim, self.threads)
 
     @property
@@ -72,11 +73,10 @@ class MujocoEngine(Engine):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """Simulate each job once. Outcomes are yielded as worlds finish.
+        """Simulate each job once. An outcome is yielded when its world ends.
 
         If the generator is closed, or an exception such as KeyboardInterrupt is raised, the threads stop within a few
-        dozen steps. At most two jobs per thread are submitted at a time, so memory does not grow with the number of
-        jobs.
+        dozen steps. At most two jobs per thread wait or run at a time, so memory does not grow with the number of jobs.
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
@@ -97,7 +97,7 @@ class MujocoEngine(Engine):
                     finished, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
                     last_line = _say(progress, last_line, "" if finished else _oldest(running))
                     if not finished and progress.pauses:
-                        yield None  # type: ignore[misc]  # only with ``Progress.pauses``
+                        yield None  # type: ignore[misc]  # None is allowed only with ``Progress.pauses``
                     outcomes = [future.result() for future in finished]
                     for n_more, (outcome, thread_s) in zip(reversed(range(len(outcomes))), outcomes, strict=True):
                         progress.at_hand = n_more
@@ -111,17 +111,17 @@ class MujocoEngine(Engine):
 
 
 def _oldest(running: Mapping[int, Budget]) -> str:
-    """Progress of the running world that began first, if it takes long; else empty."""
-    with suppress(ValueError, KeyError, RuntimeError):  # worlds begin and end meanwhile
+    """The progress of the running world that began first, as text. Empty if this world has not taken long yet."""
+    with suppress(ValueError, KeyError, RuntimeError):  # other threads begin and end worlds at the same time
         return running[min(running)].so_far
     return ""
 
 
 def _say(progress: Progress, last_line: str, words: str) -> str:
-    """Show the progress of a world unless another message is shown. Returns the line that was last shown here.
+    """Show the progress of a world, unless another message is shown. Returns the line that this function showed last.
 
     Args:
-        last_line: the line that was last shown here.
+        last_line: the line that this function showed last.
         words: the line to show now.
     """
     if progress.message != last_line:
@@ -138,8 +138,8 @@ def _simulate(
     timeout_s: float | None,
     running: dict[int, Budget],
 ) -> tuple[Outcome, float]:
-    """The outcome of a world, and the CPU time that this thread needed for it, s. ``running``: budgets of running
-    worlds, by stream number."""
+    """The outcome of a world, and the CPU time that this thread spent on the world, s. ``running``: the time budgets of
+    all running worlds, by stream number."""
     begin_s = time.thread_time()
     try:
         running[stream_number] = budget = Budget(job, sim, timeout_s)

@@ -1,6 +1,6 @@
-"""Film around a pallet on C MuJoCo (petmjx/world/film.py).
+"""Stretch film around a pallet on C MuJoCo. The law of the film is in petmjx/world/film.py.
 
-Twins: ``petmjx/engines/warp/kernels/film.py``, ``petmjx/engines/mjx/film.py``.
+The same law is also in ``petmjx/engines/warp/kernels/film.py`` and ``petmjx/engines/mjx/film.py``.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from petmjx.world.scene import Scene
 
 
 class ActingFilm:
-    """Film that holds boxes at the places that they had when the film was wound around them.
+    """Stretch film that holds boxes at the places that they had when the film was wound around them.
 
     Args:
-        pos: (n, 3) centres of mass of the boxes, relative to the carrier's centre of mass, m.
+        pos: (n, 3) the boxes' centres of mass at this time, relative to the carrier's centre of mass, m.
     """
 
     def __init__(self, scene: Scene, timestep_s: float, pos: FloatArray) -> None:
@@ -25,10 +25,12 @@ class ActingFilm:
         self._home, self._anchor = pos.copy(), pos.copy()
 
     def forces(self, pos: FloatArray, vel: FloatArray) -> FloatArray:
-        """(n, 3) forces on boxes during the next step, N. If the film slips on a box, the box's anchor moves with it.
+        """(n, 3) forces of the film on the boxes during the next step, N. If the film slips on a box, the point of the
+        film that holds the box (its anchor) moves with the box.
 
         Args:
-            pos, vel: (n, 3) positions and velocities of centres of mass, relative to the carrier's, m and m/s.
+            pos, vel: (n, 3) positions (m) and velocities (m/s) of the boxes' centres of mass, relative to the carrier's
+                centre of mass.
         """
         rate, hold = self._rate_1_s, self._film.hold[:, None]
         spring = self._mass * rate**2 * (self._anchor - pos)

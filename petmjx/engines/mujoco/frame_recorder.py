@@ -20,8 +20,8 @@ from petmjx.world.job import Job
 
 @dataclass(eq=False)
 class _Frame:
-    """One frame. Arrays have one row for each of the n boxes. ``acted``: (n, 8) force on top, linear and angular
-    acceleration, penetration."""
+    """One recorded frame of a world with n boxes. ``acted``: (n, 8) force on top (N), linear acceleration (m/s²),
+    angular acceleration (rad/s²) and penetration (m) of each box."""
 
     step: int
     placed: int
@@ -35,7 +35,7 @@ class WorldRecorder:
     """Records the frames of one world.
 
     Args:
-        record: which frames to take, and whether with details.
+        record: which frames are recorded, and whether with details.
         timestep_s: timestep of the simulation, s.
     """
 
@@ -46,28 +46,28 @@ class WorldRecorder:
         self._begun = False
 
     def is_due(self, step: int) -> bool:
-        """Whether a frame must be taken after this step. No frame is due before the first placement."""
+        """Whether a frame must be recorded after this step. No frame is due before the first box is placed."""
         return self._begun and step % self._every == 0
 
     def next_after(self, step: int) -> int:
-        """The next step after which a frame is due, as far as known at the moment."""
+        """The next step after which a frame is due. A very large number before the first frame."""
         if not self._begun:
             return sys.maxsize
         return step + self._every - step % self._every
 
     def look(self, step: int, live: LiveWorld) -> None:
-        """Take a frame after a step, unless the step already has one. Call this before the world is changed, since a
+        """Record a frame after a step, unless the step already has a frame. Call this before the world is changed: a
         change loses the forces of the step."""
         if self._frames and self._frames[-1].step == step:
             return
         self._take(step, live, acted=True)
 
     def begin(self, step: int, live: LiveWorld) -> None:
-        """Take the first frame of a world that starts from a settled state. The forces in this frame are unknown."""
+        """Record the first frame of a world that starts from a settled state. The forces in this frame are unknown."""
         self._take(step, live, acted=False)
 
     def place(self, live: LiveWorld) -> None:
-        """Add a box that was just placed to the frame of this step. No force has acted on the box yet."""
+        """Add the box that was just placed to the frame of the current step. No force has acted on the box yet."""
         frame, box = self._frames[-1], live.n_placed - 1
         frame.placed = live.n_placed
         frame.pose[box] = live.pose[box]
@@ -75,11 +75,11 @@ class WorldRecorder:
         self._begun = True
 
     def history(self, time_s: Callable[[int], float], driven_from: int | None) -> History:
-        """All frames, as a history.
+        """All recorded frames, as a history.
 
         Args:
             time_s: function that returns the time after a step, s.
-            driven_from: the step after which the drive began; None: there is no drive.
+            driven_from: the step after which the drive (motion of the carrier) began. None if there is no drive.
         """
         frames = self._frames
         acted = np.array([frame.acted for frame in frames])
@@ -119,11 +119,11 @@ class WorldRecorder:
 
 
 def read_contacts(data: mujoco.MjData, bodies: NDArray[np.integer], pyramidal: bool, frame: int) -> Contacts:
-    """All contacts in the last step.
+    """All contacts of the last step.
 
     Args:
-        bodies: (ncon, 2) the partners of each contact (``LiveWorld.contact_bodies``).
-        frame: number of the frame to which the contacts belong.
+        bodies: (ncon, 2) the two bodies of each contact (``LiveWorld.contact_bodies``).
+        frame: number of the recorded frame to which the contacts belong.
     """
     body = bodies.astype(np.int32)
     axes = np.array(data.contact.frame).reshape(-1, 3, 3)
@@ -142,7 +142,7 @@ def read_contacts(data: mujoco.MjData, bodies: NDArray[np.integer], pyramidal: b
 
 
 def _penetration(contacts: Contacts, n_placed: int) -> FloatArray:
-    """(n_placed,) largest depth of any contact of each box, m; 0 if the box touches nothing."""
+    """(n_placed,) largest penetration at any contact of each box, m. 0 for a box without contacts."""
     depth = np.zeros(n_placed)
     for side in range(2):
         box = contacts.body[:, side]

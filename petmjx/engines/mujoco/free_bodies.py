@@ -1,4 +1,4 @@
-"""Released boxes on C MuJoCo: one world per thread, stepped by ``LiveWorld``."""
+"""Boxes that are released without the rules of placement, on C MuJoCo: one world per thread."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def paths(bodies: FreeBodies, sim: Simulation, threads: int) -> FloatArray:
 
 
 def _path(bodies: FreeBodies, world: int, sim: Simulation) -> FloatArray:
-    """(s, k, 7) poses of the boxes of one world after each of ``bodies.steps``."""
+    """(s, k, 7) positions (m) and quaternions of the k boxes of one world, after each of the s steps
+    ``bodies.steps``."""
     poses = np.full((len(bodies.steps), bodies.n_boxes, 7), np.nan)
     live = LiveWorld.let_go(bodies.scenes[world], sim, bodies.velocity[world])
     last_step = 0

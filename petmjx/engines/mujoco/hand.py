@@ -1,6 +1,6 @@
-"""The hand that carries a box to its place, in a world on C MuJoCo (docs/rules.md, section 4).
+"""The hand (a limited force and moment) that carries a box to its place on C MuJoCo (docs/rules.md, section 4).
 
-Twins: ``petmjx/engines/warp/kernels/hand.py``, ``petmjx/engines/mjx/hand.py``.
+The same hand is also in ``petmjx/engines/warp/kernels/hand.py`` and ``petmjx/engines/mjx/hand.py``.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from petmjx.world.scene import Scene
 
 @dataclass(eq=False)
 class Hand:
-    """One box that a hand carries along its path.
+    """The hand that carries one box along a straight path.
 
     Attributes:
-        begin, end: (3,) origins of the box's frame at the ends of the path, m.
-        quat: (4,) orientation in which the hand holds the box.
+        begin, end: (3,) positions of the box's frame at the two ends of the path, m.
+        quat: (4,) quaternion of the orientation in which the hand holds the box.
         steps: number of steps of the path.
+        falls: whether the hand releases the box at the end of the path, so that the box falls.
         taken: number of steps since the path began.
-        falls: whether the box is released at the end of the path, and then falls.
         lowered_from: value of ``taken`` at which the hand begins to set the box down.
         short_m: distance of the box from the end of the path after the last step, m.
     """
@@ -53,16 +53,16 @@ class Hand:
 
     @property
     def missed(self) -> bool:
-        """Whether a released box is too far from its place to count as placed."""
+        """Whether the box is released too far from its place to count as placed."""
         return self.short_m > MISSED_M
 
     def has_let_go(self, pose: FloatArray, slow: bool) -> bool:
-        """Whether the hand releases the box after this step. The box must have arrived and be at rest. Unless the box
-        is meant to fall, it is set down first.
+        """Whether the hand releases the box after this step. The hand waits until the box has arrived and is at rest.
+        Unless the box is meant to fall, the hand then sets it down before it releases it.
 
         Args:
-            pose: (7,) pose of the box's frame, m and quaternion.
-            slow: whether the box is as slow as boxes of a quiet pallet.
+            pose: (7,) position (m) and quaternion of the box's frame.
+            slow: whether the box is as slow as the boxes of a quiet pallet.
         """
         self.taken += 1
         self.short_m = float(np.linalg.norm(self.end - pose[:3]))
@@ -78,16 +78,16 @@ class Hand:
         return False
 
     def wrench(self, pose: FloatArray, velocity: FloatArray) -> FloatArray:
-        """(6,) force, N, and moment, N·m, of the hand during the next step, in world axes.
+        """(6,) force (N) and moment (N·m) of the hand on the box during the next step, in world axes.
 
-        A spring and a damper connect the box to the point that it should follow. A third force makes a free box move
-        with that point to the last digit. The sum of these forces is limited, and so is the moment. The weight of the
-        box is added to the limited sum. A box that is being set down is held only by a damper, which may also carry its
-        weight.
+        A spring and a damper connect the box to the point that the box should follow. A third force accelerates the box
+        like this point, so that a free box follows it exactly. The sum of these forces is limited, and so is the
+        moment. The weight of the box is added to the limited sum. While the hand sets the box down, only a damper acts
+        on the box; its force may also carry the weight.
 
         Args:
-            pose: (7,) pose of the box's frame, m and quaternion.
-            velocity: (6,) velocity of the frame, m/s, and angular velocity in the box's axes, rad/s.
+            pose: (7,) position (m) and quaternion of the box's frame.
+            velocity: (6,) velocity of this frame, m/s, followed by the angular velocity in the box's axes, rad/s.
         """
         mass, half_size = float(self.scene.mass[self.box]), self.scene.half_size[self.box]
         most_n, weight_n = self.scene.placing.force_n, mass * self.gravity_m_s2
@@ -118,7 +118,7 @@ def _limited(vector: FloatArray, most: float) -> FloatArray:
 
 
 def _rotation_vector(quat: FloatArray, target_quat: FloatArray) -> FloatArray:
-    """(3,) rotation from ``quat`` to ``target_quat``, in the axes of the former, rad; for small angles."""
+    """(3,) rotation vector from ``quat`` to ``target_quat``, in the axes of ``quat``, rad. Exact for small angles."""
     w, u = quat[0], quat[1:]
     real = w * target_quat[0] + u @ target_quat[1:]
     imaginary = w * target_quat[1:] - target_quat[0] * u - np.cross(u, target_quat[1:])

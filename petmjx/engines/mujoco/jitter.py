@@ -1,4 +1,4 @@
-"""Finds trembling boxes (docs/rules.md, section 5) in a world on C MuJoCo. Twin: petmjx/engines/mjx/jitter.py."""
+"""Finds trembling boxes on C MuJoCo (docs/rules.md, section 5). petmjx/engines/mjx/jitter.py does the same in JAX."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ def _no_boxes() -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Jitter:
-    """State of the search for trembling boxes after a look. Each look makes a new state.
+    """What is known about trembling boxes after a check whether the pallet is quiet (a *look*). Each look makes a new
+    ``Jitter``.
 
     Attributes:
-        boxes: (n,) whether each box trembles, for the n boxes that were placed at the looks since the last placement.
+        boxes: (n,) whether each box trembles. n is the number of placed boxes at the looks since the last placement.
         looks: number of looks with this number of boxes.
-        home: (n, 7) poses at the beginning of the measured period.
-        path_m, away_m: (n,) length of each box's path since the first look of the period, and its largest distance from
-            ``home``, m.
+        home: (n, 7) poses of the boxes at the beginning of the measured period.
+        path_m: (n,) length of each box's path since the first look of the period, m.
+        away_m: (n,) largest distance of each box from ``home`` in the period, m.
     """
 
     boxes: NDArray[np.bool_] = field(default_factory=_no_boxes)
@@ -36,8 +37,8 @@ class Jitter:
     away_m: FloatArray | float = 0.0
 
     def which(self, n: int) -> NDArray[np.bool_]:
-        """(n,) whether each of the n placed boxes trembles. Right after a placement, no box counts as trembling, since
-        too few looks have been taken.
+        """(n,) whether each of the n placed boxes trembles. Shortly after a placement, no box counts as trembling,
+        since there have been too few looks.
         """
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 
@@ -45,7 +46,9 @@ class Jitter:
         """The state after another look at the boxes during a wait.
 
         Args:
-            pose: (n, 7) poses; speed_m_s, radius_m: (n,) speeds of the boxes' fastest points, and half diagonals.
+            pose: (n, 7) positions (m) and quaternions of the boxes.
+            speed_m_s: (n,) speed of each box's fastest point, m/s.
+            radius_m: (n,) half diagonals of the boxes, m.
         """
         rule = sim.quiet
         period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s

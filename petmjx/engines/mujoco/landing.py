@@ -1,5 +1,7 @@
-"""Contact law of landing boxes on C MuJoCo. The law stops boxes that arrive fast, or lets them bounce. The law:
-petmjx/world/contact_laws.py."""
+"""Contact law of landing boxes on C MuJoCo. The law stops boxes that arrive fast, or lets them bounce.
+
+The law itself is in petmjx/world/contact_laws.py.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,12 @@ from petmjx.world.mujoco_model import geom_surfaces
 from petmjx.world.scene import Scene
 
 CALM_M_S2 = 0.5
-"""Many steps are taken together while the root of the sum of squares of all accelerations, m/s² and rad/s², is at most
-this. In five steps, a box then becomes faster by at most 5 mm/s."""
+"""Many steps are taken together while the norm of all accelerations (m/s² and rad/s²) is at most this. The speed of a
+box then grows by at most 5 mm/s in five steps."""
 
 
 class MovingWorld(Protocol):
-    """The part of ``petmjx.engines.mujoco.live_world.LiveWorld`` that landings need."""
+    """The members of ``petmjx.engines.mujoco.live_world.LiveWorld`` that ``Landings`` uses."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -41,8 +43,8 @@ class Landings:
     """The landing boxes of a world, and their velocities before they landed.
 
     Attributes:
-        left: (n,) number of further steps for which each box counts as landing; 0: it is not landing.
-        before: (n, 6) velocities of landing boxes before they touched.
+        left: (n,) number of further steps for which each box counts as landing, or 0 if the box is not landing.
+        before: (n, 6) velocities of the landing boxes before they touched anything, m/s and rad/s.
     """
 
     def __init__(self, scene: Scene, sim: Simulation) -> None:
@@ -55,30 +57,30 @@ class Landings:
         self._placed = 0
 
     def fork(self) -> Landings:
-        """A copy for a fork of the world."""
+        """A copy for a copy (*fork*) of the world."""
         twin = Landings(self._scene, self._sim)
         twin.left[:], twin.before[:], twin._placed = self.left, self.before, self._placed
         return twin
 
     def extended(self, scene: Scene) -> Landings:
-        """A copy for the world after boxes were added."""
+        """A copy for the same world with additional boxes."""
         twin = Landings(scene, self._sim)
         twin.left[: len(self.left)], twin.before[: len(self.left)] = self.left, self.before
         return twin
 
     def over(self, live: MovingWorld) -> bool:
-        """Whether no box is landing, and no box will land in the next few steps."""
+        """Whether no box is landing, and no box can land in the next few steps."""
         data = live.data
         placed, self._placed = self._placed, live.n_placed
-        # a box that was just placed has no acceleration yet, and may begin to fall
+        # a box that was just placed has no acceleration yet, but may begin to fall
         if placed != live.n_placed or self.left.any():
             return False
         acceleration = data.qacc
         return _is_slow(data.qvel) and bool(acceleration.dot(acceleration) < CALM_M_S2**2)
 
     def act(self, live: MovingWorld) -> None:
-        """Find boxes that begin to land, and change the contacts while any box lands. Called between collision and
-        solver."""
+        """Find boxes that begin to land, and change the contacts while any box is landing. Must be called after
+        collision detection and before the solver."""
         data, left = live.data, self.left
         landing = bool(left.any())
         if landing:
@@ -123,5 +125,5 @@ class Landings:
 
 
 def _is_slow(velocity: FloatArray) -> bool:
-    """Whether no contact can close fast enough for a landing. ``velocity``: (nv,) velocities of all bodies."""
+    """Whether all bodies are too slow for a landing. ``velocity``: (nv,) velocities of all bodies, m/s and rad/s."""
     return bool(velocity.dot(velocity) < (0.5 * FAST_M_S) ** 2)

@@ -1,4 +1,4 @@
-"""Live worlds: MuJoCo worlds that grow while boxes are placed, with model, data, and views of arrays for the rules."""
+"""``LiveWorld``: a MuJoCo world that grows while boxes are placed, with access to the boxes' states for the rules."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from petmjx.world.release_places import Release, release_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 GROWTH_BLOCK = 8
-"""Number of boxes that are added to the model at once. A box that waits in the model costs 0.5 µs per step; a new
-compilation costs about 1 ms. With 40 boxes and the adaptive schedule, blocks of 1 and blocks of 40 both take 5 % longer
-than blocks of 8."""
+"""Number of boxes that are added to the model at once. A box that waits in the model costs 0.5 µs per step, and
+compiling the model again costs about 1 ms. For 40 boxes and the adaptive schedule, adding 1 box or 40 boxes at once
+takes 5 % longer than adding 8."""
 
 ORDERED_FROM = 64
-"""Smallest number of boxes of a plan whose bodies are in elimination order. The order makes third-party plans of 76 or
-more boxes 1.3 to 4.6 times as fast. Third-party plans of 45 and 66 boxes, and generated plans, gain at most 2 %.
-Compiling whole models to change the order costs them as much as they gain."""
+"""Smallest number of boxes of a plan whose bodies are sorted in elimination order. The order makes third-party plans of
+76 or more boxes 1.3 to 4.6 times as fast. Third-party plans of 45 and 66 boxes, and generated plans, gain at most 2 %.
+For these plans, compiling the model again for a new order costs as much time as the order saves."""
 
 _PARKING_M = 100.0
 _PARKING_PITCH_M = 10.0
@@ -45,7 +45,8 @@ _NO_CONTACTS = np.zeros((0, 2), dtype=np.intp)
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
-    """qpos (7), qvel (6) and solver warm start (6) of carrier and boxes. The rows are carrier, box 0, box 1, …"""
+    """State of the carrier and the boxes: qpos (7), qvel (6) and warm start of the solver (6) of each body. The rows
+    are carrier, box 0, box 1, …"""
 
     pose: FloatArray
     velocity: FloatArray
@@ -53,25 +54,28 @@ class BodyState:
 
 
 class LiveWorld:
-    """Model and data of one world, in which the first ``n_placed`` boxes are placed.
+    """MuJoCo's model and data of one world, in which the first ``n_placed`` boxes are placed.
 
-    Boxes that are in the model but not yet placed hang far apart in the air. Each is held by a force equal to its
-    weight. Waiting boxes touch nothing, so they do not influence the pallet.
+    Boxes that are in the model but not yet placed hang far apart in the air. Each of them is held by a force equal to
+    its weight. They touch nothing, so they do not influence the pallet.
 
-    With pyramidal cones, an additional body represents waiting boxes (``petmjx.engines.mujoco.waiting_boxes``).
+    With pyramidal friction cones, an additional body represents the waiting boxes
+    (``petmjx.engines.mujoco.waiting_boxes``).
 
-    The bodies of a large plan are in elimination order (``petmjx.engines.mujoco.elimination_order``); those of smaller
-    plans are in packing order. With pyramidal cones all bodies are in packing order, so that results are bit-identical
-    to the reference implementation. All arrays that this class takes and returns have rows in packing order.
+    The bodies of a large plan are sorted in elimination order (``petmjx.engines.mujoco.elimination_order``), the bodies
+    of a smaller plan in packing order. With pyramidal cones, all bodies are in packing order, so that results are
+    bit-identical to the reference implementation. All arrays that this class takes and returns have rows in packing
+    order.
 
     Args:
-        templates: for open worlds: models that are filled in instead of compiled.
-        held: pose in which the carrier is clamped from the beginning; None: it is free.
+        templates: compiled models of open worlds, which are filled in instead of compiling a model. If None, models are
+            compiled.
+        held: pose in which the carrier is clamped from the beginning. If None, the carrier is free.
 
     Attributes:
-        order: (capacity,) the boxes in the order of their bodies.
-        hand: the hand that carries the box placed last; None: all boxes are released.
-        geom_bodies: (ngeom,) the body to which each geom belongs: a box, ``CARRIER`` or ``FLOOR``.
+        order: (capacity,) numbers of the boxes in the order of their bodies.
+        hand: the hand that carries the box placed last. None if all placed boxes are released.
+        geom_bodies: (ngeom,) the body to which each geom belongs: the number of a box, ``CARRIER`` or ``FLOOR``.
         pyramidal: whether friction cones are pyramidal.
     """
 
@@ -95,7 +99,7 @@ class LiveWorld:
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
         self._slip = SlipLaw(sim.physics)
-        self._slides, self._looked = False, 0  # whether bodies slid at the last look; number of steps since then
+        self._slides, self._looked = False, 0  # whether bodies slid at the last check; number of steps since this check
         lands = sim.physics.has_landings and scene.soft is None
         self._landings = Landings(scene, sim) if lands else None
         self._build(n_boxes)
@@ -105,7 +109,7 @@ class LiveWorld:
         return not self.pyramidal and self.scene.n_boxes >= ORDERED_FROM
 
     def _build(self, capacity: int, contacts: NDArray[np.integer] = _NO_CONTACTS) -> None:
-        """Make model and data. ``contacts``: (m, 2) pairs of boxes that touch at the moment."""
+        """Make model and data. ``contacts``: (m, 2) pairs of boxes that touch now."""
         self.order = body_order(self.scene, capacity, contacts, self._shaken) if self._ordered else np.arange(capacity)
         if self._templates is not None and self._templates.fits(self.scene):
             self._take(self._templates.filled(self.scene, self.order))
@@ -123,7 +127,7 @@ class LiveWorld:
         self._take(ModelInstance(model, mujoco.MjData(model)))
 
     def _take(self, instance: ModelInstance) -> None:
-        """Use this model and data, whose bodies are in ``order``."""
+        """Use this model and its data. The bodies must be in the order ``order``."""
         self.model, self.data = instance
         self.capacity = len(self.order)
         self._row = np.argsort(self.order)
@@ -136,7 +140,7 @@ class LiveWorld:
         self._look_into_data()
 
     def _look_into_data(self) -> None:
-        """Make views of the boxes' rows in MuJoCo's data."""
+        """Make NumPy views of the boxes' rows in MuJoCo's data."""
         capacity = self.capacity
         self._warnings: NDArray[np.int32] = self.data.warning.number
         self._carrier, self._first_body = self.model.body(CARRIER_NAME).id, self.model.nbody - capacity
@@ -148,39 +152,39 @@ class LiveWorld:
 
     @cached_property
     def release(self) -> Release:
-        """The release places of boxes. Worlds that start from a settled state release no boxes."""
+        """The places at which boxes are released. Worlds that start from a settled state release no boxes."""
         return release_of(self.scene, self._sim)
 
     @cached_property
     def approach_path(self) -> ApproachPath | None:
-        """The approach paths of the boxes; None: they appear at their places."""
+        """The paths along which boxes approach their places. If None, boxes appear at their places."""
         return approach_path_of(self.scene, self._sim)
 
     @property
     def n_free(self) -> int:
-        """Number of released boxes: all placed boxes, except a box that is still carried."""
+        """Number of released boxes: all placed boxes, except a box that a hand still carries."""
         return self.n_placed - (self.hand is not None)
 
     @property
     def pose(self) -> FloatArray:
-        """(capacity, 7) middles and quaternions of the boxes after the last step."""
+        """(capacity, 7) centres (m) and quaternions of the boxes after the last step."""
         poses = self._poses[self._row]
         poses[:, :3] = self.scene.middles(poses[:, :3], poses[:, 3:])
         return poses
 
     @property
     def velocity(self) -> FloatArray:
-        """(capacity, 6) velocities of the boxes after the last step."""
+        """(capacity, 6) velocities (m/s) and angular velocities (rad/s) of the boxes after the last step."""
         return self._velocities[self._row]
 
     @property
     def qacc(self) -> FloatArray:
-        """(capacity, 6) accelerations of the boxes in the last step."""
+        """(capacity, 6) accelerations of the boxes in the last step, m/s² and rad/s²."""
         rows: FloatArray = self.data.qacc[self._first_v :].reshape(-1, 6)
         return rows[self._row]
 
     def _grow(self) -> None:
-        """Add the next boxes to the model. The state of all other bodies is copied bit for bit."""
+        """Add the next boxes to the model. The states of all other bodies are copied bit for bit."""
         old, count = self.data, self.capacity
         boxes = self._poses[self._row], self._velocities[self._row], self._warmstarts[self._row]
         capacity = min(self.scene.n_boxes, count + GROWTH_BLOCK)
@@ -200,7 +204,7 @@ class LiveWorld:
             self._forces(box)[2] = self.scene.mass[box] * self._sim.physics.gravity_m_s2
 
     def extend(self, scene: Scene) -> None:
-        """Replace the scene by one that has more boxes after the existing ones."""
+        """Replace the scene by a scene with additional boxes after the existing boxes."""
         self.scene = scene
         if self._landings is not None:
             self._landings = self._landings.extended(scene)
@@ -208,10 +212,10 @@ class LiveWorld:
             vars(self).pop(name, None)
 
     def fork(self, *, grows: bool = False) -> LiveWorld:
-        """An independent world in the same state, bit for bit.
+        """An independent copy of this world in the same state, bit for bit.
 
         Args:
-            grows: True: the next change of the new world will be another box. If this requires a new model, the data of
+            grows: whether the next change of the copy is an additional box. If this box needs a new model, the data of
                 the old model are only read and need not be copied.
         """
         twin = copy.copy(self)
@@ -225,7 +229,8 @@ class LiveWorld:
         return twin
 
     def give_back(self) -> None:
-        """Return the model and its data to the templates, for other worlds. This world must not be used afterwards."""
+        """Return the model and its data to the templates, for use in other worlds. This world must not be used
+        afterwards."""
         if self._templates is not None and self._templates.fits(self.scene):
             self._templates.give_back(ModelInstance(self.model, self.data), self.scene, self.capacity)
 
@@ -260,10 +265,11 @@ class LiveWorld:
             press_waiting(self.model, self.data, waiting_kg, self._sim.physics.gravity_m_s2)
 
     def _take_up(self, path: ApproachPath, box: int, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(3,) the place at which a box starts, m, and (4,) its orientation. A carried box also gets a hand.
+        """(3,) the position at which a box starts, m, and (4,) the quaternion of its orientation. If the box is
+        carried, a hand is created.
 
         Args:
-            rest: (3,) the place of the box if it were at rest, m.
+            rest: (3,) the position at which the box would be at rest, m.
         """
         scene, physics = self.scene, self._sim.physics
         end, quat = rest + path.lift[box], path.quat[box]
@@ -292,16 +298,16 @@ class LiveWorld:
         return True
 
     def _carry(self) -> None:
-        """Let the hand act during the next step."""
+        """Set the force and moment of the hand for the next step."""
         if self.hand is not None:
             row = self._row[self.hand.box]
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
 
     def step(self, count: int) -> None:
-        """Advance by ``count`` steps in C, without the GIL. Steps are taken one at a time if boxes are compliant, land,
-        or may slide.
+        """Take ``count`` steps in C, without Python's global interpreter lock. The steps are taken one at a time if
+        boxes are compliant, are landing, or may slide.
 
-        Whether boxes move is checked after every few steps of the world, however many steps one call takes.
+        Whether boxes slide is checked every ``LOOK_STEPS`` steps of the world, independently of ``count``.
         """
         while count > 0:
             if self._looked == 0:
@@ -326,33 +332,35 @@ class LiveWorld:
             self._slip.step2(self.model, self.data)
 
     def set_gravity(self, gravity: FloatArray) -> None:
-        """Set the gravity, (3,) m/s²."""
+        """Set the gravity of the world, (3,) m/s²."""
         self.model.opt.gravity[:] = gravity
 
     def set_carrier_force(self, force_n: FloatArray) -> None:
-        """Set the force on the carrier's centre of mass, (3,) N, from the next step on."""
+        """Set the force on the carrier's centre of mass from the next step on, (3,) N."""
         self.data.xfrc_applied[self._carrier, :3] = force_n
 
     def from_carrier(self) -> tuple[FloatArray, FloatArray]:
-        """(capacity, 3) centres of mass of the boxes, m, and their velocities, m/s, both relative to the carrier."""
+        """(capacity, 3) the boxes' centres of mass, m, and (capacity, 3) their velocities, m/s, relative to the
+        carrier."""
         speed = np.zeros(3) if self._held is not None else self.data.qvel[:3]
         return self._poses[self._row, :3] - self.carrier_pose[:3], self.velocity[:, :3] - speed
 
     def set_box_forces(self, force_n: FloatArray) -> None:
-        """Set the forces on the centres of mass of the boxes, (capacity, 3) N, from the next step on."""
+        """Set the forces on the boxes' centres of mass from the next step on, (capacity, 3) N."""
         self.data.xfrc_applied[self._first_body + self._row, :3] = force_n
 
     def with_velocities(self, boxes: NDArray[np.bool_], velocity: FloatArray) -> FloatArray:
-        """(nv,) velocities of the model, with those of the given boxes replaced by rows of ``velocity``."""
+        """(nv,) velocities of all bodies, in which the velocities of the given boxes are replaced by rows of
+        ``velocity``."""
         speeds: FloatArray = self.data.qvel.copy()
         chosen = np.flatnonzero(boxes[: self.capacity])
         speeds[self._first_v :].reshape(-1, 6)[self._row[chosen]] = velocity[chosen]
         return speeds
 
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
-        """(k, 3) middles and (k, 4) orientations of the placed boxes at the beginning of the last step.
+        """(k, 3) centres (m) and (k, 4) quaternions of the placed boxes at the beginning of the last step.
 
-        The accelerations and contact forces of the last step belong to the same moment.
+        The accelerations and contact forces of the last step hold at this moment.
         """
         rows = self._first_body + self._row[: self.n_placed]
         pos, quat = self.data.xpos[rows], self.data.xquat[rows]
@@ -363,27 +371,27 @@ class LiveWorld:
         return top_forces(self.data, self.geom_bodies, self.capacity, self.pyramidal)[: self.n_placed]
 
     def accelerations(self) -> tuple[FloatArray, FloatArray]:
-        """(k, 3) linear (m/s²) and (k, 3) angular accelerations (rad/s²) of the placed boxes in the last step, in world
-        axes. MuJoCo itself stores angular values of a free body in the body's own axes."""
+        """(k, 3) linear accelerations (m/s²) and (k, 3) angular accelerations (rad/s²) of the placed boxes in the last
+        step, in world axes. MuJoCo stores angular values of a free body in the axes of this body."""
         acceleration = self.qacc[: self.n_placed]
         rows = self._first_body + self._row[: self.n_placed]
         turn = self.data.xmat[rows].reshape(-1, 3, 3)
         return acceleration[:, :3], np.einsum("kij,kj->ki", turn, acceleration[:, 3:])
 
     def contact_bodies(self) -> NDArray[np.intp]:
-        """(ncon, 2) the partners of each contact of the last step: boxes, ``CARRIER`` or ``FLOOR``."""
+        """(ncon, 2) the two bodies of each contact of the last step: the number of a box, ``CARRIER`` or ``FLOOR``."""
         bodies: NDArray[np.intp] = self.geom_bodies[np.reshape(self.data.contact.geom, (-1, 2))]
         return bodies
 
     @property
     def carrier_pose(self) -> FloatArray:
-        """(7,) position and quaternion of the carrier after the last step."""
+        """(7,) position (m) and quaternion of the carrier after the last step."""
         if self._held is not None:
             return np.concatenate((self._held.pos, self._held.quat))
         return np.array(self.data.qpos[:7])
 
     def put_at_rest(self, poses: FloatArray) -> None:
-        """Put all boxes at rest, with their middles and orientations at the (n, 7) ``poses``, m."""
+        """Move all boxes to ``poses``, with zero velocity. ``poses``: (n, 7) centres (m) and quaternions."""
         self._poses[self._row, :3] = self.scene.frames(poses[:, :3], poses[:, 3:])
         self._poses[self._row, 3:] = poses[:, 3:]
         self._velocities[self._row] = self._warmstarts[self._row] = 0.0
@@ -399,7 +407,7 @@ class LiveWorld:
         self._restore(state, time_s)
 
     def body_state(self) -> BodyState:
-        """A copy of the state of the bodies, for a world whose carrier is free."""
+        """A copy of the state of carrier and boxes. The carrier must be free."""
         data = self.data
         return BodyState(
             pose=np.vstack((data.qpos[:7], self._poses[self._row])),
@@ -409,14 +417,16 @@ class LiveWorld:
 
     @classmethod
     def resume(cls, scene: Scene, sim: Simulation, state: BodyState, time_s: float) -> LiveWorld:
-        """A world with all its boxes, in a state that another world has reached. Used for drives."""
+        """A world with all its boxes, in a state that another world has reached. Used for drives (motions of the
+        carrier)."""
         live = cls(scene, sim, n_boxes=len(state.pose) - 1, shaken=True)
         live._restore(state, time_s)
         return live
 
     @classmethod
     def let_go(cls, scene: Scene, sim: Simulation, velocity: FloatArray) -> LiveWorld:
-        """A world with a clamped carrier. Its boxes are at their release places and have these (n, 6) velocities."""
+        """A world with a clamped carrier, whose boxes are at their release places with the (n, 6) velocities
+        ``velocity``."""
         held = HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT))
         live = cls(scene, sim, n_boxes=scene.n_boxes, held=held)
         live._velocities[live._row] = velocity
@@ -433,7 +443,7 @@ class LiveWorld:
         self.data.time = time_s
 
     def trouble(self) -> Flag:
-        """Flags for errors in this world, from MuJoCo's warnings and from numbers that are not finite."""
+        """The flags of errors in this world, from MuJoCo's warnings and from numbers that are not finite."""
         flags = Flag.NONE
         count = self._warnings
         if count.any():

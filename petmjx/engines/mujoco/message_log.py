@@ -1,4 +1,4 @@
-"""Keeps MuJoCo's messages off the terminal and out of files."""
+"""Keeps MuJoCo's messages out of the terminal and out of files."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import mujoco
 
 
 class QuietMujoco:
-    """Stops MuJoCo from printing, and from writing MUJOCO_LOG.TXT into the current folder, while a run is active.
+    """While a run is active, keeps MuJoCo from printing, and from writing MUJOCO_LOG.TXT into the current folder.
 
-    MuJoCo's messages (bad numbers, full buffers) are read from its data instead, and become flags in the results. This
-    setting applies to the whole process. The first run changes the setting, and the last run restores it.
+    petmjx reads MuJoCo's warnings (bad numbers, full buffers) from MuJoCo's data instead, and turns them into flags in
+    the results. MuJoCo's setting applies to the whole process. The first active run changes the setting, and the last
+    one restores it.
     """
 
     def __init__(self) -> None:

@@ -1,7 +1,7 @@
-"""Model templates of open worlds: each is compiled once for a number of boxes, and then filled in with boxes.
+"""Model templates of open worlds (worlds that grow box by box). A template is compiled once, then filled with boxes.
 
-Compiling a model of 30 boxes takes 2 ms, as long as ten steps, while a candidate takes only a few dozen steps. In every
-number on which a step depends, a filled model equals the model that MuJoCo would compile.
+Compiling a model of 30 boxes takes 2 ms, as long as ten steps, while trying a place for a box takes only a few dozen
+steps. All numbers of a filled model that influence a step equal those of the model that MuJoCo would compile.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from petmjx.world.scene import Scene
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
 MOST_KEPT: Final = 64
-"""Number of cached templates; the most recently used ones are kept. A template of 31 boxes takes 0.2 MB, and each of
-its spare worlds takes 0.7 MB while in use."""
+"""Number of templates that are kept: the most recently used ones. A template of 31 boxes takes 0.2 MB, and each of its
+unused models takes 0.7 MB while a world uses it."""
 
 MOST_SPARE: Final = 16
-"""Number of models with data that a template keeps for the next worlds: enough for one per thread on most machines."""
+"""Number of unused models with data that a template keeps for the next worlds: one per thread on most machines."""
 
 
 class ModelInstance(NamedTuple):
-    """The model of a world, with its data."""
+    """The MuJoCo model of a world, with its data."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -45,17 +45,17 @@ def set_options(model: mujoco.MjModel, sim: Simulation) -> None:
         model.opt.iterations = sim.solver_iterations
     if sim.solver_tolerance is not None:
         model.opt.tolerance = sim.solver_tolerance
-    # MuJoCo would silently reset a world that diverges, but petmjx must notice it.
+    # MuJoCo would silently reset a world that diverges, but petmjx must notice the divergence.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if sim.physics.cone is Cone.ELLIPTIC:
-        # A pallet is one island, and searching for islands would take 10 % of the time. With pyramidal cones, MuJoCo
-        # searches for islands: the solver's tolerance is relative to each island, and the creep of the preset
-        # `reference` depends on this tolerance.
+        # A pallet is one island (a group of bodies connected by contacts), and searching for islands would take 10 % of
+        # the time. With pyramidal cones, MuJoCo still searches for islands: the solver's tolerance is relative to each
+        # island, and the creep in the preset `reference` depends on this tolerance.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
 
 
 class Templates:
-    """Model templates by number of boxes and carrier. Several threads may use them."""
+    """Model templates, one for each number of boxes and carrier. Several threads may use them."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
@@ -64,20 +64,22 @@ class Templates:
 
     @classmethod
     def of(cls, sim: Simulation) -> Templates | None:
-        """The templates for these options; None if models must be compiled. They must be compiled for boxes without a
-        skin, since MuJoCo computes their inertia, and with pyramidal cones, since waiting boxes are in the model."""
+        """The templates for these options. None if models must be compiled. Models must be compiled if boxes have no
+        skin (contact margin), since MuJoCo then computes their inertia. They must also be compiled with pyramidal
+        cones, since boxes that wait are then part of the model."""
         physics = sim.physics
         return cls(sim) if physics.has_own_friction and physics.skin_m > 0 else None
 
     def fits(self, scene: Scene) -> bool:
-        """Whether each box of the scene has one shape and is rigid. Other boxes have their own contact laws."""
+        """Whether all boxes of the scene are rigid and have one shape each. Other boxes have contact laws of their
+        own."""
         return scene.stiffness is None and not scene.pieces
 
     def filled(self, scene: Scene, order: NDArray[np.intp]) -> ModelInstance:
-        """A model with the first boxes of a scene, and data in its initial state.
+        """A model with the first boxes of a scene, and data in the initial state.
 
         Args:
-            order: these boxes, in the order of their bodies.
+            order: (n,) numbers of these boxes, in the order of their bodies.
         """
         key = _key(scene, len(order))
         with self._lock:
@@ -93,7 +95,7 @@ class Templates:
         return template.filled(scene, order)
 
     def give_back(self, filled: ModelInstance, scene: Scene, count: int) -> None:
-        """Take back a model and data that no world uses any more, for the next world."""
+        """Take back a model and its data that no world uses any more, for use in the next world."""
         with self._lock:
             template = self._by_key.get(_key(scene, count))
         if template is not None:
@@ -101,14 +103,14 @@ class Templates:
 
 
 def _key(scene: Scene, count: int) -> tuple[object, ...]:
-    """The key of a template: the properties that are the same for all its models."""
+    """The key of a template: the properties that are equal in all models of this template."""
     carrier = scene.carrier
     arrays = (carrier.pos, carrier.half_size, carrier.shape_pos, carrier.inertia_box)
     return (count, carrier.mass, scene.floor_z, *(values.tobytes() for values in arrays))
 
 
 class _Template:
-    """A compiled model, with its unused copies."""
+    """A compiled model, and unused copies of it."""
 
     def __init__(self, scene: Scene, sim: Simulation, count: int) -> None:
         self._physics: Physics = sim.physics
@@ -129,7 +131,7 @@ class _Template:
             data = mujoco.MjData(model)
         self._fill(model, scene, order)
         mujoco.mj_setConst(model, data)
-        # The sum has the same order as in MuJoCo's compiler, since the solver's tolerance is relative to it.
+        # The sum has the same order as in MuJoCo's compiler, since the solver's tolerance is relative to this sum.
         model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
         mujoco.mj_resetData(model, data)
         return ModelInstance(model, data)
@@ -138,7 +140,7 @@ class _Template:
         self._spare.append(filled)
 
     def _fill(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """Write all values that depend on boxes and friction. MuJoCo then computes the values that follow from them."""
+        """Write all values that depend on boxes and friction. MuJoCo computes the values that follow from them."""
         physics, body, geom = self._physics, self._first_body, self._first_geom
         model.opt.gravity[:] = (0.0, 0.0, -physics.gravity_m_s2)
         half = scene.half_size[order] + physics.skin_m
@@ -158,8 +160,8 @@ class _Template:
         self._fill_friction(model, scene, order)
 
     def _fill_friction(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """Write the friction of pairs as ``petmjx.world.mujoco_model`` declares it: the larger friction of the two
-        geoms, or the entry for their surfaces."""
+        """Write the friction of pairs of geoms as ``petmjx.world.mujoco_model`` declares it: the larger friction of the
+        two geoms, or the friction given for the pair of their surfaces."""
         boards = len(scene.carrier.half_size)
         shapes = scene.shapes
         geoms = np.concatenate([np.arange(boards), boards + order])

@@ -1,4 +1,4 @@
-"""Open worlds on C MuJoCo: boxes are added one by one, and worlds can be forked.
+"""Open worlds on C MuJoCo: boxes are added one by one, and worlds can be copied (*forked*) to try places.
 
 ``OpenWorld`` is one world; ``MujocoWorlds`` simulates many worlds on CPU threads.
 """
@@ -26,9 +26,9 @@ from petmjx.world.scene import Scene
 
 
 class OpenWorld(WorldRun):
-    """A world that pauses when all its boxes are placed and have come to rest.
+    """A world that pauses when all its boxes are placed and at rest. More boxes can then be added.
 
-    The world starts after its soft start. No box is placed yet; in a static check, all boxes are.
+    The new world is at the end of its soft start. No box is placed yet; in a static check, all boxes are placed.
 
     Attributes:
         paused: whether boxes can be put into the world.
@@ -44,7 +44,7 @@ class OpenWorld(WorldRun):
         self.ended = not self._start()
 
     def go_on(self) -> None:
-        """Place the boxes that are not yet placed, and wait until they are at rest, by the rules of the placement.
+        """Place the boxes that are not placed yet, and wait until they are at rest, by the rules of placement.
 
         Raises:
             WorldCancelled: the run was interrupted.
@@ -56,7 +56,7 @@ class OpenWorld(WorldRun):
         """Put boxes into a world that has not ended.
 
         Args:
-            scene: the world's scene with further boxes after the existing ones.
+            scene: a scene with the boxes of the world, followed by the new boxes.
         """
         self._scene, self._job = scene, replace(self._job, scene=scene)
         self._live.extend(scene)
@@ -66,10 +66,10 @@ class OpenWorld(WorldRun):
         self._leave_pause()
 
     def fork(self, *, grows: bool = False) -> Self:
-        """A copy in the same state. From then on, the two are independent.
+        """A copy in the same state. Afterwards, the original and the copy are independent.
 
         Args:
-            grows: True: the next change of the copy will be another box.
+            grows: whether the next change of the copy is an additional box.
         """
         twin = copy.copy(self)
         twin._live, twin._metrics = self._live.fork(grows=grows), self._metrics.fork()
@@ -79,8 +79,9 @@ class OpenWorld(WorldRun):
         return twin
 
     def tried(self, scene: Scene, *, until_lost: bool = False) -> Reading:
-        """Put the additional boxes of this scene into a fork, and return the fork's reading once they are at rest. With
-        ``until_lost``, return the reading once a box is tilted too far at a sample, or gone at a look for quiet."""
+        """Put the additional boxes of this scene into a copy (*fork*), simulate it until they are at rest, and return
+        its state. With ``until_lost``, the simulation already ends when a box is tilted too far at a sample, or is gone
+        (fallen for certain) at a check whether the pallet is quiet."""
         twin = self.fork(grows=self.paused)
         twin._job, twin._until_gone = replace(twin._job, has_errors=until_lost), until_lost
         twin.put(scene)
@@ -101,9 +102,10 @@ class OpenWorld(WorldRun):
         return True
 
     def finish(self, index: int, drive: Drive | None = None) -> Outcome:
-        """Simulate a world with boxes to its end, that is, the rest window and the drive, if there is one.
+        """Simulate a world with boxes to its end: through the rest window (the last 0.2 s, in which resting forces are
+        measured), and through the drive (motion of the carrier), if there is one.
 
-        Afterwards, the world is no longer open.
+        Afterwards, no boxes can be added to the world.
 
         Raises:
             WorldCancelled: the run was interrupted.
@@ -120,7 +122,8 @@ class OpenWorld(WorldRun):
         return self._outcome(came_to_end=not self.ended and self._loop())
 
     def _lingers(self) -> bool:
-        """Whether the world paused because its time was up, and still moves. If so, its last wait may be longer."""
+        """Whether the world paused because its time was up, is still moving, and may get a longer wait as its last
+        wait."""
         return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:
@@ -130,8 +133,8 @@ class OpenWorld(WorldRun):
             self._keep_still_pose()
 
     def read(self) -> Reading:
-        """The reading of the world. The reading has ``Flag.MOVING`` if the world paused because its time was up,
-        although it was not at rest."""
+        """The state of the world. It has ``Flag.MOVING`` if the world paused because its time was up, although boxes
+        were still moving."""
         live, k = self._live, self._live.n_placed
         pose = live.pose[:k]
         moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
@@ -154,10 +157,10 @@ Result = TypeVar("Result")
 
 
 class MujocoWorlds(OpenWorlds):
-    """Open worlds on CPU threads.
+    """Open worlds that are simulated on CPU threads.
 
     Args:
-        scenes: the scene of each world. All worlds start immediately.
+        scenes: the scene of each world. All worlds start at once.
         threads: number of worlds that are simulated at the same time.
     """
 
@@ -220,8 +223,8 @@ class MujocoWorlds(OpenWorlds):
         return OpenWorld(scene, self._sim, self._stop.is_set, self._templates)
 
     def _map(self, work: Callable[[Item], Result], of: Iterable[Item]) -> list[Result]:
-        """The results of ``work`` for all items, computed on threads. An interruption stops worlds within a few dozen
-        steps; later calls continue them."""
+        """The results of ``work`` for all items, computed on threads. After an interruption, the worlds stop within a
+        few dozen steps; later calls continue them."""
         try:
             with QUIET_MUJOCO, ThreadPoolExecutor(self._threads, thread_name_prefix="petmjx-world") as pool:
                 try:

@@ -1,6 +1,6 @@
-"""The rules for quiet, rest and explosions in one world on C MuJoCo (docs/rules.md, sections 5 and 7).
+"""The rules that detect quiet, rest and explosions in a world on C MuJoCo (docs/rules.md, sections 5 and 7).
 
-Twin: ``Rules`` in petmjx/engines/mjx/rules.py.
+The class ``Rules`` in petmjx/engines/mjx/rules.py has the same rules in JAX.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from petmjx.world.scene import Scene
 
 
 class QuietRule:
-    """Decides at each look whether the pallet is quiet. The numbers are in ``petmjx.options.simulation.Quiet``.
+    """Decides whether the pallet is quiet, that is, whether all boxes are slow. ``petmjx.options.simulation.Quiet``
+    defines the limits.
 
-    The caller looks every ``poll_steps`` steps.
+    The caller must call ``look`` every ``poll_steps`` steps.
     """
 
     def __init__(self, sim: Simulation, scene: Scene) -> None:
@@ -30,11 +31,11 @@ class QuietRule:
         self.extend(scene)
 
     def extend(self, scene: Scene) -> None:
-        """Adopt the world's scene after boxes were added."""
+        """Use a scene with additional boxes from now on."""
         self._radius_m = np.linalg.norm(scene.half_size, axis=1)
 
     def restart(self) -> None:
-        """Start the count of quiet steps again, for another wait."""
+        """Set the number of quiet steps to 0, for another wait."""
         self._steps = 0
 
     @property
@@ -43,13 +44,13 @@ class QuietRule:
         return self._steps >= self._rule.steps
 
     def look(self, pose: FloatArray, velocity: FloatArray, has_failed: bool, adapts: bool = True) -> bool:
-        """Take one look. Returns whether the pallet is quiet, apart from boxes that tremble.
+        """Take one look at the boxes. Returns whether the pallet is quiet, with trembling boxes left out.
 
         Args:
-            pose: (k, 7) poses of the placed boxes, in m and as unit quaternions.
-            velocity: (k, 6) velocities, linear in m/s and angular in rad/s.
-            has_failed: whether a box has dropped or tilted too far. If so, the rule does not wait for creep.
-            adapts: whether the wait ends as soon as the pallet is quiet. If so, trembling boxes are searched for.
+            pose: (k, 7) positions (m) and unit quaternions of the placed boxes.
+            velocity: (k, 6) velocities (m/s), followed by angular velocities (rad/s).
+            has_failed: whether a box has dropped or tilted too far. The rule then does not wait for creeping boxes.
+            adapts: whether the wait ends as soon as the pallet is quiet. The rule then looks for trembling boxes.
         """
         rule, radius = self._rule, self._radius_m[: len(velocity)]
         speed = box_motion.speed(velocity, radius)
@@ -80,13 +81,14 @@ class QuietRule:
         return bool((box_motion.speed(velocity, self._radius_m[boxes]) < self._rule.quiet_m_s).all())
 
     def motion(self, before: FloatArray, after: FloatArray, velocity: FloatArray, seconds: float) -> tuple[bool, bool]:
-        """Two answers: whether any point of a box moved, or moves now, faster than ``still_m_s``; and whether the world
-        has to wait because of such boxes. The world does not wait for trembling boxes slower than ``slow_m_s``.
+        """Two answers about the boxes at the end of a world: whether any point of a box moved, or moves now, faster
+        than ``still_m_s``; and whether the world must wait longer for this reason. The world does not wait for
+        trembling boxes that are slower than ``slow_m_s``.
 
         Args:
-            before, after: (k, 7) poses, ``seconds`` apart. A rocking box that reversed between these poses has hardly
-                moved on average.
-            velocity: (k, 6) current velocities.
+            before, after: (k, 7) poses at two times that are ``seconds`` apart. A rocking box that reversed between
+                these times has a small average speed.
+            velocity: (k, 6) current velocities, m/s and rad/s.
         """
         rule, radius = self._rule, self._radius_m[: len(after)]
         moved = box_motion.moved(before, after, radius)
@@ -97,11 +99,11 @@ class QuietRule:
 
 
 class Explosion:
-    """Finds simulations that cannot be right: accelerations are large for some time, and no failed box causes them.
+    """Detects simulations that cannot be right: accelerations stay large for some time, and no failed box causes them.
 
-    When light boxes land, or tipping boxes hit something, accelerations reach 240 rad/s² for a few steps. A single such
-    sample is not an explosion. So samples right after a placement do not count. After one violent sample, the following
-    samples must be violent, too, over at least the number of steps that a box needs to land.
+    When light boxes land, or tipping boxes hit something, accelerations reach 240 rad/s² for a few steps. Such a single
+    sample is not an explosion. So samples right after a placement are ignored. And after a sample with large
+    accelerations, all following samples must have large accelerations for the time that a box needs to land.
 
     Args:
         landing: number of steps that a box needs to land.
@@ -111,11 +113,11 @@ class Explosion:
         self._landing, self._fast_since = landing, NEVER
 
     def seen(self, step: int, placed_at: int, too_fast: bool) -> bool:
-        """Whether the world explodes, judged after the sample of a step.
+        """Whether the world has exploded, decided after the sample at ``step``.
 
         Args:
-            placed_at: the step after which the last box was placed; the current step while a box is carried.
-            too_fast: whether an acceleration is above its threshold although no sign of failure has been seen.
+            placed_at: the step after which the last box was placed; while a hand carries a box, the current step.
+            too_fast: whether an acceleration is above its threshold although no box has crossed a threshold of failure.
         """
         if step - placed_at < self._landing:
             return False

@@ -1,6 +1,6 @@
-"""Running metrics of one world in NumPy, for the oracle. The oracle shares no arithmetic with the JAX implementation.
+"""The metrics of one world while it is simulated on C MuJoCo, in NumPy. No arithmetic is shared with the JAX code.
 
-Definitions: docs/metrics.md. Arrays have one row per box, in packing order.
+docs/metrics.md defines the metrics. Arrays have one row per box, in packing order.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
 
 _STEPS_TOGETHER = 64
-"""Number of steps whose forces are computed together. A larger number would not be faster."""
+"""Number of steps whose forces are computed together. Larger numbers are not faster."""
 
 
 class OracleMetrics:
-    """Running maxima, first sign and forces at rest of one world."""
+    """Largest values so far, first sign of failure, and forces at rest of one world."""
 
     def __init__(self, scene: Scene, thresholds: Thresholds, gravity_m_s2: float = STANDARD_GRAVITY) -> None:
         n = scene.n_boxes
@@ -55,7 +55,7 @@ class OracleMetrics:
         return twin
 
     def extend(self, scene: Scene) -> None:
-        """Add the further boxes of a scene; they have no values yet."""
+        """Add the additional boxes of a scene. They have no values yet."""
         self._work_off()
         larger = OracleMetrics(scene, self._thresholds, self._gravity_m_s2)
         for name, value in vars(larger).items():
@@ -66,24 +66,24 @@ class OracleMetrics:
 
     @property
     def max_top_force_n(self) -> FloatArray:
-        """(n,) largest force on top of each box so far, N, including buffered steps."""
+        """(n,) largest force on top of each box so far, N. All steps are included, also those that still wait."""
         self._work_off()
         return self._max_top_force_n
 
     def _work_off(self) -> None:
-        """Compute the forces of all buffered steps."""
+        """Compute the forces of all steps that wait for it."""
         if self._pressed:
             steps, self._pressed = self._pressed, []
             self.add_forces(largest_top_forces(steps, len(self._max_top_force_n)))
 
     def add_step(self, pressed: TopForceInputs) -> None:
-        """Add a step's forces on tops. Steps are buffered, so that many are computed together."""
+        """Add the forces on tops in one step. The inputs are collected, so that many steps are computed together."""
         if self._pressed and (len(self._pressed) >= _STEPS_TOGETHER or self._pressed[0].bodies is not pressed.bodies):
             self._work_off()
         self._pressed.append(pressed)
 
     def add_forces(self, top_force_n: FloatArray) -> None:
-        """Add forces on the tops of the first k boxes, N. NaN is ignored."""
+        """Include these forces on the tops of the first k boxes in the largest forces, N. NaN is ignored."""
         largest = self._max_top_force_n[: len(top_force_n)]
         np.fmax(largest, np.where(np.isfinite(top_force_n), top_force_n, 0.0), out=largest)
 
@@ -93,18 +93,19 @@ class OracleMetrics:
 
     @property
     def has_failed(self) -> bool:
-        """Whether a box has irreversibly crossed a threshold: it has dropped, or was tilted too far at a look. A shift
-        is judged at rest, and may still decrease until then."""
+        """Whether a box has failed for good: it has dropped, or was tilted too far at a sample or at a check during a
+        drive. A shift is judged only at rest, since it may decrease until then."""
         tilted = self.max_tilt_deg > self._thresholds.tilt_deg
         return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
-        """Whether it is certain that the pallet falls, so that its world can end. The pallet falls for certain if a box
-        has dropped; in worlds with errors, also if one of the k placed boxes is lost in these poses; in a drive, also
-        if the culprit is lost.
+        """Whether the pallet falls for certain, so that the simulation of its world can end. It falls for certain if a
+        box has dropped. In worlds with errors, it also falls if one of the k placed boxes is tilted too far in these
+        poses. In a drive (motion of the carrier), it also falls if the culprit is tilted too far and has moved too far.
 
         Args:
-            culprit: the culprit found at an earlier look; -1: there is none, or it does not end a drive.
+            culprit: number of the box that crossed a threshold first, at an earlier check. It is -1 if no box did, or
+                if the culprit does not end a drive.
         """
         if self.any_dropped:
             return True
@@ -117,7 +118,8 @@ class OracleMetrics:
         return bool(lost[culprit] and sway[culprit] >= job.drive.allowed_sway_m)
 
     def any_gone(self, pos: FloatArray, quat: FloatArray) -> bool:
-        """Whether one of the k placed boxes is gone in these poses, so that the pallet of a trial will not stand."""
+        """Whether one of the k placed boxes is tilted or has descended so far that a pallet under trial will not
+        stand."""
         k = len(pos)
         descent = self._scene.target[:k, 2] - pos[:, 2] - (0.0 if self._sinks_m is None else self._sinks_m[:k])
         limits = self._thresholds
@@ -128,12 +130,13 @@ class OracleMetrics:
     def add_sample(
         self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray
     ) -> bool:
-        """Add one sample of the k placed boxes: their poses, (k, 6) accelerations, and forces on their tops.
+        """Add one sample (measurement) of the k placed boxes: their poses, (k, 6) accelerations, and forces on their
+        tops.
 
-        All values belong to the beginning of a step, when MuJoCo evaluates contacts and accelerations.
+        All values hold at the beginning of a step, when MuJoCo computes contacts and accelerations.
 
         Returns:
-            Whether an acceleration is above its threshold although no sign of failure has been seen yet.
+            Whether an acceleration is above its threshold although no box has crossed a threshold of failure yet.
         """
         k = len(pos)
         lin = np.linalg.norm(acc[:, :3], axis=1)
@@ -148,12 +151,12 @@ class OracleMetrics:
         return too_fast and self.culprit < 0
 
     def add_look(self, time_s: float, pos: FloatArray, quat: FloatArray) -> None:
-        """Add the poses at a sample, or at a look during a drive: record tilts, and check as ``add_pose`` does."""
+        """Add the poses at a sample, or at a check during a drive: record tilts, and do the same as ``add_pose``."""
         tilt, k = self.add_pose(time_s, pos, quat), len(pos)
         np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
 
     def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
-        """Check the poses at a look, or at the end, for drops, sway and the first sign. Returns (k,) tilts, °."""
+        """Check these poses for drops, sway and the first sign of failure. Returns the (k,) tilts, degrees."""
         k = len(pos)
         tilt = tilt_deg(quat)
         dropped = has_dropped(pos, quat, self._scene.half_size[:k], self._thresholds)
@@ -174,33 +177,34 @@ class OracleMetrics:
         return np.asarray(np.hypot(*(pos - origin)[:, :2].T))
 
     def add_rest(self, top_force_n: FloatArray) -> None:
-        """Add the forces of one step of the rest window."""
+        """Add the forces in one step of the rest window, N. Their mean is the force at rest."""
         self._rest_sum_n[: len(top_force_n)] += top_force_n
         self._rest_steps += 1
 
     def restart_rest(self) -> None:
-        """Start a new rest window, since the last one did not end the world."""
+        """Start a new rest window, since the world continues after the last one."""
         self._rest_sum_n[:] = 0.0
         self._rest_steps = 0
 
     def is_over(self, pos: FloatArray, quat: FloatArray) -> bool:
-        """Whether any box is beyond a threshold in these poses, or has dropped."""
+        """Whether any box has dropped, or is beyond a threshold in these poses."""
         _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[: len(pos)]))
         return bool(crossed.any())
 
     def is_lost(self, pos: FloatArray, quat: FloatArray, drive: Drive | None) -> bool:
-        """Whether a box has dropped, or is tilted too far in these poses and, in a drive, beyond the allowed sway."""
+        """Whether a box has dropped or is tilted too far in these poses. In a drive, a tilted box must also be beyond
+        the allowed sway."""
         lost = tilt_deg(quat) > self._thresholds.tilt_deg
         if drive is not None and self._sway_origin is not None:
             lost &= self._sway(pos, self._sway_origin) >= drive.allowed_sway_m
         return self.any_dropped or bool(lost.any())
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
-        """Start a profile, with the k boxes in these poses. Sway is measured from these poses. Rest is judged at the
-        end of the profile.
+        """Start a drive (motion of the carrier) with the k boxes in these poses. Sway is measured from these poses.
+        Rest is judged at the end of the drive.
 
-        If no box is beyond a threshold now, signs from the placement (such as a hard landing) are forgotten. The first
-        sign is then the first one during the profile.
+        If no box is beyond a threshold now, signs of failure during the placement (such as a hard landing) are
+        forgotten. The first sign is then the first one during the drive.
         """
         k = len(pos)
         self._sway_origin = pos.copy()
@@ -211,10 +215,10 @@ class OracleMetrics:
             self.first_sign_s = float("nan")
 
     def finish(self, pos: FloatArray, quat: FloatArray, n_placed: int, came_to_end: bool) -> BoxMetrics:
-        """The metrics of all boxes, with the final (n, 3) centres and (n, 4) orientations.
+        """The metrics of all boxes. ``pos`` and ``quat``: final (n, 3) centres (m) and (n, 4) quaternions.
 
-        The largest tilt includes the tilt of the final pose of placed boxes. The largest force includes the mean force
-        at rest.
+        The largest tilt includes the tilt in the final pose of a placed box. The largest force on top includes the mean
+        force at rest.
         """
         n = self._scene.n_boxes
         placed = slice(n_placed)
@@ -237,7 +241,7 @@ class OracleMetrics:
         )
 
     def largest_excess(self, pos: FloatArray, quat: FloatArray) -> int:
-        """The box with the largest excess in these poses."""
+        """The number of the box with the largest excess in these poses."""
         dropped = np.isfinite(self.drop_s[: len(pos)])
         over, _ = self._excess(pos, tilt_deg(quat), dropped)
         return int(np.argmax(over))

@@ -1,4 +1,4 @@
-"""Settled states: states of worlds whose placement has settled, from which other worlds start."""
+"""Settled states: states of worlds at the end of their placements, from which other worlds start."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ from petmjx.world.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class SettledState:
-    """A world at the end of its placement, once it has settled. Other worlds start from this state."""
+    """The state of a world at the end of its placement, when it has settled. Other worlds (*forks*) start from it."""
 
     step: int
     bodies: BodyState | SoftState | None
     metrics: OracleMetrics
     flags: Flag
     ended: Outcome | None
-    """If the world ended before it settled: its outcome, which is also the outcome of all its forks. Else None."""
+    """The outcome of the world, if it ended before it settled. It is also the outcome of all forks. None if it
+    settled."""
 
     def ended_as(self, stream_number: int) -> Outcome | None:
-        """The outcome of a fork if there is nothing left to simulate; else None."""
+        """The outcome of a fork, if the world ended before it settled; otherwise None."""
         if self.ended is None:
             return None
         return replace(self.ended, job=stream_number, flags=self.ended.flags | Flag.FORKED, n_steps=0, state=None)
 
     def resumed(self, scene: Scene, sim: Simulation, time_s: float) -> LiveWorld | SoftWorld:
-        """A world in this state, ready for a drive."""
+        """A world in this state, ready for a drive (motion of the carrier)."""
         assert self.bodies is not None
         if isinstance(self.bodies, SoftState):
             return SoftWorld.resume(scene, sim, self.bodies, time_s)

@@ -1,6 +1,7 @@
-"""Sliding contacts on C MuJoCo. The law: petmjx/world/contact_laws.py.
+"""The law of sliding contacts on C MuJoCo. petmjx/world/contact_laws.py explains the law.
 
-MuJoCo's step has two halves. Between them, reference accelerations are known, and the solver has not started.
+MuJoCo's step has two halves. Between the halves, the reference accelerations of contacts are known and the solver has
+not started yet, so the law changes the contacts there.
 """
 
 from __future__ import annotations
@@ -26,21 +27,21 @@ from petmjx.world.contact_laws import (
 from petmjx.world.friction_pairs import USUAL
 
 LOOK_STEPS = 5
-"""Number of steps between two checks for motion. A pallet at rest takes many steps in one call of C, without the
-interpreter's lock. A body that begins to slip between two checks has a speed of at most 0.1 m/s at the second one. Such
-a speed does not lift a contact out of its soft onset."""
+"""Number of steps between two checks whether bodies move. At rest, these steps are taken in one call of C, without
+Python's global interpreter lock. A body that begins to slip between two checks is at most 0.1 m/s fast at the second
+check. At this speed, a contact still stays within its soft onset."""
 
 SLOW_M_S = STICKS_M_S / 4
-"""Largest norm of all velocities at which no contact slides. All points of a body within 1.7 m of its centre are then
-slower than half of ``STICKS_M_S``."""
+"""While the norm of all velocities is below this, no contact slides, m/s and rad/s. All points of a body within 1.7 m
+of its centre are then slower than half of ``STICKS_M_S``."""
 
 
 class SlipLaw:
-    """The law of sliding contacts for worlds with this physics.
+    """Applies the law of sliding contacts in worlds with this physics.
 
     Args:
-        pair_kinetic: see ``petmjx.world.scene.Scene``.
-        surfaces: (ngeom,) surfaces of the model's geoms, needed for ``pair_kinetic``.
+        pair_kinetic: kinetic shares of friction for pairs of surfaces (``petmjx.world.scene.Scene``).
+        surfaces: (ngeom,) number of the surface of each geom in the model. Needed with ``pair_kinetic``.
     """
 
     def __init__(
@@ -54,20 +55,20 @@ class SlipLaw:
         self._of_pairs, self._surfaces = pair_kinetic, surfaces
         self._slows = self._share < 1 or pair_kinetic is not None
         self.acts = physics.cone is Cone.ELLIPTIC and (math.isfinite(self._slack) or self._slows)
-        """Whether the law changes anything."""
+        """Whether the law has any effect with these options."""
 
     def may_slide(self, velocity: FloatArray) -> bool:
-        """Whether a contact may slide. ``velocity``: (nv,) velocities of all bodies."""
+        """Whether any contact may be sliding. ``velocity``: (nv,) velocities of all bodies, m/s and rad/s."""
         return self.acts and bool(velocity.dot(velocity) > SLOW_M_S**2)
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Take one step."""
+        """Take one step with this law."""
         mujoco.mj_step1(model, data)
         self.step2(model, data)
 
     def step2(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """``mj_step2`` with Euler's integrator and this law. All contacts must have three rows (``condim`` 3), after
-        the rows of other constraints."""
+        """Do the same as ``mj_step2`` with Euler's integrator, and apply this law. All contacts must have three
+        constraint rows (``condim`` 3), which follow the rows of other constraints."""
         first = data.ne + data.nf + data.nl
         if not self.acts or data.nefc == first:
             mujoco.mj_step2(model, data)
@@ -92,7 +93,8 @@ class SlipLaw:
         mujoco.mj_Euler(model, data)
 
     def _kinetic(self, data: mujoco.MjData, active: NDArray[np.integer]) -> FloatArray | float:
-        """The kinetic share of friction; (k,) for these contacts if pairs have their own shares."""
+        """Kinetic friction divided by static friction. If pairs of surfaces have their own values: (k,) one per
+        contact."""
         if self._of_pairs is None or self._surfaces is None:
             return self._share
         of_pair: FloatArray = self._of_pairs[tuple(self._surfaces[np.asarray(data.contact.geom)[active]].T)]
@@ -101,11 +103,11 @@ class SlipLaw:
     def _solve(
         self, model: mujoco.MjModel, data: mujoco.MjData, normal: NDArray[np.integer], reference: FloatArray
     ) -> None:
-        """Find the accelerations and forces that fit the excess of sliding contacts.
+        """Find accelerations and forces of the bodies that agree with the law at the k sliding contacts.
 
         Args:
-            normal: (k,) rows of the normals of these contacts; the rows of the tangents follow.
-            reference: (k,) tangential reference accelerations of these contacts, m/s².
+            normal: (k,) number of the constraint row of each contact's normal. The two rows of the tangents follow it.
+            reference: (k,) tangential reference acceleration of each contact, m/s².
         """
         one, two = normal + 1, normal + 2
         aref, along = data.efc_aref, np.zeros(data.nefc)

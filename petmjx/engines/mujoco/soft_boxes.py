@@ -1,8 +1,8 @@
-"""A MuJoCo world with soft boxes (petmjx/world/soft_boxes.py), for the rules of ``WorldRun``.
+"""A MuJoCo world with soft boxes (petmjx/world/soft_boxes.py), which are deformable bodies made of points.
 
-The rules measure the rigid box that best fits the points of a soft box. This rigid box has the points' centre of mass,
-momentum and angular momentum, and the rotation with the least squares (Kabsch, "A solution for the best rotation to
-relate two sets of vectors", 1976).
+Shifts and tilts are measured on the rigid box that best fits the points of a soft box. This rigid box has the centre of
+mass, the momentum and the angular momentum of the points. Its rotation is the best fit by least squares (Kabsch, "A
+solution for the best rotation to relate two sets of vectors", 1976).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ COUNT = len(POINTS)
 
 @dataclass(frozen=True, eq=False)
 class SoftState:
-    """State of a world with a free carrier: qpos, qvel and solver warm start of the carrier and of all its boxes."""
+    """State of a world with a free carrier: qpos, qvel and solver warm start of the carrier and of all boxes."""
 
     pos: FloatArray
     velocity: FloatArray
@@ -39,10 +39,10 @@ class SoftState:
 
 
 class SoftWorld(LiveWorld):
-    """A ``LiveWorld`` with soft boxes. A soft box has many bodies, so it does not fit into the one row that
-    ``LiveWorld`` has for each box.
+    """A ``LiveWorld`` with soft boxes. In MuJoCo, a soft box consists of many bodies, so its state does not fit into
+    the single row that ``LiveWorld`` has for each box.
 
-    A box is in the model only once it is placed. Boxes are placed exactly.
+    A box is added to the model when it is placed. Boxes are placed without placement errors.
     """
 
     def _build(self, capacity: int, contacts: NDArray[np.integer] | None = None) -> None:
@@ -85,18 +85,18 @@ class SoftWorld(LiveWorld):
     # ------------------------------------------------------------------ measurements
 
     def _now(self) -> FloatArray:
-        """(s, 27, 3) positions of the points of the soft boxes after the last step, m."""
+        """(s, 27, 3) positions of the 27 points of each of the s soft boxes after the last step, m."""
         points: FloatArray = self._home + self.data.qpos[self._q_of].reshape(-1, COUNT, 3)
         return points
 
     def _joined(self, soft: FloatArray, rigid: FloatArray) -> FloatArray:
-        """(capacity, k) rows of all boxes, from those of soft and of rigid boxes."""
+        """(capacity, k) one row for each box, from the rows of the soft boxes and the rows of the rigid boxes."""
         rows = np.empty((self.capacity, rigid.shape[-1]))
         rows[self._soft], rows[self._rigid] = soft, rigid
         return rows
 
     def _fit(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(s, 3) centres of the soft boxes with these points, m, and (s, 3, 3) rotations."""
+        """(s, 3) centres (m) and (s, 3, 3) rotation matrices of the soft boxes whose points are at ``points``."""
         middle = (self._weight * points).sum(axis=1)
         spread = np.einsum("spi,spj->sij", self._weight * self._points, points - middle[:, None])
         left, _, right = np.linalg.svd(spread)
@@ -104,7 +104,8 @@ class SoftWorld(LiveWorld):
         return middle, np.swapaxes(left @ right, 1, 2)
 
     def _poses_of(self, points: FloatArray) -> FloatArray:
-        """(s, 7) poses of the soft boxes with these points; NaN if any point is not finite."""
+        """(s, 7) centres (m) and quaternions of the soft boxes whose points are at ``points``. NaN if a point is not
+        finite."""
         poses = np.full((len(points), 7), np.nan)
         sound = np.isfinite(points).all(axis=(1, 2))
         if not sound.all():
@@ -133,7 +134,7 @@ class SoftWorld(LiveWorld):
         return poses[:, :3], poses[:, 3:]
 
     def _turning(self, points: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(s, 3) linear and (s, 3) angular part of the (s, 27, 3) rates of the points, in world axes."""
+        """(s, 3) linear and (s, 3) angular parts of the points' rates of change ``rate``, (s, 27, 3), in world axes."""
         linear = (self._weight * rate).sum(axis=1)
         arm = points - (self._weight * points).sum(axis=1)[:, None]
         moment = (self._weight * np.cross(arm, rate)).sum(axis=1)
@@ -144,7 +145,8 @@ class SoftWorld(LiveWorld):
         return linear, np.linalg.solve(inertia, moment[..., None])[..., 0]
 
     def _rates(self, values: FloatArray, points: FloatArray) -> FloatArray:
-        """(capacity, 6) rates of all boxes: in world axes for soft boxes, in MuJoCo's axes for rigid boxes."""
+        """(capacity, 6) linear and angular rates of all boxes: in world axes for soft boxes, in MuJoCo's axes for rigid
+        boxes."""
         soft = np.hstack(self._turning(points, values[self._v_of].reshape(-1, COUNT, 3)))
         return self._joined(soft, values[self._rigid_v])
 
@@ -175,8 +177,8 @@ class SoftWorld(LiveWorld):
         index, force = contact_normal_and_tangents(data, self.pyramidal)
         frame = np.asarray(data.contact.frame)[index].reshape(-1, 3, 3)
         bodies = self.contact_bodies()[index]
-        # The heights of the boxes come first, then those of floor and carrier, whose body numbers are negative and so
-        # index from the end.
+        # The heights of the boxes come first, then those of the floor and the carrier. The numbers of floor and carrier
+        # are negative, so they index from the end.
         centre_z = np.zeros(self.capacity + 2)
         centre_z[FLOOR], centre_z[CARRIER] = -np.inf, data.xpos[self._carrier, 2]
         centre_z[self._soft] = (self._weight[..., 0] * data.xpos[self._point_bodies][..., 2]).sum(axis=1)
@@ -204,8 +206,8 @@ class SoftWorld(LiveWorld):
         self.n_placed += 1
 
     def _top_of_supports(self, box: int) -> float:
-        """How much higher than planned the surface below a box is at the moment, m. The highest point of its supports
-        within the shared areas counts."""
+        """How much higher than planned the surface below a box is now, m: the highest point of the box's supports
+        within the areas that overlap the box."""
         scene = self.scene
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
         if self._sim.physics.falls_into_place:
@@ -243,8 +245,8 @@ class SoftWorld(LiveWorld):
         return SoftState(self.data.qpos.copy(), self.data.qvel.copy(), self.data.qacc_warmstart.copy())
 
     def _put(self, state: SoftState, skip_q: int = 0, skip_v: int = 0) -> None:
-        """Adopt the state of a world with the same boxes, or fewer. ``skip_q``, ``skip_v``: how many values of that
-        world's carrier are left out of qpos and qvel."""
+        """Use the state of a world with the same boxes or fewer boxes. ``skip_q``, ``skip_v``: number of values of that
+        world's carrier that are left out of qpos and qvel."""
         data = self.data
         data.qpos[: len(state.pos) - skip_q] = state.pos[skip_q:]
         data.qvel[: len(state.velocity) - skip_v] = state.velocity[skip_v:]

@@ -1,4 +1,4 @@
-"""Takes the steps of a world on C MuJoCo: many at a time, or one by one if the forces of each step are needed."""
+"""Takes the steps of a world on C MuJoCo: many at a time, or one by one if the forces in each step are needed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from petmjx.engines.mujoco.top_forces import top_force_inputs
 from petmjx.options.simulation import Simulation
 
 _RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2
-"""If the sum of squares of all speeds, m/s and rad/s, is at most this, no point within 1 m of its box's centre is
+"""If the sum of the squares of all velocities (m/s and rad/s) is at most this, no point within 1 m of a box's centre is
 faster than ``RESTLESS_M_S``."""
 
 
@@ -23,8 +23,9 @@ class Stepper:
     """Takes the steps of a world, as long as its time budget lasts.
 
     Args:
-        sim: the options, which determine the looks for quiet. Forces in the steps of these looks count, too.
-        budget: the world's time budget; None: it has no limit.
+        sim: the options, which determine when the rules check whether the pallet is quiet. The largest forces include
+            the forces in the steps of these checks.
+        budget: the time budget of the world. If None, there is no limit.
     """
 
     def __init__(self, sim: Simulation, budget: Budget | None) -> None:
@@ -34,18 +35,18 @@ class Stepper:
 
     @property
     def why_it_ended(self) -> str:
-        """Message for a world whose time was up."""
+        """The message for a world whose time was up."""
         return self._budget.words if self._budget is not None else ""
 
     def take(
         self, live: LiveWorld | SoftWorld, first: int, count: int, metrics: OracleMetrics | None, acts: bool
     ) -> int:
-        """Take steps; returns their number, which is smaller than ``count`` if the time is up.
+        """Take ``count`` steps. Returns the number of steps taken, which is smaller if the time is up.
 
         Args:
             first: number of the first step.
-            metrics: records the forces of steps; None: forces are not needed.
-            acts: True: a drive acts, so any step may have the largest forces.
+            metrics: object that records the forces on tops. None if forces are not needed.
+            acts: whether a drive (motion of the carrier) acts. If so, any step may have the largest forces.
         """
         number, end, budget = first, first + count, self._budget
         while number < end:
@@ -53,7 +54,7 @@ class Stepper:
                 return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
-                # This does not depend on the number of steps per call: a recorded world stops at each frame, and must
+                # This does not depend on how many steps a call takes: a recorded world stops at each frame, but must
                 # give the same results.
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
@@ -75,7 +76,8 @@ class Stepper:
     def _look(
         self, live: LiveWorld | SoftWorld, number: int, rising: FloatArray, acts: bool, metrics: OracleMetrics
     ) -> None:
-        """Add the forces of a step if they count. ``rising``: upward accelerations, m/s²."""
+        """Add the forces on tops in this step, if the rules require it. ``rising``: upward accelerations of bodies,
+        m/s²."""
         if isinstance(live, SoftWorld):
             metrics.add_forces(live.top_forces()[: live.n_free])
         elif acts or number % self._poll_steps == 0 or np.maximum.reduce(rising) > RISING_M_S2:
@@ -83,6 +85,6 @@ class Stepper:
 
 
 def _is_calm(live: LiveWorld | SoftWorld) -> bool:
-    """Whether no box is fast, and no box can become fast before the next look for quiet."""
+    """Whether no box is fast, and no box can become fast before the next check whether the pallet is quiet."""
     speed, acceleration = live.data.qvel, live.data.qacc
     return bool(speed.dot(speed) <= _RESTLESS_SQUARE and acceleration.dot(acceleration) <= CALM_M_S2**2)

@@ -1,6 +1,6 @@
-"""Waits of a world on C MuJoCo for its next event (docs/rules.md, sections 4 and 5).
+"""How long a world on C MuJoCo waits for its next event (docs/rules.md, sections 4 and 5).
 
-Twin: ``Timetable`` in petmjx/engines/mjx/timetable.py.
+The class ``Timetable`` in petmjx/engines/mjx/timetable.py does the same in JAX.
 """
 
 from __future__ import annotations
@@ -10,17 +10,18 @@ from petmjx.engines.step_clock import Clock
 from petmjx.options.simulation import Check, Schedule, Simulation
 
 NEVER = 2**62
-"""A step that is never reached."""
+"""A step number that no world reaches."""
 
 
 class Waits:
-    """The wait for the next placement, for the drive, or for the rest window.
+    """The wait for the next event: the next placement, the drive (motion of the carrier), or the rest window at the
+    end.
 
     Attributes:
         settles: whether a drive follows the placement, or the settled state is kept.
         since: the step after which the wait begins.
         last_placement: the step after which the last box was placed.
-        drive_end: the last step of the drive, unless the world rests earlier; None before the drive begins.
+        drive_end: the last step of the drive, if boxes do not come to rest earlier. None before the drive begins.
     """
 
     def __init__(self, sim: Simulation, clock: Clock, settles: bool) -> None:
@@ -35,28 +36,28 @@ class Waits:
 
     @property
     def adapts(self) -> bool:
-        """Whether the next event comes as soon as the pallet is quiet. With the fixed schedule, this holds only for a
-        world that was still moving at its end."""
+        """Whether the next event comes as soon as the pallet is quiet. With the fixed schedule, this is so only if the
+        world was still moving at its end and got more time."""
         return self._adaptive or self.since > self.last_placement
 
     @property
     def rests_first(self) -> bool:
-        """Whether a rest window, with a look at its end, comes before a drive."""
+        """Whether a rest window comes before the drive. At the end of the window, the world may get more time."""
         return self._adaptive and self._sim.waits_for_rest
 
     @property
     def _is_plain_static(self) -> bool:
-        """Whether this is a static check without a drive. The length of such a check is the option ``duration_s``."""
+        """Whether this is a static check without a drive. The option ``duration_s`` is the length of such a check."""
         return self._static and not self.settles
 
     def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:
-        """Start to wait.
+        """Start to wait after ``step``.
 
         Args:
             n_boxes: number of boxes of the plan.
             all_placed: whether all boxes are placed.
-            restless: whether an earlier wait ended with a moving world, and this is not the last wait. The last wait
-                is always long.
+            restless: whether an earlier wait ended while boxes were moving, and this is not the world's last wait. This
+                wait is then short.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
@@ -64,16 +65,16 @@ class Waits:
         self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether this wait would continue after this step if it were the last wait of the world. (The last wait is
-        long; other waits are short if an earlier one ended with a moving world.)"""
+        """Whether this wait would continue after ``step`` if it were the last wait of the world. (The last wait is
+        long. Other waits are short if an earlier wait ended while boxes were moving.)"""
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:
-        """The latest step for the next event. Once a box has failed, a long wait is of no use, so it becomes a short
-        one, counted from the first sign.
+        """The latest step for the next event. When a box has failed, a long wait is useless. It then becomes a short
+        wait that begins at the first sign of failure.
 
         Args:
-            sign_step: step of the first sign; None: no box has failed.
+            sign_step: step of the first sign of failure. None if no box has failed.
         """
         if self.in_drive:
             return NEVER
@@ -86,8 +87,9 @@ class Waits:
     def _latest_after(self, since: int) -> int:
         """The latest step for the next event after a short wait that began after the step ``since``.
 
-        With the fixed schedule, a drive starts at the time of the reference implementation, counted from the nominal
-        time of the last placement. (The real placement is a few steps later, since times are rounded to steps.)
+        With the fixed schedule, a drive starts at the same time as in the reference implementation. This time is
+        counted from the nominal time of the last placement. (The real placement is a few steps later, since times are
+        rounded to steps.)
         """
         sim = self._sim
         if self._all_placed and self.settles and self.drive_end is None:
@@ -100,26 +102,26 @@ class Waits:
 
     @property
     def in_drive(self) -> bool:
-        """Whether this is the wait for quiet after a profile's last sample. It ends before ``drive_end``."""
+        """Whether this is the wait for quiet after the last sample of a drive. This wait ends before ``drive_end``."""
         return self.drive_end is not None and self.since < self.drive_end
 
     def last_end(self, step: int) -> int:
-        """The last step of a world that is not at rest after this step; ``NEVER`` if unknown."""
+        """The last step of a world whose boxes are not at rest after ``step``. ``NEVER`` if unknown."""
         return self.drive_end if self.drive_end is not None and step < self.drive_end else NEVER
 
     @property
     def longest_wait(self) -> int:
-        """The last step of a world that keeps moving, counted from its last placement or the end of its drive."""
+        """The last step of a world that keeps moving, counted from its last placement or from the end of its drive."""
         return self._later(self.last_placement if self.drive_end is None else self.drive_end, self._sim.longest_wait_s)
 
     def may_go_on(self, step: int) -> bool:
-        """Whether a world that still moves at its end gets more time after this step."""
+        """Whether a world whose boxes still move at its end, after ``step``, gets more time."""
         if not self._sim.waits_for_rest or self._sim.total_time_factor is not None:
             return False
         return step < (self.static_end if self._is_plain_static else self.longest_wait)
 
     def _later(self, since: int, wait_s: float) -> int:
-        """The step at which a wait is over. After a drive, waits are counted in steps, like the end of the drive."""
+        """The step at which a wait is over. After a drive, waits are counted in steps, as the end of the drive is."""
         if self.drive_end is not None:
             return since + seconds_to_steps(wait_s, self._dt)
         return self._clock.first_after(since, wait_s)
@@ -130,7 +132,7 @@ class Waits:
         return seconds_to_steps(self._sim.duration_s, self._dt)
 
     def end_of_fixed(self, n_boxes: int) -> int:
-        """The last step for the fixed schedule without a drive; ``NEVER`` if it is not known in advance."""
+        """The last step with the fixed schedule and without a drive. ``NEVER`` if it is not known in advance."""
         if self._adaptive or self.settles:
             return NEVER
         if self._static:

@@ -1,6 +1,6 @@
-"""The force on top of each box, from C MuJoCo's contacts (NumPy). Twin: petmjx/engines/mjx/top_forces.py.
+"""The force on top of each box, from MuJoCo's contacts, in NumPy. petmjx/engines/mjx/top_forces.py does it in JAX.
 
-The forces of many steps are computed together, from copies of the inputs of each step.
+The forces of many steps are computed together, from copies of the data of each step.
 """
 
 from __future__ import annotations
@@ -16,19 +16,20 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 
 VERTICAL_COSINE = math.cos(math.radians(45.0))
-"""A contact counts as vertical if its normal is within 45° of z."""
+"""A contact counts as vertical if the angle between its normal and the z axis is at most 45°."""
 
 
 def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[NDArray[np.intp], FloatArray]:
-    """Forces of the contacts that have constraint rows.
+    """The forces at the contacts that have constraint rows.
 
-    Pyramidal rows are forces along the four edges of the cone. The normal part is the sum of these forces, and each
-    tangential part is the difference of the forces along two edges × friction. Elliptic rows are the components of the
-    force itself. All contacts have condim 3. Source: as in ``petmjx.engines.mjx.top_forces.contact_force_z``.
+    The four rows of a pyramidal friction cone are forces along the edges of the cone. The normal force is the sum of
+    the four forces. Each of the two tangential forces is the difference of two of them, times the friction. The three
+    rows of an elliptic cone are the components of the force. All contacts have condim 3. The source is given at
+    ``petmjx.engines.mjx.top_forces.contact_force_z``.
 
     Returns:
-        (k,) indices of these contacts, and (k, 3) forces of geom 1 on geom 2 in the contact frame (normal, tangents),
-        N.
+        (k,) numbers of these contacts, and (k, 3) forces of geom 1 on geom 2 in the contact frame (normal and two
+        tangents), N.
     """
     address = np.asarray(data.contact.efc_address)
     index = np.flatnonzero(address >= 0)
@@ -44,11 +45,11 @@ def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[N
 
 
 def contact_force_z(force: FloatArray, frame_z: FloatArray) -> FloatArray:
-    """(k,) z component, in world axes, of the contact forces on their second geoms, N.
+    """(k,) z component, in world axes, of the force of each contact on its second geom, N.
 
     Args:
-        force: (k, 3) forces along normal and tangents, N.
-        frame_z: (k, 3) z components of normal and tangents.
+        force: (k, 3) forces along the normal and the tangents, N.
+        frame_z: (k, 3) z components of the normal and the tangents.
     """
     return np.asarray(np.einsum("kr,kr->k", force, frame_z))
 
@@ -56,16 +57,16 @@ def contact_force_z(force: FloatArray, frame_z: FloatArray) -> FloatArray:
 def pressed_box(
     body: NDArray[np.integer], geom_z: FloatArray, normal_z: FloatArray
 ) -> tuple[NDArray[np.integer], FloatArray, NDArray[np.bool_]]:
-    """The box on which each contact presses: the partner whose centre is lower.
+    """The box on which each contact presses: of the two bodies, the body whose centre is lower.
 
     Args:
-        body: (k, 2) partners: boxes, or negative numbers.
-        geom_z: (k, 2) z of the centres of the shapes that touch, m.
+        body: (k, 2) the two bodies of each contact: the number of a box, or a negative number for carrier and floor.
+        geom_z: (k, 2) z coordinates of the centres of the two shapes, m.
         normal_z: (k,) z components of the unit normals.
 
     Returns:
-        (k,) number of the box (negative for carrier and floor); (k,) sign that turns the force on the second geom into
-        a downward force on the lower geom; (k,) whether the contact is vertical and its lower partner is a box.
+        (k,) number of the lower body (negative for carrier and floor); (k,) sign that turns the force on the second
+        geom into a downward force on the lower geom; (k,) whether the contact is vertical and the lower body is a box.
     """
     first_is_lower = geom_z[:, 0] < geom_z[:, 1]
     box = np.where(first_is_lower, body[:, 0], body[:, 1])
@@ -76,11 +77,11 @@ def pressed_box(
 def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, pyramidal: bool) -> FloatArray:
     """(n_boxes,) force on top of each box, N (docs/metrics.md, "The force on a box's top").
 
-    The z components of contact forces are summed for the partner whose centre is lower, if the contact's normal is
-    within 45° of z. The floor is lower than everything; floor and carrier are not boxes.
+    The force on a box is the sum of the z components at those contacts whose normal is within 45° of z, and in which
+    the centre of the box is lower than that of the other body. The floor is lower than all boxes.
 
     Args:
-        bodies: (ngeom,) body of each geom (``petmjx.world.mujoco_model.geom_bodies``).
+        bodies: (ngeom,) the body to which each geom belongs (``petmjx.world.mujoco_model.geom_bodies``).
     """
     total = np.zeros(n_boxes)
     if data.ncon == 0:
@@ -97,16 +98,16 @@ def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, p
 
 
 class TopForceInputs(NamedTuple):
-    """Inputs for a step's forces on tops, copied from MuJoCo's data.
+    """The data of one step from which forces on tops are computed, copied from MuJoCo's data.
 
     Attributes:
-        address: (ncon,) first constraint row of each contact; negative: it has no row.
-        geom: (ncon, 2) geoms that touch.
-        frame: (ncon, 9) normal and tangents.
+        address: (ncon,) number of the first constraint row of each contact. Negative: the contact has no row.
+        geom: (ncon, 2) the two geoms of each contact.
+        frame: (ncon, 9) normal and tangents of each contact.
         force: (nefc,) forces of all constraint rows, N.
         place: (ngeom, 3) centres of the geoms, m.
-        bodies: (ngeom,) bodies of the geoms, see ``petmjx.world.mujoco_model.geom_bodies``.
-        n_boxes: number of boxes whose forces are computed: the first ones.
+        bodies: (ngeom,) the body to which each geom belongs (``petmjx.world.mujoco_model.geom_bodies``).
+        n_boxes: number of boxes, in packing order, whose forces are computed.
     """
 
     address: NDArray[np.integer]
@@ -119,21 +120,22 @@ class TopForceInputs(NamedTuple):
 
 
 def top_force_inputs(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int) -> TopForceInputs:
-    """Copy the inputs of the last step. Copying takes a fifth of the time of ``top_forces``."""
+    """Copy the data of the last step. Copying takes a fifth of the time of ``top_forces``."""
     contact = data.contact
     address, geom, frame = contact.efc_address.copy(), contact.geom.copy(), contact.frame.copy()
     return TopForceInputs(address, geom, frame, data.efc_force.copy(), data.geom_xpos.copy(), bodies, n_boxes)
 
 
 def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatArray:
-    """(n_boxes,) the largest of ``top_forces`` over the steps of a model with elliptic cones, N. Computing many steps
-    together takes a fraction of the time. All steps must have the same ``bodies``."""
+    """(n_boxes,) the largest force on top of each box in these steps, N. Friction cones must be elliptic, and all steps
+    must have the same ``bodies``. Computing many steps together is several times as fast as calling ``top_forces`` for
+    each."""
     address, geoms, frame, force, place = (np.concatenate(parts) for parts in list(zip(*steps, strict=True))[:5])
     contacts = [len(step.address) for step in steps]
     number = np.repeat(np.arange(len(steps)), contacts)
     first_row = np.cumsum([0, *(len(step.force) for step in steps[:-1])])
     normal_z = frame[:, 2]
-    # most contacts have no effect on tops: they have no constraint rows, or their normals are nearly horizontal
+    # most contacts do not press on tops: they have no constraint rows, or their normals are nearly horizontal
     pressing = np.flatnonzero((address >= 0) & (np.abs(normal_z) >= VERTICAL_COSINE))
     number, geom, frame_z = number.take(pressing), geoms.take(pressing, axis=0), frame.take(pressing, axis=0)[:, 2::3]
     row = address.take(pressing) + first_row.take(number)

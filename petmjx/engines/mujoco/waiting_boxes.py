@@ -1,9 +1,12 @@
-"""Waiting boxes with pyramidal cones (physics ``reference``): one small body on a stop represents them.
+"""A small body that represents the boxes that wait for their placement, in worlds with pyramidal friction cones.
 
-Newton's method starts either from the accelerations of the last step or from the unconstrained ones, whichever have the
-lower cost in the *whole* world. The method stops at a tolerance, so the choice of the start is visible in the results:
-up to 100 N in single sampled impacts. In the reference implementation, the waiting boxes stand on the floor and take
-part in this choice. The stop adds exactly their part of the difference in cost, with a single constraint row.
+Pyramidal cones are part of the physics preset ``reference``.
+
+Newton's method starts either from the accelerations of the last step or from the accelerations without constraints. It
+chooses the start with the lower cost (the function that it minimises) in the *whole* world. The method stops at a
+tolerance, so this choice influences the results: single sampled impacts change by up to 100 N. In the reference
+implementation, the waiting boxes stand on the floor, and their cost is part of the sum. Here, a small body presses on a
+stop with a single constraint row. It adds exactly as much to the difference between the two costs.
 """
 
 from __future__ import annotations
@@ -19,13 +22,14 @@ _NAME = "waiting"
 _MASS_KG = 1.0
 _PARKING_M = 100.0
 _STOP_STIFFNESS = 99.0
-"""Constraint weight of the stop per kg: impedance / (1 − impedance) at solimp 0.99."""
+"""Constraint weight of the stop, divided by the body's mass: impedance / (1 − impedance) with solimp 0.99."""
 _FLOOR_STIFFNESS = 396.0
-"""Sum of the constraint weights of a box's four pyramidal contacts with the floor (solimp 0.99, friction 1), per kg."""
+"""Sum of the constraint weights of the four pyramidal contacts of a box with the floor (solimp 0.99, friction 1),
+divided by the box's mass."""
 
 
 def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
-    """Add the body that represents waiting boxes. The body's stop comes before all boxes in the model."""
+    """Add the body that represents the waiting boxes. Its stop comes before all boxes in the model."""
     body = spec.worldbody.add_body(name=_NAME, pos=[0.0, 0.0, -_PARKING_M])
     body.mass = _MASS_KG
     body.inertia = np.ones(3)
@@ -37,10 +41,10 @@ def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
 
 
 def press_waiting(model: mujoco.MjModel, data: mujoco.MjData, waiting_kg: float, gravity_m_s2: float) -> None:
-    """Press on the stop with a force that makes its cost equal to the cost of the waiting boxes standing on the floor.
+    """Press on the stop with the force that makes its cost equal to the cost of the waiting boxes on the floor.
 
-    Let a mass m be at rest on constraints of summed weight D, pulled by g. With the unconstrained acceleration, its
-    cost is higher by (D + m)·g²/2 than with the true acceleration. For both stop and boxes, D is proportional to m.
+    A mass m is pulled by g and rests on constraints with the total weight D. Its cost with the acceleration g is higher
+    than its cost at rest, by (D + m)·g²/2. For the stop and for the boxes, D is proportional to m.
     """
     share = (_FLOOR_STIFFNESS + 1.0) * waiting_kg / ((_STOP_STIFFNESS + 1.0) * _MASS_KG)
     data.xfrc_applied[model.body(_NAME).id, 2] = _MASS_KG * gravity_m_s2 * (1.0 - sqrt(share))

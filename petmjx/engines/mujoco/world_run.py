@@ -1,4 +1,4 @@
-"""Simulates one world on C MuJoCo, from soft start to verdict, event by event. The rules: docs/rules.md."""
+"""Simulates one world on C MuJoCo, from the soft start to the verdict, by the rules of docs/rules.md."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class WorldCancelled(Exception):
 
 
 class WorldRun:
-    """Simulates one job. Call :meth:`run` once."""
+    """The simulation of one job. Call :meth:`run` once."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class WorldRun:
         return self._outcome(came_to_end=begun and self._loop())
 
     def _start(self) -> bool:
-        """Take the world through the soft start. Returns False if its time is up before the end of the soft start."""
+        """Simulate the soft start. Returns False if the world's time is up before the end of the soft start."""
         kind = LiveWorld if self._scene.soft is None else SoftWorld
         self._live = kind(self._scene, self._sim, self._scene.n_boxes * self._static, templates=self._templates)
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds, self._sim.physics.gravity_m_s2)
@@ -124,7 +124,7 @@ class WorldRun:
         self._begin_drive(self._job.drive)
 
     def _loop(self) -> bool:
-        """Step from event to event. Returns whether the world reached its end, or a pause."""
+        """Simulate from event to event. Returns whether the world reached its end or a pause."""
         while self._step < self._end and not self.paused:
             if self._cancelled():
                 raise WorldCancelled
@@ -144,7 +144,8 @@ class WorldRun:
         return not self._flags & _FATAL
 
     def _go_to(self, target: int) -> None:
-        """Step to the next event and take the frames that are due before it. Stop earlier if the world's time is up."""
+        """Simulate up to the next event, and record the frames that are due before it. Stops earlier if the world's
+        time is up."""
         recorder = self._recorder
         while recorder is not None and (frame := recorder.next_after(self._step)) < target:
             count = frame - self._step
@@ -155,7 +156,7 @@ class WorldRun:
         self._step += self._take_steps(target - self._step)
 
     def _take_steps(self, count: int) -> int:
-        """Take steps; returns their number, which is smaller than ``count`` if the world's time is up."""
+        """Take ``count`` steps. Returns the number of steps taken, which is smaller if the world's time is up."""
         acts = self._drive is not None and self._drive.acts(self._step)
         n_steps = self._stepper.take(self._live, self._step + 1, count, self._metrics if self._begun else None, acts)
         if n_steps < count:
@@ -170,7 +171,7 @@ class WorldRun:
 
     @property
     def _settles(self) -> bool:
-        """Whether the world settles after the placement: for a drive, or to keep the settled state."""
+        """Whether the world settles after the placement: for a drive (motion of the carrier), or to keep its state."""
         return self._job.settles
 
     def _next_event(self) -> int:
@@ -190,8 +191,8 @@ class WorldRun:
         return min(target, step + 1 if step >= window else window)
 
     def _observe(self) -> bool:
-        """After a step, take what is due: a sample, the force at rest, or a look at poses. Returns whether the world
-        continues."""
+        """After a step, measure what is due: a sample of all metrics, the force at rest, or only the poses. Returns
+        whether the world continues."""
         step, live = self._step, self._live
         sampled = step % self._sample_steps == 0
         polled = step % self._sim.quiet.poll_steps == 0
@@ -225,7 +226,7 @@ class WorldRun:
         return True
 
     def _transition(self) -> None:
-        """After a step, if due: place the next box, or start the phase after the placement."""
+        """After a step, place the next box or start the phase after the placement, if this is due."""
         if self._live.hand is not None:
             self._carry_on(self._live.hand)
         elif self._waiting:
@@ -236,8 +237,8 @@ class WorldRun:
         quiet = self._look_for_quiet() and self._waits.adapts
         enough = self._sim.waits_for_rest or self._step - self._waits.since >= self._sim.quiet.landing_steps
         if self._waits.in_drive and self._step > self._end - 2 * self._rest_steps:
-            # It is too late for another rest window: it would still run at the step at which the last possible rest
-            # window must start.
+            # It is too late for another rest window: such a window would not end before the step at which the last
+            # possible rest window must start.
             self._waiting = False
         elif (quiet and enough) or self._step >= self._waits.deadline(self._sign):
             self.paused = self._pauses and self._live.n_placed == self._scene.n_boxes
@@ -245,7 +246,7 @@ class WorldRun:
                 self._proceed()
 
     def _proceed(self) -> None:
-        """The wait is over: place the next box, settle, or start the rest window."""
+        """After a wait: place the next box, settle, or start the rest window."""
         live = self._live
         places = live.n_placed < self._scene.n_boxes
         settles = self._settles and not self._driving and not self._waits.rests_first
@@ -267,21 +268,21 @@ class WorldRun:
                 self._set_end(max(self._step, landed) + self._rest_steps)
 
     def _carry_on(self, hand: Hand) -> None:
-        """After a step with a carried box: carry it farther, or release it."""
+        """After a step with a carried box: carry the box farther, or release it."""
         box = slice(hand.box, hand.box + 1)
         if self._live.carry_on(self._quiet.is_slow(self._live.velocity[box], box)):
             self._flags |= Flag.NOT_PLACED if hand.missed and self._metrics.culprit < 0 else Flag.NONE
             self._has_placed()
 
     def _has_placed(self) -> None:
-        """The last box stands, falls, or is in the hand: start to wait. For a carried box, the wait starts again after
-        the release."""
+        """The last box now stands, falls, or is in the hand: start to wait. For a carried box, the wait starts again
+        when the hand releases it."""
         self._still_pose[self._live.n_placed - 1] = self._live.pose[self._live.n_placed - 1]
         self._waits.last_placement = self._step
         self._wait(self._step)
 
     def _wait(self, since: int) -> None:
-        """Wait for the next event, from this step on."""
+        """Start to wait for the next event, after the step ``since``."""
         self._waiting = True
         self._quiet.restart()
         all_placed = self._live.n_placed == self._scene.n_boxes
@@ -290,11 +291,11 @@ class WorldRun:
 
     @property
     def _sign(self) -> int | None:
-        """The step at which the first sign of failure was seen, if a box has failed; else None."""
+        """The step at which the first sign of failure was seen, if a box has failed for good; otherwise None."""
         return self._sign_step if self._metrics.has_failed else None
 
     def _set_end(self, step: int) -> None:
-        """Set the last step, and the step from which boxes must be still."""
+        """Set the last step, and the step from which on boxes must not move."""
         self._end = step
         self._still_from = max(step - min(self._rest_steps, self._sim.quiet.still_steps), self._step)
         self._keep_still_pose()
@@ -305,8 +306,8 @@ class WorldRun:
             self._still_pose[:k] = self._live.pose[:k]
 
     def _look_at_the_end(self) -> None:
-        """At the last step: give a moving world more time, unless a box was lost before the drive; or start the
-        drive."""
+        """At the last step: give a moving world more time, unless a box was lost (fallen or tilted too far) before the
+        drive; or start the drive."""
         self._flags |= self._live.trouble()
         if self._flags & _FATAL:
             return
@@ -338,7 +339,8 @@ class WorldRun:
     # ------------------------------------------------------------------ drive
 
     def _settle(self) -> None:
-        """The placement has settled: keep the state, start the drive, and set the last step of the world."""
+        """The placement has settled: keep the state if requested, start the drive, and set the last step of the
+        world."""
         if self._recorder is not None:
             self._recorder.look(self._step, self._live)
         self._waiting = False

@@ -1,2 +1,1 @@
-"""Runs the jobs of an engine in worker processes with Ray, on one machine or many. No other package of petmjx imports
-Ray."""
+"""Runs the jobs of an engine in worker processes with Ray, on one machine or many. Only this package imports Ray."""

@@ -1,4 +1,5 @@
-"""Deals chunks of jobs to workers, and deals the jobs of dead workers again. This module does not depend on Ray."""
+"""Gives chunks (groups) of jobs to worker processes, and gives the jobs of dead workers out again. Does not need
+Ray."""
 
 from __future__ import annotations
 
@@ -12,22 +13,22 @@ import numpy as np
 from petmjx.common.units import FloatArray
 
 PIECES = 4
-"""A chunk is one ``PIECES``-th of a slot's share of the remaining cost, so that all slots end at about the same time,
-although costs are estimates."""
+"""The expected time of a chunk is the remaining time, divided by this number and by the number of slots. (A slot is a
+place for one running chunk.) So all slots end at about the same time, although expected times are estimates."""
 
 MOST_JOBS = 64
 """Largest number of jobs of a chunk, so that little work is lost if a worker dies."""
 
 PLENTY = 4
-"""Slots hold chunks in reserve while at least this number of jobs per slot are waiting. After that, a job in reserve
-might wait behind a long one while another slot is idle."""
+"""Workers hold chunks in reserve while at least this number of jobs per slot is waiting. Later, a job in reserve might
+wait behind a long job while another slot is idle."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Jobs that one worker simulates, longest first.
+    """Numbers of the jobs that one worker simulates, the longest job first.
 
-    ``alone``: the worker gets no other job meanwhile, since a job of this chunk may make workers die.
+    ``alone``: if True, the worker gets no other chunk at the same time, since a job of this chunk may make workers die.
     """
 
     jobs: tuple[int, ...]
@@ -35,23 +36,23 @@ class Chunk:
 
 
 class Deal:
-    """Hands out jobs to workers, the longest first, until each job is answered or given up.
+    """Gives jobs to workers, the longest first, until each job has an outcome or is given up.
 
-    For engines that simulate job after job, chunks get smaller towards the end, down to single jobs. For engines that
-    simulate worlds side by side, all chunks have equal size and a similar mix of jobs. There are no more chunks than
-    are needed to keep all workers busy, since the device is nearly idle at the end of each chunk.
+    If the engine simulates job after job, chunks get smaller towards the end, down to single jobs. If the engine
+    simulates worlds side by side, all chunks have the same size and a similar mix of jobs. There are then only as many
+    chunks as are needed to keep all workers busy, since a device is nearly idle at the end of each chunk.
 
-    The first death of a worker may have an outside cause, so its jobs are dealt again like other jobs. Jobs whose
-    worker has died twice wait until no other jobs are left. Then these jobs run in small pieces of √n jobs, and after
-    another death one by one. A job that was alone in a worker when the worker died is given up.
+    The first death of a worker may have an outside cause, so its jobs are given out again like other jobs. Jobs whose
+    workers have died twice wait until no other jobs are left. n such jobs are then given out in chunks of √n jobs, and
+    after another death one by one. A job is given up if it was the only job in a worker that died.
 
     Args:
         costs: (n,) expected time of each job, in any unit.
         slots: number of chunks that are simulated at the same time, over all workers.
-        group: largest number of jobs of a chunk, for an engine that simulates worlds side by side; None: the engine
+        group: largest number of jobs of a chunk, if the engine simulates worlds side by side. None if the engine
             simulates job after job.
         least: used with ``group``: if there are fewer jobs than this, one worker gets all of them.
-        deadly: jobs that were alone in a worker that died.
+        deadly: numbers of the jobs that were the only job in a worker that died.
     """
 
     def __init__(
@@ -70,11 +71,11 @@ class Deal:
 
     @property
     def plenty(self) -> bool:
-        """Whether there are enough jobs for slots to hold chunks in reserve."""
+        """Whether so many jobs wait that workers may hold chunks in reserve."""
         return self._group is None and len(self._pending) > PLENTY * self._slots
 
     def take(self, idle: bool) -> Chunk | None:
-        """The next chunk for a worker; None if it gets no chunk now.
+        """The next chunk for a worker. None if the worker gets no chunk now.
 
         Args:
             idle: whether the worker holds no other chunk.
@@ -109,8 +110,8 @@ class Deal:
         self.unanswered.remove(job)
 
     def died(self, held: Iterable[Chunk]) -> list[int]:
-        """Record that a worker died with these chunks. Their unanswered jobs wait again, except for the jobs that are
-        given up; these are returned."""
+        """Record that a worker died while it held these chunks. Their jobs without an outcome wait again, except for
+        jobs that are given up. Returns the numbers of the jobs that are given up."""
         given_up = []
         requeued: list[int] = []
         twice: list[int] = []
@@ -131,7 +132,7 @@ class Deal:
         return given_up
 
     def put_back(self, held: Iterable[Chunk]) -> None:
-        """Record that a worker died before it started these chunks. The jobs of these chunks wait again."""
+        """Record that a worker died before it started these chunks. All jobs of these chunks wait again."""
         for chunk in held:
             left = self._left(chunk)
             if chunk.alone:
@@ -140,7 +141,7 @@ class Deal:
                 self._wait_again(left)
 
     def _left(self, chunk: Chunk) -> list[int]:
-        """The unanswered jobs of a chunk."""
+        """The jobs of a chunk that have no outcome yet."""
         return [job for job in chunk.jobs if job in self.unanswered]
 
     def _wait_again(self, jobs: list[int]) -> None:

@@ -1,5 +1,7 @@
-"""The code of a worker's process: it runs chunks on an engine and reports their outcomes. The code also works without
-Ray."""
+"""The code of a worker process: it runs chunks (groups) of jobs on an engine and reports their outcomes.
+
+The code also works without Ray.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +30,12 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 REPORT_S = 0.2
-"""Time between two reports of a chunk, s. Each report costs the driver a millisecond."""
+"""Time between two reports about a chunk, s. Each report costs a millisecond in the process that receives it."""
 
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """A worker's first message, sent when it is ready. ``error``: the reason why its engine cannot be built."""
+    """The first message of a worker, sent when it is ready. ``error``: the reason why its engine cannot be created."""
 
     pid: int
     host: str
@@ -44,8 +46,8 @@ class WorkerReady:
 
 @dataclass
 class Report:
-    """A report about a chunk: new outcomes, the progress since its beginning, and the exception that ended it, if
-    any."""
+    """A report about a chunk of jobs: the outcomes since the last report, the progress since the beginning of the
+    chunk, and the exception that ended the chunk, if any."""
 
     outcomes: list[Outcome]
     progress: Progress
@@ -54,23 +56,23 @@ class Report:
 
 @dataclass(frozen=True)
 class Recipe:
-    """The arguments of ``make_engine``, with which each worker builds its engine."""
+    """The arguments of ``make_engine`` with which each worker creates its engine."""
 
     name: str
     options: dict[str, Any] = field(default_factory=dict)
 
 
 class Worker:
-    """Builds an engine once, and runs chunks of jobs on it. Several chunks may run side by side, in threads.
+    """Creates an engine once, and runs chunks of jobs on it. Several chunks may run at the same time, in threads.
 
     Args:
-        threads: number of threads of the engine; None: the engine's default.
-            check_pool: number of processes that check the outcomes of large chunks; one large chunk runs at a time.
-            thorough: whether the worker is ready only once its engine is built. Otherwise (for ``mjx-warp`` only), a
-                thread builds the engine, which takes seconds, while the first jobs are made and sent.
+        threads: number of threads of the engine. If None, the engine's default is used.
+        check_pool: number of processes that check the outcomes of a large chunk. Only one large chunk runs at a time.
+        thorough: whether the engine must be created before the worker reports that it is ready. If False (only for
+            ``mjx-warp``), a thread creates the engine, which takes seconds, while the first jobs are made and sent.
 
-        All data are pickled bytes. Objects from Ray's object store would be read-only, and would occupy the store's
-        memory.
+    All data are pickled bytes. Objects from Ray's object store would be read-only, and would occupy the memory of the
+    store.
     """
 
     def __init__(
@@ -85,7 +87,7 @@ class Worker:
         self._built: Future[Engine] = Future()
 
     def hello(self) -> bytes:
-        """Build the engine, or start to build it, unless something prevents this."""
+        """Create the engine, or start to create it. Returns the pickled first message."""
         error: BaseException | None = None
         device = ""
         try:
@@ -102,7 +104,7 @@ class Worker:
         return pickle.dumps(WorkerReady(os.getpid(), platform.node(), device, package_versions(), error))
 
     def _build(self) -> None:
-        """Build the engine, and start the other libraries for a GPU. If this fails, no fallback is used."""
+        """Create the engine, and start the other libraries for a GPU. If this fails, there is no fallback engine."""
         name = self._recipe.name
         try:
             if name == "mjx-warp":
@@ -114,8 +116,8 @@ class Worker:
             self._built.set_exception(EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}"))
 
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
-        """Run pickled (jobs, sim), and yield pickled reports. Outcomes are checked in this process. ``Outcome.job``
-        counts the jobs from 0."""
+        """Simulate the jobs of a chunk, the pickled pair (jobs, sim), and yield pickled reports. The outcomes are
+        checked in this process. ``Outcome.job`` is the index of the job in the chunk."""
         jobs, sim = pickle.loads(chunk)
         check_pool = self._lookers_for(jobs)
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
@@ -129,14 +131,14 @@ class Worker:
             outcomes = _checked_outcomes(new_outcomes, jobs, sim, check_pool, wait=not going)
             if outcomes or not going or progress.message != last_message:
                 last_message = progress.message
-                # This is a copy, since the engine writes into ``extra`` meanwhile.
+                # a copy, since the engine keeps writing into ``extra``
                 so_far = replace(progress, extra=dict(progress.extra))
                 yield pickle.dumps(Report(outcomes, so_far, end_errors[0] if end_errors else None))
         runner.join()
 
     def _lookers_for(self, jobs: Sequence[Job]) -> CheckPool[None]:
-        """The check pool for a chunk. A large chunk gets processes, which are kept as long as the worker lives. Without
-        processes, the worker checks outcomes itself."""
+        """The pool of processes that check the outcomes of a chunk. For a large chunk, processes are started and kept
+        as long as the worker lives. For a small chunk, the worker checks outcomes itself."""
         if self._most_lookers == 0 or len(jobs) < LARGE:
             return CheckPool(0)
         self._check_pool = self._check_pool or CheckPool(self._most_lookers)
@@ -160,7 +162,7 @@ class Worker:
 
 
 def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], bool]:
-    """The outcomes that arrive within ``REPORT_S``, and whether more may follow."""
+    """The outcomes that arrive within ``REPORT_S``, and whether further outcomes may follow."""
     outcomes: list[Outcome] = []
     until = time.monotonic() + REPORT_S
     while (left := until - time.monotonic()) > 0:
@@ -177,10 +179,10 @@ def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], boo
 def _checked_outcomes(
     outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, check_pool: CheckPool[None], *, wait: bool
 ) -> list[Outcome]:
-    """Hand outcomes to the check pool, in groups, and return the checked outcomes that are ready.
+    """Hand outcomes to the check pool, in groups. Returns the outcomes whose checks have ended.
 
     Args:
-        wait: whether to wait for all outcomes.
+        wait: whether to wait for the checks of all outcomes.
     """
     keyed_outcomes: list[tuple[None, Outcome]] = []
     for first in range(0, len(outcomes), MOST_TOGETHER):
@@ -194,7 +196,7 @@ def _checked_outcomes(
 
 
 def _sendable(error: BaseException) -> BaseException:
-    """The exception itself, or if it cannot be pickled, an exception with its text."""
+    """The exception itself; if it cannot be pickled, an exception with the same text."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:

@@ -1,4 +1,4 @@
-"""Starts Ray on this machine or joins a cluster, and restores the settings of this process afterwards."""
+"""Starts Ray on this machine or joins a cluster. Afterwards, restores the settings of this process that Ray changed."""
 
 from __future__ import annotations
 
@@ -28,35 +28,35 @@ from petmjx.engines.remote.worker_resources import Node
 from petmjx.options.run_options import AUTO
 
 LONGEST_TEMPORARY = 24
-"""Largest length of the path of a folder for temporary files, bytes. Ray makes sockets in this folder, and a socket's
-path may have at most 107 bytes."""
+"""Largest length of the path of a folder for temporary files, bytes. Ray creates sockets below this folder, and the
+path of a socket may have at most 107 bytes."""
 
 REACH_S = 10.0
-"""Longest time to reach the head of a cluster, s."""
+"""Longest time for reaching the head (the main machine) of a cluster, s."""
 
 END_S = 5.0
-"""Longest time that the end of this process waits for the end of Ray, s. Ray takes a minute to end if a signal has
-ended its processes while they were starting."""
+"""Longest time that this process waits for Ray when it ends, s. Ray may take a minute to end, if a signal ended Ray's
+processes while they were starting."""
 
 _OF_RAY = ("RAY_", "PYTHONBREAKPOINT")
-"""Prefixes of the environment variables that Ray sets while it starts."""
+"""Prefixes of the environment variables that Ray sets when it starts."""
 
 _HTTP2_SETTINGS = b"\x00\x00\x00\x04"
-"""The beginning of an HTTP/2 settings frame: three bytes of length, and the type."""
+"""The first bytes of an empty HTTP/2 settings frame: three bytes of length, and the type."""
 
 _HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _HTTP2_SETTINGS + bytes(5)
-"""The first bytes that an HTTP/2 client sends, with an empty settings frame."""
+"""The first bytes that an HTTP/2 client sends: a fixed text, and an empty settings frame."""
 
 _SIGACTION_BYTES = 1024
-"""At least the size of C's ``struct sigaction`` on any system, in bytes."""
+"""A size that is at least that of C's ``struct sigaction`` on any system, bytes."""
 
 _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
-"""Ray's environment variable that suppresses its log lines. Ray reads it when the package is imported."""
+"""Ray's environment variable that suppresses lines of Ray's log. Ray reads it when the package is imported."""
 
 
 def import_ray() -> Any:
-    """Import the package Ray. If the package was not imported before, Ray will not report dead workers on standard
-    output, which is only for results.
+    """Import the package Ray. If this is the first import, Ray is kept from reporting dead workers on standard output,
+    which is reserved for results.
 
     Raises:
         EngineUnavailable: Ray is not installed, or cannot be imported.
@@ -73,7 +73,8 @@ def import_ray() -> Any:
 
 @contextmanager
 def _restored_process() -> Iterator[None]:
-    """Restores what Ray changes in this process: environment variables, ``sys.excepthook``, and its logger's level."""
+    """Restores what Ray changes in this process: environment variables, ``sys.excepthook`` and the level of Ray's
+    logger."""
     environment = {name: value for name, value in os.environ.items() if name.startswith(_OF_RAY)}
     hook, logger = sys.excepthook, logging.getLogger("ray")
     level = logger.level
@@ -89,8 +90,9 @@ def _restored_process() -> Iterator[None]:
 
 @contextmanager
 def _restored_sigterm() -> Iterator[None]:
-    """Restores the handling of SIGTERM. Ray's native handler ends the process with a list of addresses, or silently
-    once Ray has ended. Python itself can set handlers only in the main thread, which may be busy reading plans."""
+    """Restores the handler of SIGTERM. Ray's own handler prints a list of addresses when the process ends, or ends the
+    process silently once Ray has ended. In Python, only the main thread may set handlers, and it may be busy reading
+    plans, so C's ``sigaction`` is called."""
     libc, saved_action = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
     libc.sigaction(int(signal.SIGTERM), None, saved_action)
     try:
@@ -100,13 +102,13 @@ def _restored_sigterm() -> Iterator[None]:
 
 
 class _LocalRay:
-    """A Ray that this process starts or joins, and the thread that starts and ends it.
+    """A Ray that this process starts or joins, and the thread that starts it and ends it.
 
-    In the main thread, Ray would replace the handler of SIGTERM, and turn exceptions of signal handlers into a bare
-    KeyboardInterrupt. The thread lives as long as Ray, since Ray's processes die with it.
+    Ray is not started in the main thread, where it would replace the handler of SIGTERM and turn exceptions of signal
+    handlers into a bare KeyboardInterrupt. The thread lives as long as Ray, since Ray's processes end with this thread.
 
     Args:
-        address: address of a cluster's head; None: start a new Ray that uses only this machine.
+        address: address of the head of a cluster. If None, a new Ray is started that uses only this machine.
     """
 
     def __init__(self, ray: Any, address: str | None) -> None:
@@ -120,7 +122,7 @@ class _LocalRay:
         self._thread.start()
 
     def wait_until_started(self) -> None:
-        """Wait until Ray has started. If the wait is interrupted, Ray ends once it has started.
+        """Wait until Ray has started. If the wait is interrupted, Ray ends after it has started.
 
         Raises:
             InputError: there is no cluster at the address.
@@ -133,7 +135,7 @@ class _LocalRay:
             raise
 
     def end(self) -> None:
-        """Stop Ray or leave the cluster, once it has started. Returns at once."""
+        """Let a thread stop Ray, or leave the cluster, as soon as Ray has started. This method returns at once."""
         self._enough.set()
 
     def wait_until_ended(self) -> None:
@@ -141,7 +143,8 @@ class _LocalRay:
         self._thread.join()
 
     def _live(self) -> None:
-        # A process that ends meanwhile must wait. Ray registered its own exit function earlier, so it runs later.
+        # If the process ends now, it must wait for Ray. Ray registered its own exit function earlier, so that runs
+        # later.
         atexit.register(self._end_with_process)
         try:
             self._start()
@@ -165,7 +168,7 @@ class _LocalRay:
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
         if self._thread.is_alive():  # Ray's processes will die with this process
-            atexit.unregister(self._ray.shutdown)  # this would also wait for Ray
+            atexit.unregister(self._ray.shutdown)  # this function would also wait for Ray
             self._remove_folder()
 
     def _start(self) -> None:
@@ -180,7 +183,7 @@ class _LocalRay:
             _check_reachable(self.address)
             init_options |= {"address": self.address}
         with _restored_process(), _restored_sigterm(), warnings.catch_warnings():
-            # once started, JAX warns about every fork; Ray's forks are harmless, since an exec follows them
+            # JAX warns about every fork; Ray's forks are harmless, since each is followed by an exec
             warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
             os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
             logging.getLogger("ray").setLevel(logging.CRITICAL)
@@ -196,15 +199,15 @@ class _LocalRay:
 
 
 def _end_monitor() -> None:
-    """Kill Ray's monitor, which adds machines to a cluster, if this process has started it. Ray itself would ask the
-    monitor to end, get no reaction, and wait for a second."""
+    """Kill Ray's monitor, if this process started it. (The monitor adds machines to a cluster.) Ray itself would ask
+    the monitor to end, get no answer, and wait for a second."""
     with suppress(Exception):  # this is not Ray's documented interface; if it fails, the end takes a second longer
         importlib.import_module("ray._private.worker")._global_node.kill_monitor(check_alive=False)
 
 
 def _check_reachable(address: str) -> None:
-    """Raise InputError if no head listens at the address. Ray itself would retry for ever, and no signal would stop
-    it. A head speaks HTTP/2 (RFC 9113): such a server answers an empty settings frame with its own settings."""
+    """Raise InputError if no head of a cluster listens at the address. Ray itself would try again for ever, and no
+    signal would stop it. A head uses HTTP/2 (RFC 9113), so it answers an empty settings frame with its own settings."""
     host, _, port = address.rpartition(":")
     if address == AUTO:
         return
@@ -223,18 +226,18 @@ def _check_reachable(address: str) -> None:
 
 
 class Cluster:
-    """One user of this process's cluster. Ray allows one cluster per process. The cluster ends when its last user
+    """One user of the cluster of this process. Ray allows one cluster per process. The cluster ends when its last user
     closes it.
 
-    If the caller's own program has already started Ray, that cluster is used, and is not ended.
+    If the program that uses petmjx has already started Ray, this Ray is used and is not ended.
 
     Args:
-        address: address of the cluster's head (HOST:PORT, or ``auto`` for a cluster on this machine); None: a new
-            cluster that uses only this machine.
+        address: address of the head of a cluster (HOST:PORT, or ``auto`` for a cluster on this machine). If None, a new
+            cluster is started that uses only this machine.
 
     Raises:
         EngineUnavailable: Ray is not installed or cannot start.
-        InputError: there is no cluster at the address, or this process uses another cluster.
+        InputError: there is no cluster at the address, or this process already uses another cluster.
     """
 
     _lock = threading.Lock()
@@ -247,8 +250,8 @@ class Cluster:
             if cls._latest is not None and not cls._latest.users:
                 cls._latest.wait_until_ended()
                 cls._latest = None
-            # Only one thread at a time imports Ray. Otherwise, the settings during another thread's import would later
-            # be restored as the settings of the process.
+            # Only one thread at a time imports Ray. Otherwise, settings that Ray changed during the import in another
+            # thread would later be restored as the settings of the process.
             self.ray = import_ray()
             if not self.ray.is_initialized():
                 cls._latest = _LocalRay(self.ray, address)
@@ -266,8 +269,8 @@ class Cluster:
         return [Node(int(resource.get("CPU", 0)), int(resource.get("GPU", 0))) for resource in resources]
 
     def check(self) -> None:
-        """Raise PetmjxError if the Ray that this process has started is dead, since nothing would restart it. In a
-        joined cluster, machines may return."""
+        """Raise PetmjxError if the Ray that this process started is dead, since nothing would start it again. A cluster
+        that this process joined is not checked, since its machines may return."""
         if self._uses and self._ours is not None and self._ours.address is None and not self.nodes:
             raise PetmjxError(
                 "Ray died on this machine (out of memory?); finished work is kept, continue with "
@@ -275,7 +278,7 @@ class Cluster:
             )
 
     def leave(self) -> None:
-        """Stop using the cluster. Returns at once. If this was the last user, the cluster takes a second or two to
+        """Stop using the cluster. Returns at once. If this was the last user, the cluster takes one or two seconds to
         end."""
         with Cluster._lock:
             uses, self._uses = self._uses, False

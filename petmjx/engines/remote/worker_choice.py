@@ -1,5 +1,7 @@
-"""Chooses and starts the workers of a run: it joins the cluster, chooses the engine, and starts the pool. If possible,
-this happens while plans are read."""
+"""Chooses and starts the worker processes of a run: it joins the cluster, chooses the engine, and starts the workers.
+
+If possible, all this happens while plans are read.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +21,17 @@ from petmjx.engines.subprocess.check_pool import max_check_processes
 from petmjx.options.run_options import AUTO, RunOptions
 
 Begun = tuple[Cluster, WorkerPool | None]
-"""A cluster, and the pool that uses it, if one has been started."""
+"""A cluster, and the pool of workers that uses it, if the pool has been started."""
 
 
 class WorkerStartup:
-    """Starts workers in a thread while plans are read: the cluster, and also the pool of workers if their engine is
-    known early.
+    """Starts workers in a thread while plans are read. It starts or joins the cluster, and starts the pool of workers
+    if the engine is known early.
 
-    The caller must either take the workers or give them up.
+    The caller must call ``take`` or ``give_up``.
 
     Args:
-        worth_gpus: whether ``auto`` will use the GPUs of a cluster.
+        worth_gpus: whether the engine ``auto`` would use the GPUs of a cluster.
     """
 
     def __init__(self, options: RunOptions, *, worth_gpus: bool) -> None:
@@ -41,7 +43,7 @@ class WorkerStartup:
         self._thread.start()
 
     def take(self) -> Begun:
-        """The started cluster and pool. The caller must close them.
+        """The started cluster and pool of workers. The caller must close them.
 
         Raises:
             InputError, EngineUnavailable: see ``resolve_workers``.
@@ -54,7 +56,8 @@ class WorkerStartup:
             self._decided.set()
 
     def give_up(self) -> None:
-        """End the started cluster and pool. Returns at once; a process that ends meanwhile waits for the start."""
+        """End the started cluster and pool. Returns at once. If the process ends now, it waits until the start is
+        over."""
         self._decided.set()
 
     def _live(self) -> None:
@@ -91,7 +94,7 @@ class WorkerStartup:
             raise
 
     def _engine(self, nodes: list[Node]) -> str | None:
-        """The engine of the run, if it is known before the plans are; else None."""
+        """The engine of the run, if it is known before the plans are known; otherwise None."""
         if self._options.engine != AUTO:
             return str(self._options.engine)
         return "mjx-warp" if self._worth_gpus and _why_no_gpu(self._options, nodes) is None else None
@@ -100,15 +103,15 @@ class WorkerStartup:
 def resolve_workers(
     options: RunOptions, work: Work, costs: Costs, ahead: WorkerStartup | None = None
 ) -> tuple[WorkerPool, Choice]:
-    """The pool for a run with workers, and the reason for choosing its engine. ``auto`` takes the CPUs and GPUs of the
-    cluster into account.
+    """The pool of workers for a run, and the reason for the choice of its engine. The engine ``auto`` is chosen by the
+    CPUs and GPUs of the cluster.
 
     Args:
         ahead: workers that have already been started for these options.
 
     Raises:
-        InputError: options are unusable, there is no cluster at the address, or the cluster has no room for this number
-            of workers.
+        InputError: the options are unusable, there is no cluster at the address, or the cluster does not have enough
+            CPUs or GPUs for this number of workers.
         EngineUnavailable: Ray is not installed, or the engine cannot run in a worker.
     """
     cluster, pool = ahead.take() if ahead is not None else (_run_cluster(options), None)
@@ -134,14 +137,14 @@ def _run_cluster(options: RunOptions) -> Cluster:
 
 
 def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) -> tuple[str, str, float | None]:
-    """The name of the engine, the reason for choosing it, and the expected time, s."""
+    """The name of the engine, the reason for its choice, and the expected time of the run, s."""
     workers, engine = options.asked_workers, str(options.engine)
     assert workers is not None
     threads = sum(node.cpus for node in nodes)
     if options.threads is not None and workers != AUTO:
         threads = options.threads * int(workers)
     gpus = sum(node.gpus for node in nodes)
-    used = gpus if workers == AUTO else min(gpus, int(workers))  # a GPU that workers share counts only once
+    used = gpus if workers == AUTO else min(gpus, int(workers))  # a GPU that several workers share is counted once
     seconds = costs.seconds(work, max(threads, 1), max(used, 1))
 
     def why_no_gpu() -> str | None:
@@ -157,7 +160,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
 
 
 def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
-    """The reason why ``auto`` cannot give each worker a GPU, or a share of a GPU; None if it can."""
+    """The reason why ``auto`` cannot give each worker a GPU or a share of a GPU. None if it can."""
     assert options.asked_workers is not None
     return why_no_gpus(nodes, options.asked_workers)
 
@@ -171,6 +174,6 @@ def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
         limits["threads"] = 1  # a worker runs as many chunks side by side as it has threads
     elif name == "mjx-warp-cpu":
         limits["threads"] = min(place.cpus for place in worker_places)
-    # on CPUs, all threads simulate, so none checks outcomes
+    # on CPUs, all threads simulate, so no processes are started that check outcomes
     threads = threads_beside(cluster.nodes, len(worker_places)) if name == "mjx-warp" else 0
     return WorkerPool(Recipe(name, limits), worker_places, cluster, max_check_processes(threads))

@@ -1,5 +1,5 @@
-"""An engine whose jobs run in the workers of a cluster. It deals chunks to workers, collects outcomes, and replaces
-dead workers."""
+"""An engine whose jobs run in worker processes of a Ray cluster. It sends chunks (groups) of jobs to workers, collects
+outcomes, and replaces dead workers."""
 
 from __future__ import annotations
 
@@ -28,26 +28,27 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LOOK_S = 0.25
-"""Longest wait for messages from workers, s. After each wait, signals are noticed and progress is updated."""
+"""Longest wait for messages from workers, s. After each wait, signals are handled and progress is updated."""
 
 START_S = 30.0
-"""Longest wait for the first worker while the engine is made, s. The wait shows before a run begins whether the engine
-can run in a worker. A busy cluster may need longer; the run then begins anyway, and waits."""
+"""Longest wait for the first worker when the pool is created, s. The wait shows before a run begins whether the engine
+can run in a worker. A busy cluster may need longer. The run then begins without a worker, and waits for the first."""
 
 FALSE_STARTS = 3
-"""After this number of failed starts of workers in a row, the run ends, or dead workers are no longer replaced."""
+"""If this number of workers in a row fail to start, the run ends, or dead workers are no longer replaced."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
-"""If there are fewer jobs than this, one worker of these engines gets all of them, since a device takes as long for a
-few worlds as for many."""
+"""Name of an engine → number of jobs. If a run has fewer jobs, one worker with this engine gets all jobs, since a
+device takes as long for a few worlds as for many."""
 
 _HIGHEST = (" lanes", " contacts")
-"""Suffixes of names in ``Progress.extra`` whose values are combined as maxima, not as sums."""
+"""Endings of names in ``Progress.extra``. For these, the largest value of all workers is reported; for others, the
+sum."""
 
 
 @dataclass(eq=False)
 class _Stream:
-    """A chunk in a worker, and the part of its progress that has already been counted."""
+    """A chunk in a worker, and the part of its progress that has already been added to the run's progress."""
 
     chunk: Chunk
     counted: Progress = field(default_factory=Progress)
@@ -55,13 +56,13 @@ class _Stream:
 
 @dataclass(eq=False)
 class _Hand:
-    """A worker, as the pool sees it.
+    """A worker, as the pool knows it.
 
     Attributes:
-        hello: Ray's reference to the worker's first message; None once it has arrived.
-        working: whether the worker's engine is known to exist, since it was built before the first message or has
-            reported.
-        streams: Ray's streams of reports, one per chunk of the worker.
+        hello: Ray's reference to the worker's first message. None when this message has arrived.
+        working: whether the worker's engine certainly exists: it was created before the first message, or the worker
+            has reported about a chunk.
+        streams: Ray's streams of reports, one for each chunk of the worker.
         said: the worker's last progress message.
     """
 
@@ -79,29 +80,29 @@ class _Hand:
         return self.hello is None
 
     def has_room(self, plenty: bool) -> bool:
-        """Whether the worker can take another chunk."""
+        """Whether the worker can take another chunk. ``plenty``: whether workers may hold chunks in reserve."""
         if not self.ready or any(stream.chunk.alone for stream in self.streams.values()):
             return False
         return len(self.streams) < self.place.slots * (2 if plenty else 1)
 
 
 class WorkerPool(Engine):
-    """The engine ``recipe.name`` in many processes. Outcomes are the same as from the engine itself.
+    """The engine ``recipe.name`` in many processes. Outcomes are the same as those of the engine itself.
 
-    A worker that dies is replaced, and its unanswered jobs are dealt again (``Deal``). Workers are kept between runs,
-    until :meth:`close`.
+    A worker that dies is replaced, and its jobs without an outcome are given out again (``Deal``). Workers are kept
+    between runs, until :meth:`close`.
 
     Args:
-        places: the resources of each worker. All workers start immediately.
-        cluster: the cluster, used until :meth:`close`, which closes it.
-        check_pool: number of check processes beside each worker (petmjx/engines/subprocess/check_pool.py).
+        places: the CPUs and GPUs of each worker. All workers start immediately.
+        cluster: the cluster in which the workers run. :meth:`close` also closes the cluster.
+        check_pool: number of processes of each worker that check outcomes (petmjx/engines/subprocess/check_pool.py).
     """
 
     def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster, check_pool: int = 0) -> None:
         self.name = recipe.name
         self._recipe, self._cluster, self._ray, self._check_pool = recipe, cluster, cluster.ray, check_pool
         self._running = RunLock(self.name)
-        # As in `_LocalRay`: if Ray waited in the main thread, exceptions of signal handlers would be lost.
+        # As in `_LocalRay`: if the main thread waited for Ray, exceptions of signal handlers would be lost.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="petmjx-workers")
         self._hands: list[_Hand] = []
         self._devices: dict[str, None] = {}
@@ -112,7 +113,7 @@ class WorkerPool(Engine):
         self._hands += (self._start(place) for place in places)
 
     def wait_for_first(self) -> None:
-        """Wait until a worker is ready, but no longer than ``START_S``.
+        """Wait until a worker is ready, but at most ``START_S``.
 
         Raises:
             EngineUnavailable: the engine cannot run in a worker.
@@ -134,16 +135,16 @@ class WorkerPool(Engine):
 
     @property
     def device(self) -> str:
-        """The number of workers, and the names of the devices that they have reported."""
+        """The number of workers, and the names of the devices that workers have reported."""
         return ": ".join(filter(None, (count_text(self.size, "worker"), ", ".join(self._devices))))
 
     @property
     def pids(self) -> list[int]:
-        """Process ids of the workers that are ready. Each is valid on the worker's machine."""
+        """Process ids of the workers that are ready. An id is valid on the machine of its worker."""
         return [hand.pid for hand in self._hands if hand.ready]
 
     def dismiss(self) -> None:
-        """End the workers. The cluster is left to its other users."""
+        """End the workers. The cluster continues for its other users."""
         hands, self._hands = self._hands, []
         for hand in hands:
             self._kill(hand)
@@ -157,7 +158,7 @@ class WorkerPool(Engine):
             self._cluster.leave()
 
     def close(self) -> None:
-        """End the workers, and the cluster if it was started for them."""
+        """End the workers, and the cluster if it was started for them, and wait until they have ended."""
         try:
             self.retire()
         finally:
@@ -165,11 +166,11 @@ class WorkerPool(Engine):
 
     @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once. Outcomes are yielded as from the engine itself.
+        """Simulate each job once. Outcomes are yielded as by the engine itself.
 
         Raises:
-            EngineUnavailable: workers die while they start, or a worker has other versions of packages than this
-                process, or cannot build its engine.
+            EngineUnavailable: workers die while they start, a worker has other versions of packages than this process,
+                or a worker cannot create its engine.
             PetmjxError: Ray has died.
             Exception: the engine in a worker raised this exception.
         """
@@ -184,7 +185,7 @@ class WorkerPool(Engine):
         self._hands += [self._start(place) for place in lacking.elements()]
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
-        # third-party engines in workers count as MJX engines, since they should use the base class of these
+        # users' own engines in workers are treated as MJX engines, since such engines should inherit from these
         group = None if self.name == "mujoco" else GROUP_WORLDS.get(self.name, GROUP_WORLDS["mjx-jax"])
         least = LEAST.get(self.name, 1)
         deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
@@ -207,7 +208,7 @@ class WorkerPool(Engine):
                         self._greet(hand, ref)
                         continue
                     if ref not in hand.streams:
-                        continue  # this chunk was lost a moment ago, together with another one of the same worker
+                        continue  # the worker's death was noticed a moment ago, at another of its chunks
                     report = self._next_report(ref)
                     if isinstance(report, Report):
                         hand.working = True
@@ -243,7 +244,7 @@ class WorkerPool(Engine):
         self._ray.kill(hand.actor)
 
     def _news(self) -> list[tuple[_Hand, Any]]:
-        """Workers that have sent something, each with the source: the first message, or the stream of a chunk."""
+        """Workers that have sent something. Each comes with the source: its first message, or the stream of a chunk."""
         owner = {ref: hand for hand in self._hands for ref in (hand.hello, *hand.streams) if ref is not None}
 
         def wait() -> list[Any]:
@@ -253,7 +254,7 @@ class WorkerPool(Engine):
         return [(owner[ref], ref) for ref in self._thread.submit(wait).result()]
 
     def _greet(self, hand: _Hand, ref: Any) -> None:
-        """Handle a worker's first message, or its death before that message."""
+        """Handle a worker's first message, or its death before this message."""
         try:
             hello: WorkerReady = pickle.loads(self._thread.submit(self._ray.get, ref).result())
         except self._ray.exceptions.RayError as death:
@@ -274,11 +275,11 @@ class WorkerPool(Engine):
         self._devices[hello.device] = None
 
     def _start_again(self, hand: _Hand, error: BaseException, most: int) -> None:
-        """Handle a worker that failed to start. If the failed worker was to replace a dead one, whose device may be
-        broken, three starts are tried; if all fail, the run continues with the remaining workers.
+        """Handle a worker that failed to start. If it was to replace a dead worker, whose device may be broken, up to
+        three starts are tried. If all of them fail, the run continues with the remaining workers.
 
         Args:
-            error: raised after ``most`` tries if no other worker is left, or if no worker has died.
+            error: error that is raised after ``most`` failed starts, if no worker has died before or no other is left.
         """
         self._false_starts += 1
         spare = self._deaths > 0 and any(hand.ready for hand in self._hands)
@@ -295,8 +296,8 @@ class WorkerPool(Engine):
     def _bury(
         self, hand: _Hand, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
     ) -> Iterator[Outcome]:
-        """Replace a dead worker. Yields outcomes for jobs that are given up. There are no such outcomes if the worker's
-        engine did not exist yet."""
+        """Replace a dead worker. Yields the outcomes of jobs that are given up. If the worker's engine did not exist
+        yet, no job is given up."""
         held = [stream.chunk for stream in hand.streams.values()]
         self._deaths += 1
         self._kill(hand)
@@ -314,7 +315,7 @@ class WorkerPool(Engine):
     # Chunks.
 
     def _hand_out(self, deal: Deal, jobs: Sequence[Job], sim: Simulation) -> None:
-        """Give chunks to workers in turn, one at a time, while there are chunks and workers with room."""
+        """Give chunks to workers in turn, one at a time, while there are chunks and workers that can take one."""
         waiting = deque(sorted(self._hands, key=lambda hand: len(hand.streams)))
         while waiting:
             hand = waiting.popleft()
@@ -325,7 +326,7 @@ class WorkerPool(Engine):
                 waiting.append(hand)
 
     def _next_report(self, ref: Any) -> Report | Exception | None:
-        """The next report of a chunk; None after the last one; the error if the worker is lost."""
+        """The next report about a chunk. None after the last report; the error if the worker is dead."""
         try:
             item = self._thread.submit(lambda: self._ray.get(ref_of) if (ref_of := next(ref, None)) else None).result()
             report: Report | None = pickle.loads(item) if item is not None else None
@@ -362,7 +363,7 @@ class WorkerPool(Engine):
             raise report.error
 
     def _message(self, seconds: float) -> str:
-        """A line about the state of the workers."""
+        """A line for the user about the state of the workers."""
         waiting = [hand for hand in self._hands if not hand.ready]
         parts = [f"{count_text(self._deaths, 'worker')} died"] if self._deaths else []
         if waiting:

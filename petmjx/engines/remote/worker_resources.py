@@ -1,4 +1,4 @@
-"""The number of workers on a cluster, and the CPUs and GPUs of each worker. Independent of Ray."""
+"""The number of workers on a cluster, and the number of CPUs and GPUs of each worker. Does not need Ray."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from petmjx.options.run_options import AUTO
 
 MOST_SHARING = 4
 """Largest number of workers that share a GPU. Each worker has its own context, tables and buffers in the GPU's memory.
-In sweeps of small worlds, four processes kept a GPU hardly busier than two (benchmarks/notebook/performance.md)."""
+For sweeps of small worlds, four processes used a GPU hardly better than two (benchmarks/notebook/performance.md)."""
 
 PARTS = 10_000
-"""Number of parts into which Ray divides a GPU."""
+"""Number of equal parts into which Ray divides a GPU."""
 
 
 @dataclass(frozen=True)
 class Node:
-    """The resources of one machine of a cluster."""
+    """The CPUs and GPUs of one machine of a cluster."""
 
     cpus: int
     gpus: int = 0
@@ -27,13 +27,13 @@ class Node:
 
 @dataclass(frozen=True)
 class Place:
-    """The resources of one worker.
+    """The CPUs and GPUs of one worker.
 
     Attributes:
-        cpus: number of CPUs of the worker, all on one node.
-        gpus: number of GPUs of the same node, or the share of a GPU.
-        slots: number of chunks that the worker simulates side by side: its number of threads on ``mujoco``, one on MJX
-            engines.
+        cpus: number of CPUs of the worker, all on one machine.
+        gpus: number of GPUs on the same machine, or the share of one GPU.
+        slots: number of chunks (groups of jobs) that the worker simulates at the same time: its number of threads on
+            ``mujoco``, one on MJX engines.
     """
 
     cpus: int
@@ -42,16 +42,16 @@ class Place:
 
 
 def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int | None = None) -> list[Place]:
-    """The resources of all workers.
+    """The CPUs and GPUs of all workers.
 
     Args:
-        workers: number of workers; ``auto``: one per GPU, or if there is none, one per node, with all its CPUs. If
-            there are more workers than GPUs, each GPU is shared by the same number of workers.
-            threads: threads of each worker of ``mujoco``; None: the worker's share of the CPUs.
+        workers: number of workers. ``auto``: one per GPU, or, without GPUs, one per machine with all its CPUs. If there
+            are more workers than GPUs, each GPU is shared by the same number of workers.
+        threads: number of threads of each worker of ``mujoco``. If None, it is the worker's share of the CPUs.
 
-        Raises:
-            InputError: the cluster has no room for the workers, or cannot place the same number on each GPU.
-            EngineUnavailable: the engine needs a GPU, and the cluster has none.
+    Raises:
+        InputError: the cluster does not have enough CPUs, or cannot put the same number of workers on each GPU.
+        EngineUnavailable: the engine needs a GPU, and the cluster has none.
     """
     gpus = sum(node.gpus for node in nodes)
     if engine == "mjx-warp" or (engine == "mjx-jax" and gpus):
@@ -60,8 +60,8 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
         if fault := why_no_gpus(nodes, workers):
             raise InputError(f"workers: {fault}")
         number = gpus if workers == AUTO else int(workers)
-        # Shares are whole parts, rounded down, so that exactly this number of workers fits on a GPU. All GPUs become
-        # full, whichever one Ray fills first.
+        # Shares are whole parts, rounded down, so that exactly this number of workers fits on a GPU. So all GPUs become
+        # full, whichever GPU Ray fills first.
         share = PARTS // _sharing(gpus, number) / PARTS
         return [Place(cpus=1, gpus=share)] * number
     if workers == AUTO:
@@ -79,10 +79,11 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
 
 
 def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
-    """The reason why the GPUs cannot be divided among this number of workers, in a few words; None if they can.
+    """The reason why the GPUs cannot be divided among this number of workers, in a few words. None if they can.
 
-    A worker gets a whole GPU, or the same share as all other workers. With shares of two sizes, Ray might leave no room
-    for the last worker. If shares did not fill a GPU, Ray might put too many workers on one GPU and leave another idle.
+    A worker gets a whole GPU, or the same share of a GPU as all other workers. With shares of two sizes, Ray might
+    leave no room for the last worker. If the shares of a GPU did not add up to a whole GPU, Ray might put too many
+    workers on one GPU and leave another GPU idle.
     """
     gpus = sum(node.gpus for node in nodes)
     if not gpus:
@@ -101,7 +102,7 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
 
 
 def threads_beside(nodes: Sequence[Node], workers: int) -> int:
-    """The smallest number of CPU threads per worker if each machine has as many workers as its GPUs allow."""
+    """The smallest number of CPU threads per worker, if each machine has as many workers as its GPUs allow."""
     per_gpu = _sharing(sum(node.gpus for node in nodes), workers)
     return min(node.cpus // min(per_gpu * node.gpus, workers) for node in nodes if node.gpus)
 
@@ -112,7 +113,7 @@ def _sharing(gpus: int, workers: int) -> int:
 
 
 def _share(nodes: Sequence[Node], workers: int) -> int:
-    """The largest number of CPUs per worker for which this number of workers fits, each on one node; at least 1."""
+    """The largest number of CPUs per worker with which all workers find room, each on one machine. At least 1."""
     most = max(sum(node.cpus for node in nodes) // workers, 1)
     return next((share for share in range(most, 1, -1) if sum(node.cpus // share for node in nodes) >= workers), 1)
 

@@ -1,2 +1,2 @@
-"""Processes beside a run: for further attempts at single worlds on CPU threads while a GPU continues, and for checks of
+"""Processes beside a run. They simulate single worlds again on CPU threads while a GPU continues, and check
 outcomes."""

@@ -1,4 +1,4 @@
-"""The run's side of an attempt process: it sends tasks and receives answers."""
+"""Sends worlds to a process that simulates them beside the run (an *attempt process*), and receives the outcomes."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from petmjx.engines.subprocess.attempt_process import READY, Answer, Task
 from petmjx.engines.subprocess.task_pipe import Child
 
 LOOK_S: Final = 0.25
-"""Longest wait for an answer, s. After each wait, signals are noticed."""
+"""Longest uninterrupted wait for an answer, s. Signals are handled after each wait."""
 
 
 class SideSimulator(Protocol):
-    """Simulates worlds beside the caller."""
+    """Simulates worlds while the caller continues."""
 
     def begin(self, task: Task) -> None:
         """Start to simulate a world. Returns at once."""
@@ -27,19 +27,19 @@ class SideSimulator(Protocol):
         """The answers that have arrived since the last call.
 
         Args:
-            wait: whether to wait for at least one answer if any task is unanswered.
+            wait: whether to wait for at least one answer, if any task has no answer yet.
         """
         ...
 
     def close(self) -> None:
-        """End the simulator. Unanswered tasks are dropped."""
+        """End the simulator. Tasks without an answer are dropped."""
 
 
 class SubprocessSimulator:
     """Simulates worlds in a separate process, which is started for the first task.
 
-    If the process dies, its unanswered tasks get answers without an outcome, and the next task starts a new process.
-    Idle processes are kept for the next user, since a new process has to load JAX, Warp and the kernel.
+    If the process dies, its open tasks get answers without an outcome, and the next task starts a new process. Idle
+    processes are kept for the next user, since a new process has to load JAX, Warp and the kernel.
     """
 
     def __init__(self) -> None:
@@ -89,12 +89,12 @@ class SubprocessSimulator:
 
 
 _IDLE: Final[dict[int, list[Child]]] = {}
-"""Idle processes, by the id of the process that started them. A fork of that process must not use them, since it has
-none of the threads."""
+"""Process id of a process → the idle processes that it started. A fork of this process must not use them, since a fork
+has no threads."""
 
 
 def _idle_child() -> Child:
-    """An idle process, or if there is none, a new process."""
+    """An idle process that is alive; if there is none, a new process."""
     idle = _IDLE.get(os.getpid(), [])
     while idle:
         process = idle.pop()

@@ -1,7 +1,7 @@
-"""The code of the attempt process beside a run. It takes tasks from a pipe and runs them on engines of one thread each.
+"""The code of the process that simulates single worlds beside a run, on engines with one thread each.
 
-The process has no GPU. So JAX and Warp use the CPU here, even if they use a GPU in the run's process. The process ends
-when the pipe ends, and thus also when the process that started it ends.
+The process reads tasks from a pipe. It has no GPU, so JAX and Warp use the CPU here, even if they use a GPU in the
+run's process. The process ends when the pipe ends, and so also when the process that started it ends.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 NICE = 5
-"""Niceness of the process's threads. These threads have a lower priority than the run's threads, which keep a GPU
+"""Niceness of the threads of this process: they have a lower priority than the threads of the run, which keep a GPU
 busy."""
 
 GRANULE = 96
 """The number of box columns of tables is a multiple of this, so that single worlds of nearly all sizes use the same
-programs."""
+compiled programs."""
 
 _BUILDING = threading.Lock()
-"""A lock that is held while an engine is being built, since the first engine starts JAX and Warp."""
+"""A lock that is held while an engine is created, since the first engine starts JAX and Warp."""
 
 
 READY = -1
@@ -42,7 +42,7 @@ READY = -1
 
 @dataclass(frozen=True)
 class Task:
-    """A world, and the name of the engine that simulates it. ``sim`` and ``job`` are arguments of ``Engine.run``."""
+    """A world to simulate, and the name of the engine. ``job`` and ``sim`` are arguments of ``Engine.run``."""
 
     number: int
     engine: str
@@ -52,7 +52,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Answer:
-    """The outcome of a task; or None, and the reason in one line."""
+    """The outcome of a task. If there is no outcome, ``outcome`` is None, and ``message`` says why in one line."""
 
     number: int
     outcome: Outcome | None
@@ -60,7 +60,7 @@ class Answer:
 
 
 def main() -> None:
-    """Answer tasks from standard input on standard output, in any order, until the input ends."""
+    """Read tasks from standard input and write answers to standard output, in any order, until the input ends."""
     tasks, answers = own_pipes(NICE)
     thread_state, writing = threading.local(), threading.Lock()
 
@@ -86,9 +86,9 @@ def answer_to(
     """Simulate the world of a task.
 
     Args:
-        engines: name → engine of this thread; a missing engine is built and added.
+        engines: name → engine, for the engines of this thread. A missing engine is created and added.
         stops: function that returns whether the outcome is no longer needed.
-        granule: the number of box columns of tables is a multiple of this; None: the engine's usual granule.
+        granule: the number of box columns of tables is a multiple of this. If None, the engine's default is used.
     """
     outcome, progress = None, Progress(pauses=True)
     try:
@@ -100,7 +100,7 @@ def answer_to(
             engines[task.engine] = engine
         with closing(engines[task.engine].run([task.job], task.sim, progress)) as answers:  # type: ignore[type-var]  # a generator
             for outcome in answers:
-                if outcome is not None or stops():  # None: a pause
+                if outcome is not None or stops():  # None is a pause
                     break
     except EngineUnavailable as error:
         return Answer(task.number, None, str(error))

@@ -1,5 +1,5 @@
-"""Checks outcomes in processes beside a run. If a run with many small worlds checked them itself, it would be slower
-than a GPU."""
+"""Checks outcomes in processes beside a run. For many small worlds, checks in the run's own process would take longer
+than the simulation on a GPU."""
 
 from __future__ import annotations
 
@@ -31,41 +31,43 @@ THREADS_EACH: Final = 4
 """Number of CPU threads of a machine for each check process."""
 
 MOST_WAITING: Final = 8
-"""Largest number of unanswered checks of a process. With 256 outcomes each, they take 20 MB."""
+"""Largest number of unfinished checks of a process. Eight checks of 256 outcomes each take 20 MB."""
 
 LOOK_S: Final = 0.005
-"""Longest wait for an answer, s. After each wait, signals and other work are noticed."""
+"""Longest uninterrupted wait for an answer, s. Signals and other work are handled after each wait."""
 
 INTERRUPTED_S: Final = 2.0
-"""Longest wait for all processes together after Ctrl-C, s. The remaining checks are then made in this process."""
+"""Longest wait for all processes together after Ctrl-C, s. This process then makes the remaining checks itself."""
 
 HANGS_S: Final = 60.0
-"""A process counts as hanging if an answer takes longer than this, s. A process starts within a few seconds, and a
-check takes less than a second."""
+"""A process counts as hanging if an answer takes longer than this, s. A process normally starts within a few seconds,
+and a check takes less than a second."""
 
 _ANY_DRIVE: Final = Drive(Excitation("any", ACCELERATION, np.zeros((0, 3))))
-"""Replaces the drives of jobs that are sent to a check process: checks need to know only whether there is a drive."""
+"""Stands for the drive (motion of the carrier) of a job that is sent to a check process. Checks need to know only
+whether the job has a drive."""
 
 Key = TypeVar("Key")
 
 
 def max_check_processes(threads: int) -> int:
-    """Number of check processes for a run on a machine with this number of CPU threads."""
+    """Number of check processes for a run on a machine with ``threads`` CPU threads."""
     return min(threads // THREADS_EACH, MOST)
 
 
 @dataclass(eq=False)
 class _CheckProcess(Generic[Key]):
-    """A process, and its unanswered checks with a key for each outcome. The process answers checks in order."""
+    """A check process and its unfinished checks, with a key for each outcome. The process answers in order."""
 
     child: Child = field(default_factory=lambda: Child("petmjx.engines.subprocess.check_process"))
     unanswered: deque[tuple[list[Key], Look]] = field(default_factory=deque)
 
 
 class CheckPool(Generic[Key]):
-    """Processes that check outcomes (``outcome_checks``). Outcomes that get no answer are checked in this process.
+    """Processes that check outcomes (``outcome_checks``). If a process gives no answer, this process checks the
+    outcomes.
 
-    Each outcome has a key, by which the run identifies it.
+    Each outcome has a key, by which the run identifies the outcome.
     """
 
     def __init__(self, processes: int) -> None:
@@ -75,21 +77,21 @@ class CheckPool(Generic[Key]):
 
     @classmethod
     def here(cls) -> CheckPool[Key]:
-        """A pool with the number of processes that suits this machine's CPU threads."""
+        """A pool with the number of processes that suits the number of CPU threads of this machine."""
         return cls(max_check_processes(cpu_threads()))
 
     def hurry(self) -> None:
-        """From now on, wait only a moment, since the run is about to end."""
+        """From now on, wait only for a moment, since the run is about to end."""
         if self._until_s is None:
             self._until_s = time.monotonic() + INTERRUPTED_S
 
     def _hangs(self, waits: int) -> bool:
-        """Whether a process hangs, after this number of waits for its answer."""
+        """Whether a process counts as hanging after this number of waits for its answer."""
         return waits * LOOK_S >= HANGS_S if self._until_s is None else time.monotonic() >= self._until_s
 
     @property
     def has_unanswered(self) -> bool:
-        """Whether any check is still unanswered."""
+        """Whether any check is unfinished."""
         return any(looker.unanswered for looker in self._check_pool)
 
     def exchanged(
@@ -101,13 +103,14 @@ class CheckPool(Generic[Key]):
         wait: bool,
         until: Callable[[], bool] = lambda: False,
     ) -> list[tuple[Key, Outcome]]:
-        """Hand in outcomes to be checked, and return checked outcomes. Outcomes must not be changed meanwhile.
+        """Hand in outcomes to be checked, and return checked outcomes. The caller must not change outcomes while they
+        are checked.
 
         Args:
             jobs: the job of each outcome.
-            wait: whether to wait for all outcomes.
-            until: function that returns whether other work is due. Outcomes not checked by then are returned by later
-                calls.
+            wait: whether to wait until all outcomes are checked.
+            until: function that returns whether the caller has other work. If it does, the wait ends, and later calls
+                return the remaining outcomes.
         """
         if keyed_outcomes:
             self._begin([key for key, _ in keyed_outcomes], ([outcome for _, outcome in keyed_outcomes], jobs, sim))
@@ -119,9 +122,9 @@ class CheckPool(Generic[Key]):
         return finished
 
     def _begin(self, keys: list[Key], look: Look) -> None:
-        """Start a check. Waits if too many checks are unanswered."""
+        """Start a check. Waits if too many checks are unfinished."""
         outcomes, jobs, sim = look
-        # checks need no histories, no samples of drives, and no states; for states, a process would have to import JAX
+        # Checks need no histories, samples of drives, or states. For states, a process would have to import JAX.
         light = [replace(outcome, state=None, history=None) for outcome in outcomes]
         sent = [replace(job, start=None, drive=_ANY_DRIVE if job.drive is not None else None) for job in jobs]
         while self._check_pool:
@@ -142,8 +145,8 @@ class CheckPool(Generic[Key]):
         self._finished += zip(keys, outcome_checks(*look), strict=True)
 
     def _take(self, looker: _CheckProcess[Key], *, wait: bool, until: Callable[[], bool] = lambda: False) -> None:
-        """Take the answers of a process. With ``wait``, wait for at least one, unless other work is due (``until``). A
-        process that has died or hangs is dropped."""
+        """Take the answers of a process that have arrived. With ``wait``, wait for at least one answer, unless the
+        caller has other work (``until``). A process that has died or hangs is removed from the pool."""
         waits = 0  # waits are counted instead of seconds: while this process is stopped (Ctrl-Z), no answer is late
         while looker.unanswered:
             try:
@@ -163,7 +166,7 @@ class CheckPool(Generic[Key]):
                     self._look(*looker.unanswered.popleft())
                 return
             keys, look = looker.unanswered.popleft()
-            # The answer is the text of an error, which the check in this process will raise.
+            # The answer is the text of an error. The check in this process will raise the same error.
             if isinstance(answer, str):
                 self._look(keys, look)
                 continue
@@ -174,6 +177,6 @@ class CheckPool(Generic[Key]):
             self._finished += zip(keys, outcomes, strict=True)
 
     def close(self) -> None:
-        """End the processes. Unanswered checks are dropped."""
+        """End the processes. Unfinished checks are dropped."""
         while self._check_pool:
             self._check_pool.pop().child.end()

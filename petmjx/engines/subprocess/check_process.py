@@ -21,12 +21,12 @@ Look = tuple[Sequence[Outcome], Sequence[Job], Simulation]
 """The arguments of ``outcome_checks``."""
 
 Answer = tuple[Sequence[Outcome], Sequence[tuple[FloatArray, FloatArray]]]
-"""Outcomes without their boxes, and for each outcome the results for its boxes: distances from edges, by the plan and
-at rest, m."""
+"""Outcomes without their boxes, and two arrays for the boxes of each outcome: distances of loads from edges in the
+plan, and at rest, m."""
 
 
 def main() -> None:
-    """Answer the checks in turn. The answer is a line of text if a check raises an error."""
+    """Make the checks one after another, and answer each. If a check raises an error, the answer is a line of text."""
     looks, answers = own_pipes(NICE)
     while (look := next_of(looks)) is not None:
         answer: Answer | str

@@ -1,4 +1,4 @@
-"""The pipes of a process beside a run: pickled tasks on its standard input, pickled answers on its standard output."""
+"""The pipes of a process beside a run. Its standard input has pickled tasks, its standard output pickled answers."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _NO_GPU: Final = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
 
 
 class Child:
-    """The run's side of the pipes. Threads write tasks and read answers.
+    """A process beside the run, with its pipes. Threads of this process write the tasks and read the answers.
 
     Args:
-        module: the module whose ``main`` the process runs.
+        module: the module whose function ``main`` the process runs.
 
     Attributes:
-        tasks: queue of pickled tasks; None ends it.
-        answers: queue of answers; None is the last entry.
+        tasks: queue of pickled tasks. None ends the queue.
+        answers: queue of answers. None is the last entry.
     """
 
     def __init__(self, module: str) -> None:
@@ -77,9 +77,9 @@ class Child:
 
 
 def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
-    """The process's side of the pipes: tasks and answers. Called when the process starts. The threads of this process
-    get a niceness, so that the run's threads have priority. Ctrl-C is ignored, since the run handles it and ends this
-    process."""
+    """Set up this process beside a run when it starts, and return its pipes: tasks and answers. The threads of this
+    process get a niceness, so that the threads of the run have priority. Ctrl-C is ignored, since the run handles
+    Ctrl-C and ends this process."""
     collect_rarely()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "nice"):
@@ -90,8 +90,8 @@ def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
 
 
 def next_of(pipe: IO[bytes]) -> Any:
-    """The next object from a pipe. None at the end of the pipe, or if the object cannot be read: because the pipe ends
-    within it, memory is short, or its class cannot be imported."""
+    """The next object from a pipe. None at the end of the pipe. Also None if the object cannot be read, because the
+    pipe ends within the object, memory is short, or its class cannot be imported."""
     try:
         return pickle.load(pipe)
     except Exception:  # if this thread ended silently, the run would wait for ever

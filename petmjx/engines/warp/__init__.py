@@ -1,1 +1,1 @@
-"""Engine mjx-warp: batches of worlds on CUDA devices, with petmjx's own step and contact solver."""
+"""Engine mjx-warp: many worlds at a time on CUDA devices, with petmjx's own simulation step and contact solver."""

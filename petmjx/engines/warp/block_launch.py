@@ -1,16 +1,17 @@
-"""Launches of mjx-warp's thread blocks: block sizes, their kernels, and kernels that run side by side.
+"""Launches of mjx-warp's thread blocks: block sizes, their kernels, and kernels that run at the same time.
 
 On a GPU, the hardware's scheduler runs the blocks. On a CPU, each block runs in its own thread.
 
-The size of a world determines its blocks. A step of forty boxes is mostly latency, so another world should share the
-multiprocessor. A step of two hundred boxes is work for many threads. So there are blocks of two sizes, each with its
-own kernel.
+The number of boxes of a world determines its block. In a step of forty boxes, threads mostly wait for one another's
+results (latency), so another world should share the multiprocessor. A step of two hundred boxes is work for many
+threads. So there are blocks of two sizes, and each size has its own kernel.
 
-A step of few boxes is only latency, so many worlds must be stepped together. A third kernel has sixteen worlds in a
-block, one per warp. Pallets of all sizes begin in these blocks. A run ends with its longest worlds. A world is faster
-if it has a multiprocessor to itself, so there is a fourth kernel for the last worlds.
+A step of a few boxes is latency only, so many such worlds must be stepped together. A third kernel has sixteen worlds
+in a block, one per warp (32 threads). Pallets of all sizes begin in these blocks. A run ends with its longest worlds. A
+world is faster if it has a multiprocessor to itself, so a fourth kernel simulates the last worlds of a run.
 
-All kernels sum in the same order. So a world may move to another kernel after any step, with bit-identical results.
+All kernels add numbers in the same order. So a world may move to another kernel after any step, with bit-identical
+results.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import warp as wp
 
@@ -45,11 +46,11 @@ from petmjx.engines.warp.world_arrays import (
 
 @dataclass(frozen=True)
 class Call:
-    """A kernel, and the blocks with which it is launched.
+    """A kernel, and the thread blocks with which it is launched.
 
     Attributes:
         threads: number of threads of a block.
-        arguments: function that returns the kernel's arguments, given the number of the first block.
+        arguments: function that takes the number of the first block, and returns the kernel's arguments.
     """
 
     kernel: Any
@@ -58,18 +59,18 @@ class Call:
     arguments: Callable[[int], Sequence[Any]]
 
     def launch(self, first: int, blocks: int, **options: Any) -> None:
-        """Launch this number of blocks, starting at ``first``."""
+        """Launch ``blocks`` blocks, beginning with the block number ``first``."""
         dim, inputs = (blocks, self.threads), list(self.arguments(first))
         wp.launch(self.kernel, dim=dim, inputs=inputs, block_dim=self.threads, **options)
 
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """Within a call from JAX to Python, allows other threads to make such calls at the same time.
+    """For use within a call from JAX to Python: allows other threads to make such calls at the same time.
 
-    Warp (1.18) holds a lock during a call from JAX. So engines in several threads of a CPU would run in turn, one slice
-    at a time. The data that the lock protects are read before Warp calls our function, so the lock can be released
-    here. Other versions may not have this lock.
+    Warp (1.18) holds a lock during a call from JAX. So engines in several CPU threads would run one after another, one
+    time slice at a time. Warp has read the data that the lock protects before it calls petmjx's function, so the lock
+    can be released here. Other versions of Warp may not have this lock.
     """
     lock = getattr(sys.modules[wp.jax_callable.__module__], "_FFI_CALLBACK_LOCK", None)
     if lock is None or not lock.locked():
@@ -86,7 +87,7 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
     """Launch all blocks of these calls on Warp's current device. JAX calls this function.
 
     Args:
-        clock: (1,) a number that signals the end of the time slice to blocks on a CPU.
+        clock: (1,) a number that tells blocks on a CPU that the time slice has ended.
         slice_ns: length of the time slice, ns.
     """
     device = wp.get_device()
@@ -107,8 +108,8 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
             for block in range(max(call.blocks for call in calls)):
                 running.append(_threads().submit(run, block))
             wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
-        finally:  # blocks are stopped after an error, too, since the memory of all blocks is then freed
-            clock.numpy()[0] = 1  # the kernels read the clock in this memory
+        finally:  # blocks are stopped after an error, too, since their memory is then freed
+            clock.numpy()[0] = 1  # the kernels read the clock from this memory
             wait(running)
         for future in running:
             future.result()
@@ -119,21 +120,22 @@ MOST_THREADS: Final = 1024
 
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
-    """Threads for the blocks of all engines. As many threads are started as are needed at the same time. The threads
-    are kept, since every slice needs them."""
+    """Threads for the thread blocks of all engines on the CPU. Threads are started when they are needed at the same
+    time, and are kept, since every time slice needs them."""
     return ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="mjx-warp")
 
 
 def load_kernels(launches: Sequence[Launch]) -> None:
-    """Compile, in parallel, the kernels of launches that run side by side, or load them from Warp's cache."""
+    """Compile the kernels of these launches in parallel, or load them from Warp's cache."""
     kernels = [kernel(launch) for launch in launches] + own_kernels(len(launches))
     modules = list(dict.fromkeys(kernel.module for kernel in kernels))
     wp.force_load(wp.get_device(), modules, max_workers=len(modules))
 
 
 HEAD_START_NS = 50_000
-"""Delay between the starts of two kernels, ns. A GPU assigns thread blocks to its multiprocessors in the order of their
-launch, and runs them to their end. With this delay, blocks of the first kernel find the room that they need."""
+"""Delay between the starts of two kernels, ns. A GPU assigns thread blocks to its multiprocessors in the order in which
+they are launched, and runs them to their end. With the delay, blocks of the first kernel find the room that they
+need."""
 
 
 @functools.cache
@@ -142,14 +144,14 @@ def _more_streams(device: str, count: int) -> list[wp.Stream]:
 
 
 def own_kernels(count: int) -> list[wp.Kernel]:
-    """The kernels that ``side_by_side`` launches itself."""
+    """The kernels that ``side_by_side`` itself launches."""
     return [pause] if count > 1 and wp.get_device().is_cuda else []
 
 
 @contextmanager
 def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
-    """Streams for kernels that run at the same time. These streams start after earlier work on the current stream, and
-    later work on it waits for them.
+    """CUDA streams for kernels that run at the same time. They start after earlier work on the current stream. Later
+    work on the current stream waits for them.
 
     Launch the kernels in the order of the streams.
     """
@@ -167,24 +169,24 @@ def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
 
 
 TILE_BYTES = 4
-"""Shared memory that Warp uses for each thread of a block with tiles, bytes."""
+"""Shared memory that Warp uses for each thread of a block with tiles (arrays in shared memory), bytes."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """Thread blocks for worlds of one size.
+    """Thread blocks for worlds up to a number of boxes.
 
     Attributes:
         most_boxes: largest number of boxes of a world.
         threads: number of threads of a block, from 64 to 512. The number of threads of a world is a power of two, from
             32 to 256 (ORDER in block.cuh).
-        per_sm: number of blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a
-            thread.
-        shared_bytes: shared memory for the rows of a block's factor, and for its Hessian, if they fit. A multiprocessor
-            has 256 kB for all its blocks; the rest is cache.
-        worlds: number of worlds of a block: one for all its threads, or one for each warp.
-        pause_after: number of iterations after which the solver of a world pauses, so that the other worlds of its
-            block need not wait for it; 0: it never pauses.
+        per_sm: number of blocks that a multiprocessor of a GPU runs at the same time. It limits the number of registers
+            of a thread.
+        shared_bytes: shared memory of a block for rows of the factor of the Hessian, and for the Hessian if it fits,
+            bytes. A multiprocessor has 256 kB for all its blocks. The remaining memory serves as cache.
+        worlds: number of worlds of a block: one for all its threads, or one for each warp (32 threads).
+        pause_after: number of iterations after which the solver of a world pauses, so that the other worlds of the
+            block need not wait for this world. If 0, the solver never pauses.
     """
 
     most_boxes: int
@@ -196,18 +198,19 @@ class Size:
 
 
 SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
-"""All sizes, ascending. Like the number of box columns of tables, ``most_boxes`` is a multiple of
-``petmjx.engines.mjx.host_to_device.GRANULE``. Measurements: benchmarks/notebook/performance.md."""
+"""All sizes, ascending. ``most_boxes`` is a multiple of ``petmjx.engines.mjx.host_to_device.GRANULE``, as is the number
+of box columns of tables. Measurements: benchmarks/notebook/performance.md."""
 
 FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
-"""Blocks for worlds that have at most 15 boxes so far. With a moving carrier, 15 boxes fill six panels."""
+"""Blocks for worlds that have at most 15 boxes so far. With a moving carrier, 15 boxes fill six panels of the
+matrix."""
 
 LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
-"""Blocks for the last worlds of a run, if they are of the smaller size. Each block fills a multiprocessor."""
+"""Blocks for the last worlds of a run, if these worlds have the smaller size. Each block fills a multiprocessor."""
 
 
 USUAL: Final = (SIZES[0], FEW_BOXES, LAST)
-"""Blocks of most runs, which have no large plans."""
+"""The blocks of most runs, which have no large plans."""
 
 
 def size_for(n_boxes: int) -> Size:
@@ -215,18 +218,36 @@ def size_for(n_boxes: int) -> Size:
     return next(size for size in SIZES if n_boxes <= size.most_boxes)
 
 
+class DeviceLimits(Protocol):
+    """The properties of a device that decide about launches. Warp's devices have them.
+
+    Attributes:
+        is_cuda: whether the device is a GPU.
+        sm_count: number of multiprocessors.
+        max_shared_memory_per_block: largest shared memory of a block, bytes.
+    """
+
+    @property
+    def is_cuda(self) -> bool: ...
+    @property
+    def sm_count(self) -> int: ...
+    @property
+    def max_shared_memory_per_block(self) -> int: ...
+
+
 @dataclass(frozen=True)
 class Launch:
-    """The execution configuration of a launch, and the sizes and features for which its kernel is compiled.
+    """The configuration of a launch, and the sizes and features for which its kernel is compiled.
 
     Attributes:
         blocks: number of blocks that run at the same time.
         threads, per_sm, worlds, pause_after: as in ``Size``.
-        shared_words: shared memory for the rows of a world's factor and its Hessian, in units of four bytes.
-        panels: number of panels of the largest system.
-        hands: whether a hand may carry boxes. A kernel without this feature spills fewer registers.
-        gives, wraps: whether boxes may be compliant, and whether film may hold them. A kernel without these features
-            spills fewer registers, too.
+        shared_words: shared memory for rows of the factor of a world's Hessian, and for the Hessian, in units of four
+            bytes.
+        panels: number of panels (groups of 16 rows) of the largest system of equations.
+        hands: whether hands may carry boxes. A kernel without this feature spills fewer registers to memory.
+        gives, wraps: whether boxes may be compliant, and whether stretch film may hold boxes. A kernel without these
+            features also spills fewer registers.
         lands: whether the law of landing boxes is in use.
     """
 
@@ -254,7 +275,8 @@ class Launch:
 
     @property
     def tile_words(self) -> int:
-        """Size of the tile in a block's shared memory, in units of four bytes; 0: there is no tile."""
+        """Size of the tile (an array in shared memory) of a block, in units of four bytes. It is 0 if there is no
+        tile."""
         newton_words = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
         return self.worlds * (self.shared_words + newton_words)
 
@@ -268,10 +290,20 @@ class Launch:
 
     @classmethod
     def of(
-        cls, size: Size, hands: bool = False, gives: bool = False, wraps: bool = False, lands: bool = False
+        cls,
+        size: Size,
+        hands: bool = False,
+        gives: bool = False,
+        wraps: bool = False,
+        lands: bool = False,
+        device: DeviceLimits | None = None,
     ) -> Launch:
-        """The launch for blocks of this size. If a GPU's shared memory is too small, blocks have fewer worlds."""
-        device = wp.get_device()
+        """The launch for blocks of this size. If a GPU has too little shared memory, blocks have fewer worlds.
+
+        Args:
+            device: the device for which the kernel is compiled. If None, this is Warp's current device.
+        """
+        device = device or wp.get_device()
         if not device.is_cuda:
             return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps, lands=lands)
         panels = most_panels(size.most_boxes)
@@ -280,9 +312,8 @@ class Launch:
         if size.worlds > 1:
             room = most - TILE_BYTES * size.threads - size.worlds * newton_bytes
             if room < 0:
-                return cls.of(
-                    replace(size, threads=size.threads // 2, worlds=size.worlds // 2), hands, gives, wraps, lands
-                )
+                half = replace(size, threads=size.threads // 2, worlds=size.worlds // 2)
+                return cls.of(half, hands, gives, wraps, lands, device)
             words = min(size.shared_bytes, room) // size.worlds // (4 * PANEL**2) * PANEL**2
         else:
             words = min(size.shared_bytes, most - newton_bytes) // 4

@@ -16,36 +16,36 @@ from petmjx.world.contact_laws import is_stiff
 
 
 def most_room(size: int) -> int:
-    """Limit of the buffers for a world of this size: they may have room for the contacts and pairs of at most this
-    number of boxes.
+    """Number of boxes for whose contacts and pairs the buffers of a world of this size may have room at most.
 
-    The limit is the same in all runs. So a run's largest plan does not affect which worlds are given up."""
+    The limit is the same in all runs. So which worlds are given up does not depend on the largest plan of a run."""
     return MAX_GROWTH * (size + MORE_BOXES)
 
 
 class BlockPools:
-    """Makes the block pools of an engine's tables, and enlarges buffers that overflow. Enlarged buffers stay large.
+    """Makes the block pools for an engine's tables, and enlarges buffers that overflow. Enlarged buffers stay large.
 
     Args:
-        lanes: largest number of worlds of a size at the same time; None: the number for which the device has room.
+        lanes: largest number of worlds of one size that are simulated at the same time. If None, it is the number for
+            which the device has room.
         blocks: function that returns the number of blocks of a launch.
     """
 
     def __init__(self, lanes: int | None, blocks: Callable[[Launch], int]) -> None:
         self._lanes, self._blocks = lanes, blocks
         self._growth: dict[tuple[Cone, int], int] = {}
-        """(Cone, size of worlds) → factor by which buffers must be larger than usual."""
+        """(Friction cone, size of worlds) → factor by which buffers are larger than the default."""
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
-        """The block pools of a table. Pools for the last worlds and for small worlds come first, if such pools are
-        made. The pools for each size follow; the pool for the largest worlds is the first of these.
-        ``Programs._advance`` makes the queues in the same order."""
+        """The block pools of a table. If there are pools for the last worlds and for small worlds, they come first.
+        They are followed by one pool for each size, the largest size first. ``Programs._advance`` makes the queues in
+        the same order."""
         run = table.run
         pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
-        # No pool for small worlds is made if buffers are enlarged: it would have many lanes, and each lane would need
-        # enlarged buffers. Nor is it made with stiff contacts: a step then takes five times as many iterations, and in
-        # some worlds many more. The other worlds of a block would wait for such a world.
+        # There is no pool for small worlds if buffers are enlarged: each of the pool's many lanes would need an
+        # enlarged buffer. There is none with stiff contacts either. A step then takes five times as many iterations,
+        # and in some worlds many more; the other worlds of a block would wait for such a world.
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(table.table.placed)[: len(table.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = small_world_pool(pools[-1], worlds, self._lanes)
@@ -54,8 +54,8 @@ class BlockPools:
         return (last, *pools) if last else pools
 
     def grow(self, run: Run, size: int) -> int | None:
-        """Double the buffers for worlds of a size. Returns the factor by which they are now larger than usual, or None
-        if they already have their largest size."""
+        """Double the buffers for worlds of a size. Returns the factor by which the buffers are now larger than the
+        default. Returns None if they already have their largest size."""
         if self._boxes_of_room(run, size) == most_room(size):
             return None
         growth = 2 * self._growth_of(run, size)
@@ -70,8 +70,8 @@ class BlockPools:
         return min(self._growth_of(run, size) * (run.needs.widths[size] + MORE_BOXES), most_room(size))
 
     def _of_size(self, run: Run, size: int, boards: int) -> BlockPool:
-        """The block pool for worlds of a size, with its largest number of blocks. The carriers have ``boards``
-        shapes.
+        """The block pool for worlds of a size, with the largest number of blocks. ``boards``: number of shapes of the
+        carriers.
         """
         n_boxes = run.needs.widths[size]
         needs = run.needs

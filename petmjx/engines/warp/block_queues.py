@@ -1,4 +1,4 @@
-"""Queues of worlds, one for each size. Thread blocks take worlds from them."""
+"""Queues of worlds, one for each size of worlds. Thread blocks take their worlds from these queues."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from petmjx.world.job import Job
 
 
 class Queues:
-    """A queue for each size of worlds. The longest worlds come first, so that the last worlds to end are short.
+    """A queue for each size of worlds. The worlds with the longest expected time come first, so that a run ends with
+    short worlds.
 
-    Worlds that have completed a leg of a chain come before all others; among them, the world that was queued last comes
-    first. So worlds complete their chains all the time, and the host makes their rows during the simulation. If length
-    alone decided, the short last legs of all worlds would come at the end.
+    Worlds that have completed a leg of a chain (a part of a journey) come before all others. Among them, the world that
+    was queued last comes first. So chains are completed all the time, and the CPU writes their results during the
+    simulation. If length alone decided, the short last legs of all chains would come at the end of the run.
 
     Args:
         sizes: largest number of boxes of each size, in the order of the queues.
         size_of: function that returns the size of a job's world.
-        rows: number of rows of the table.
-        depth_first: whether all worlds that start from a state come first.
+        rows: number of rows of the table of worlds.
+        depth_first: whether worlds that start from another world's state come before all others.
     """
 
     def __init__(
@@ -35,16 +36,17 @@ class Queues:
         self._sizes, self._size_of, self._depth_first = sizes, size_of, depth_first
         self._size, self._cost = np.zeros(rows, np.int64), np.zeros(rows)
         self._turn = np.zeros(rows, np.int64)
-        """0, or a negative number for worlds that come before all worlds with 0; smaller numbers come first."""
+        """Order of the rows' worlds: a smaller number comes first. 0 for most worlds; a negative number for worlds that
+        come before all of these."""
         self._n_added = 0
         self.order: Int[jax.Array, "queue world"]
 
     def add(self, jobs: Sequence[Job], rows: NDArray[np.intp], live: NDArray[np.bool_], sim: Simulation) -> None:
-        """Queue jobs, and remove ended worlds from the queues.
+        """Add jobs to the queues, and remove ended worlds from the queues.
 
         Args:
-            rows: the row of each job.
-            live: (row,) whether the row's world has not ended.
+            rows: number of the table row of each job.
+            live: (row,) whether the world in each row has not ended.
         """
         self._size[rows] = [self._sizes.index(self._size_of(job)) for job in jobs]
         self._cost[rows] = MEASURED.of_jobs_on_device(jobs, sim)
@@ -61,5 +63,5 @@ class Queues:
         self.order = device_array(order)
 
     def _is_ahead(self, job: Job) -> bool:
-        """Whether a world takes precedence over worlds that begin with their placement."""
+        """Whether a world comes before the worlds that begin with their placement."""
         return job.poses is not None or (self._depth_first and job.start is not None)

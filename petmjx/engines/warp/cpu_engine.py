@@ -1,5 +1,5 @@
-"""Engine ``mjx-warp-cpu``: the kernels of ``mjx-warp`` on CPU threads. Without a GPU, it is the fastest engine for much
-work."""
+"""Engine ``mjx-warp-cpu``: the kernels of ``mjx-warp`` on CPU threads. Without a GPU, it is the fastest engine for a
+large amount of work."""
 
 from __future__ import annotations
 
@@ -19,25 +19,26 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene
 
 CPU_ROWS = 4096
-"""Number of worlds whose states are in memory at the same time."""
+"""Largest number of worlds whose states are in memory at the same time."""
 
 
 class MjxWarpCpuEngine(MjxWarpEngine):
-    """Runs Warp's kernels, compiled for this machine's CPU. Each thread simulates one world at a time.
+    """Runs Warp's kernels, compiled for the CPU of this machine. Each thread simulates one world at a time.
 
-    A world's outcome does not depend on the number of threads.
+    The outcome of a world does not depend on the number of threads.
 
     Args:
-        threads: number of worlds simulated at once; None: the number of CPU threads that this process may use.
+        threads: number of worlds that are simulated at once. If None, it is the number of CPU threads that this process
+            may use.
 
     Raises:
-        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process; the message states which.
+        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process. The message says which.
     """
 
     name = "mjx-warp-cpu"
     depth_first = True
-    """Since few worlds run at once, the last ones leave only few threads idle. So finishing worlds early is better: an
-    interrupted run then keeps more worlds."""
+    """On a CPU, few worlds run at once, so few threads are idle at the end of a run even if the last worlds are long.
+    Finishing worlds early is then better: an interrupted run keeps more finished worlds."""
 
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and threads < 1:

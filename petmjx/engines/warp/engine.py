@@ -1,4 +1,4 @@
-"""Engine ``mjx-warp``: worlds on NVIDIA Warp's kernels, each at its own pace. The fastest engine."""
+"""Engine ``mjx-warp``: simulates worlds in NVIDIA Warp's kernels, each world at its own pace. The fastest engine."""
 
 from __future__ import annotations
 
@@ -35,44 +35,46 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 GPU_SLICE_NS = 100_000_000
-"""Time slice of a call on a GPU, ns. If it is longer, the host waits for worlds; if shorter, the device waits for
-calls."""
+"""Length of a time slice (one call of the kernels) on a GPU, ns. With longer slices, the CPU waits for worlds; with
+shorter slices, the GPU waits for calls."""
 
 MIN_BLOCKS = 16
-"""Smallest number of thread blocks to which a pool is reduced if memory is short. Fewer blocks would save hardly any
+"""If memory is short, the number of thread blocks is halved, but not below this. Fewer blocks would save hardly any
 more memory."""
 
 
 def _half_pool(pool: BlockPool) -> BlockPool:
-    """The same pool with half as many blocks, but with at least ``MIN_BLOCKS``, or all if it has fewer."""
+    """The same pool with half the number of blocks, but not fewer than ``MIN_BLOCKS``. Smaller pools do not change."""
     return replace(pool, blocks=min(pool.blocks, max(pool.blocks // 2, MIN_BLOCKS)))
 
 
 class MjxWarpEngine(Engine):
-    """Simulates worlds on Warp's kernels, each at its own pace in a thread block
+    """Simulates worlds in Warp's kernels, each world at its own pace in a thread block
     (petmjx/engines/warp/kernel_launcher.py).
 
-    This engine has only Newton's method. C MuJoCo simulates attempts that need another solver
+    This engine has only Newton's method. C MuJoCo makes the attempts that need another solver
     (petmjx/engines/attempts.py).
 
     Args:
-        lanes: largest number of worlds in blocks of one kind; None: as many as the device has room for.
-        allow_cpu: run Warp's kernels on the CPU if there is no CUDA device; slow, for tests.
-        most_rows: largest number of worlds whose states are on the device at the same time. This limits the memory for
-            any number of jobs.
-        slice_ns: time slice of a call, ns. After each slice, the host finds out which worlds have ended.
+        lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
+        allow_cpu: whether to run Warp's kernels on the CPU if there is no CUDA device. This is slow, and meant for
+            tests.
+        most_rows: largest number of worlds whose states are on the device at the same time. It limits the memory,
+            whatever the number of jobs.
+        slice_ns: length of a time slice (one call of the kernels), ns. After each slice, the CPU reads which worlds
+            have ended.
 
     Attributes:
         granule: the number of box columns of tables is a multiple of this.
-        least_rows: smallest number of rows of a table. Programs are compiled anew for each number of rows and of
-            columns. So a larger value helps runs that begin with few jobs and last long, and many runs of different
-            numbers of jobs.
-        depth_first: whether worlds that follow from outcomes are simulated before others begin. If False, as on a GPU,
-            the longest worlds of both kinds come first, since many blocks would be idle at the end if the last worlds
-            were long.
+        least_rows: smallest number of rows of a table. Programs are compiled for each number of rows and of columns. So
+            a larger value helps long runs that begin with few jobs, and a series of runs with different numbers of
+            jobs.
+        depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU it is
+            False, so that the longest of all worlds come first, since many blocks would be idle if long worlds came
+            last.
 
     Raises:
-        EngineUnavailable: there is no CUDA device, or Warp is not installed; the message states which.
+        EngineUnavailable: there is no CUDA device, or Warp is not installed. The message says which.
     """
 
     name = "mjx-warp"
@@ -95,7 +97,7 @@ class MjxWarpEngine(Engine):
         self.granule, self.least_rows = GRANULE, 0
         self._running = RunLock(self.name)
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
-        """The last rollout for each set of launches, with its key."""
+        """For each set of launches, the ``Rollout`` (buffers of a run) that was used last, with a key."""
         self._pools = BlockPools(lanes, self._blocks)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
@@ -118,10 +120,10 @@ class MjxWarpEngine(Engine):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """Simulate each job once. Outcomes are yielded as worlds end.
+        """Simulate each job once. An outcome is yielded when its world ends.
 
         Raises:
-            RuntimeError: an earlier run of the same thread has not ended. (This run waits for runs of other threads.)
+            RuntimeError: an earlier run of the same thread has not ended. (A run of another thread is waited for.)
         """
         stream = JobStream.of(jobs)
         if stream.ended:
@@ -133,12 +135,12 @@ class MjxWarpEngine(Engine):
         return TableJobs(stream, self.most_rows, self.least_rows, self.granule, depth_first=self.depth_first)
 
     def _outcomes(self, source: TableJobs, sim: Simulation, progress: Progress) -> Iterator[Outcome]:
-        """Outcomes of all jobs of a source, by their stream numbers."""
+        """The outcomes of all jobs of a source, with the stream numbers of the jobs."""
         while not source.ended:
             waits = source.recorded
             try:
                 for outcome in outcomes_of(self._slices(source, sim, progress, waits), sim, progress, waits=waits):
-                    stream_number = outcome.job if outcome is not None else None  # None: a pause
+                    stream_number = outcome.job if outcome is not None else None  # None is a pause
                     yield outcome
                     if stream_number is not None:  # the caller has put the jobs that follow from this outcome
                         source.answered(stream_number)
@@ -148,13 +150,13 @@ class MjxWarpEngine(Engine):
             else:
                 continue
             self._drop()
-            # not inside the ``except`` block, since its traceback holds the tables
+            # This is outside the ``except`` block, since the traceback would keep the tables in memory.
             yield from self._again(source, sim, progress)
 
     def _again(self, source: TableJobs, sim: Simulation, progress: Progress) -> Iterator[Outcome]:
-        """After memory ran out and the states of all worlds were lost: simulate the jobs without an outcome again, the
-        jobs of one block size at a time. If all have the same size, simulate half of them at a time. A world that was
-        alone is given up."""
+        """After memory ran out and the states of all worlds were lost, simulate the jobs without an outcome again. The
+        jobs of one block size are simulated at a time; if all have the same size, half of them. A world that was alone
+        is given up."""
         lost = source.lose()
         if source.alone and lost:
             needs = KernelFeatures.of([*lost.values()], self.granule)
@@ -176,8 +178,8 @@ class MjxWarpEngine(Engine):
                     yield outcome
 
     def _slices(self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool) -> Generator[SliceResult]:
-        """Slice results of one table after another, as long as ``waits`` is right for the next table. ``waits``:
-        whether slices wait for the host, which they must if worlds are recorded.
+        """The ended worlds of one table after another. Stops before a table for which ``waits`` is wrong. ``waits``:
+        whether each time slice waits for the CPU, which is necessary if worlds are recorded.
         """
         while not source.ended and source.recorded == waits:
             jobs, stream_numbers, rows = source.begin()
@@ -186,18 +188,18 @@ class MjxWarpEngine(Engine):
             table = self._load(Run.of(source.needs, sim, progress), jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
-                running = None  # this frees its memory for the simulation
+                running = None  # this frees their memory for the simulation
             yield from self._slices_of(table, source, waits=waits)
             del table  # the next table needs this memory
 
     def _load(
         self, run: Run, jobs: list[Job], stream_numbers: list[int], rows: int, profile_room: tuple[int, int] = (0, 0)
     ) -> WorldTable:
-        """A table of worlds.
+        """A table of worlds on the device.
 
         Args:
             rows: number of rows.
-            profile_room: as in ``load``.
+            profile_room: see ``load``.
         """
         batch = load(jobs, rows, run.needs.most_boxes, run.sim, run.timetable, profile_room)
         return WorldTable(**vars(batch), run=run, stream_numbers=stream_numbers)
@@ -205,7 +207,8 @@ class MjxWarpEngine(Engine):
     def _slices_of(
         self, table: WorldTable, source: TableJobs, *, waits: bool, simulate: bool = True
     ) -> Generator[SliceResult]:
-        """The time slices of a table, as ``TableSlices``. After an error, the memory of all rollouts is freed."""
+        """The ended worlds of each time slice of a table (``TableSlices``). After an error, all kept memory is
+        freed."""
         queues = Queues(table.run.needs.sizes, size_of, table.rows, depth_first=self.depth_first)
         slices = TableSlices(table, source, queues, waits, self._pools, self._rollout)
         try:
@@ -215,8 +218,9 @@ class MjxWarpEngine(Engine):
             raise
 
     def _rollout(self, table: WorldTable) -> Rollout | None:
-        """The rollout for a table, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. If the
-        table has blocks of two sizes, the memory error is raised instead."""
+        """The buffers for the simulation of a table, with fewer blocks if memory is short. None if not even
+        ``MIN_BLOCKS`` blocks fit in memory. If the table has blocks of two sizes, the memory error is raised
+        instead."""
         run = table.run
         pools = self._pools.of(table)
         launches = tuple(pool.launch for pool in pools)
@@ -237,9 +241,9 @@ class MjxWarpEngine(Engine):
                     more, pools = pools, tuple(_half_pool(pool) for pool in pools)
                     if pools == more:
                         if len(pools) > 1:
-                            raise  # the caller tries each size alone, and one may fit
+                            raise  # the caller tries each size alone, since one size may fit
                         return None
-                self._drop()  # kept rollouts of other sizes may take the memory: try again without them
+                self._drop()  # rollouts of other sizes may hold the memory: try again without them
                 lanes = sum(pool.lanes for pool in pools)
                 run.progress.message = f"out of device memory: trying again with {lanes} lanes"
             else:

@@ -1,4 +1,4 @@
-"""Device buffers for the frames of a time slice, and their readback."""
+"""Buffers on the device for the recorded frames of a time slice (one call of the kernels), and their transfer."""
 
 from __future__ import annotations
 
@@ -16,29 +16,31 @@ from petmjx.engines.warp.world_arrays import FrameBuffer
 from petmjx.engines.warp.world_table import WorldTable
 
 MOST_BYTES: Final = 64 << 20
-"""Largest frame buffer, in bytes. Such a buffer has room for 40,000 frames if the run's largest plan has 45 boxes. For
-worlds of that size, an H200 has 264 blocks. If all worlds are recorded, these take about 10,000 frames in a slice of
-250 ms. Blocks that find no room wait for the next slice."""
+"""Size of the largest frame buffer, bytes. If the largest plan of a run has 45 boxes, it has room for 40,000 frames.
+For worlds of this size, an H200 has 264 thread blocks. If all worlds are recorded, these blocks write about 10,000
+frames in a slice of 250 ms. A block that finds no room waits for the next slice."""
 
 FRAMES_PER_WORLD: Final = 512
-"""Room for each recorded world, in frames. The fastest worlds take fewer frames in a slice."""
+"""Number of frames for which the buffer has room, per recorded world. Even the fastest worlds write fewer in a
+slice."""
 
 FRAMES_PER_BLOCK: Final = 4
-"""Smallest room for each block, in frames. Each block may be about to write a frame when room is checked."""
+"""Smallest number of frames for which the buffer has room, per block. When a block checks for room, all other blocks
+may be about to write a frame."""
 
 FEWEST: Final = 1024
-"""Smallest number of frames that are read back together. If a slice has more, eight times as many are read, and so on:
-a program is compiled for each of these numbers."""
+"""Smallest number of frames that are transferred together. If a slice has more, eight times this number is transferred,
+then 64 times, and so on, since a program is compiled for each of these numbers."""
 
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arrays.array_types(FrameBuffer).items()}
 
 
 PickedFrames = tuple[dict[str, jax.Array], int]
-"""Frames of a slice, on the device, and the number of valid ones."""
+"""Frames of a slice on the device, and the number of frames that are valid."""
 
 
 def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
-    """Empty frame buffers. If no world of the table is recorded, they have room for only one frame."""
+    """Empty frame buffers. If no world of the table is recorded, they have room for a single frame."""
     n_worlds, n_boxes = table.table.qpos.shape[:2]
     words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
     n_recorded = int(np.count_nonzero(table.recorder.every))
@@ -51,8 +53,8 @@ def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
 
 
 def pick_frames(frames: dict[str, jax.Array]) -> PickedFrames:
-    """The frames of an ended slice, still on the device, and their number. Call this before the next slice begins;
-    otherwise, the device would finish that slice first."""
+    """The frames of an ended slice, still on the device, and their number. Call this before the next slice begins,
+    since the device would otherwise finish the next slice first."""
     used, room = int(np.asarray(frames["used"])[0]), len(frames["of"])
     some = FEWEST
     while some < used:

@@ -1,5 +1,5 @@
-"""Free motion of released boxes on the kernels of mjx-warp. The steps are the usual ones, but no rule ends a world or
-changes it."""
+"""Motion of released boxes in the kernels of mjx-warp. Steps are the same as in other worlds, but no rule ends a world
+or changes it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _NO_RULES: Final[dict[str, Any]] = {
     "early_stop": 0,
     "sample_every": NEVER,
 }
-"""Constants of the kernels with which a driven world continues to its last step, whatever its boxes do."""
+"""Constants of the kernels with which a driven world continues to its last step, whatever happens to its boxes."""
 
 
 def paths(
@@ -50,7 +50,7 @@ def paths(
 
     Args:
         blocks: function that returns the number of thread blocks of a launch.
-        slice_ns: duration of a call, ns.
+        slice_ns: length of a time slice (one call of the kernels), ns.
         most_rows: largest number of worlds whose states are on the device at the same time.
     """
     n = len(bodies.scenes)
@@ -94,7 +94,7 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
 
 
 class _Program:
-    """A time slice as a jitted program."""
+    """The compiled program that simulates a time slice of these worlds."""
 
     def __init__(self, sim: Simulation, pool: BlockPool, slice_ns: int) -> None:
         timetable = build_timetable(sim, pool.n_boxes)
@@ -126,12 +126,13 @@ def _program(sim: Simulation, pool: BlockPool, slice_ns: int) -> _Program:
 def _block_pool(
     sim: Simulation, blocks: Callable[[Launch], int], width: int, k: int, boards: int, worlds: int, growth: int
 ) -> BlockPool:
-    """The block pool for worlds of k boxes. If there are enough worlds, each block has many of them, one per warp."""
+    """The block pool for worlds of k boxes. If there are enough small worlds, a block has many of them, one per
+    warp."""
     launch = Launch.here(width, lands=sim.physics.has_landings)
     shapes = growth * (width + MORE_BOXES) + boards - 1
     pool = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
     few = small_world_pool(pool, worlds) if k <= FEW_BOXES.most_boxes else None
-    # least=0: these blocks are used until the end, however few worlds are left
+    # with least=0, these blocks are used to the end, even if few worlds are left
     return pool if few is None else replace(few, least=0)
 
 

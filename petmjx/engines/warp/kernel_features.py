@@ -1,4 +1,4 @@
-"""Features and sizes that the kernels of a run need, found from its jobs."""
+"""The features and sizes that the kernels of a run must have, found from the jobs of the run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petmjx.world.job import Job
 
 
 def wants_hands(job: Job) -> bool:
-    """Whether a job's boxes are carried or dropped, rather than appear at their places."""
+    """Whether the boxes of a job are carried or dropped, and do not simply appear at their places."""
     return not job.scene.placing.appears
 
 
@@ -23,25 +23,25 @@ def has_compliance(job: Job) -> bool:
 
 
 def is_wrapped(job: Job) -> bool:
-    """Whether a job has a drive in which film holds its boxes."""
+    """Whether a job has a drive (motion of the carrier) in which stretch film holds the boxes."""
     return job.drive is not None and job.scene.wrap.holds
 
 
 def size_of(job: Job) -> int:
-    """The size of a job's world, given by the largest number of boxes that a thread block of this size has room for."""
+    """The block size of a job's world, named by the largest number of boxes for which a block of this size has room."""
     return size_for(job.scene.n_boxes).most_boxes
 
 
 @dataclass(frozen=True)
 class KernelFeatures:
-    """Features and block sizes that jobs need.
+    """The features and block sizes of the kernels that some jobs need.
 
     Attributes:
-        widths: for each block size, by its largest number of boxes (``block_launch.Size``): the number of boxes for
-            which its blocks have room.
-        hands: whether the kernels need hands, which carry or drop boxes.
-        gives: whether the kernels need compliant boxes.
-        wraps: whether the kernels need film that holds boxes.
+        widths: block size, named by its largest number of boxes (``block_launch.Size``) → number of boxes for which the
+            blocks of this size have room.
+        hands: whether kernels need hands, which carry or drop boxes.
+        gives: whether kernels need compliant boxes.
+        wraps: whether kernels need stretch film that holds boxes.
     """
 
     widths: Mapping[int, int]
@@ -51,13 +51,13 @@ class KernelFeatures:
 
     @classmethod
     def of(cls, jobs: Sequence[Job], granule: int) -> KernelFeatures:
-        """The features and block sizes that some jobs need.
+        """The features and block sizes that these jobs need.
 
         Args:
-            granule: widths are multiples of this.
+            granule: the widths are multiples of this.
 
         Raises:
-            InputError: a job has more boxes than any block has room for.
+            InputError: a job has more boxes than the largest block has room for.
         """
         traits = (any(map(trait, jobs)) for trait in (wants_hands, has_compliance, is_wrapped))
         return cls(widths_of(_box_counts(jobs), granule), *traits)
@@ -73,7 +73,7 @@ class KernelFeatures:
         return max(self.widths.values())
 
     def __or__(self, other: KernelFeatures) -> KernelFeatures:
-        """The features and block sizes that either of the two needs."""
+        """The features and block sizes that at least one of the two objects has."""
         widest = {
             size: max(needs.widths.get(size, 0) for needs in (self, other)) for size in {*self.widths, *other.widths}
         }
@@ -81,13 +81,13 @@ class KernelFeatures:
         return KernelFeatures(widest, *kinds)
 
     def know(self, job: Job) -> bool:
-        """Whether kernels with these features support all that a job needs. Room for its boxes is not checked."""
+        """Whether kernels with these features support everything that a job needs, apart from its number of boxes."""
         traits = ((self.hands, wants_hands), (self.gives, has_compliance), (self.wraps, is_wrapped))
         return all(known or not has(job) for known, has in traits)
 
 
 def _box_counts(jobs: Sequence[Job]) -> set[int]:
-    """The box counts of the jobs' scenes. Drives from the same placement share a scene, which is counted once."""
+    """The numbers of boxes of the jobs' scenes. Jobs with drives from the same placement share a scene."""
     return {scene.n_boxes for scene in {job.scene for job in jobs}}
 
 
@@ -95,7 +95,7 @@ def widths_of(box_counts: Collection[int], granule: int) -> dict[int, int]:
     """``KernelFeatures.widths`` for worlds with these numbers of boxes.
 
     Raises:
-        InputError: a world has more boxes than any block has room for.
+        InputError: a world has more boxes than the largest block has room for.
     """
     largest = max(box_counts, default=0)
     if largest > MAX_BOXES:

@@ -1,11 +1,12 @@
-"""Launcher of mjx-warp's kernels: a JAX call in which each world advances at its own pace.
+"""Launches the kernels of mjx-warp, in a call from JAX in which each world advances at its own pace.
 
-Thread blocks for worlds of one size form a block pool, which has its own kernel (petmjx/engines/warp/block_launch.py).
-All pools run at the same time on the same tables. A block takes a world from its pool's queue. The block steps this
-world until the world ends, its drive begins, or the time slice is over. Then it takes the next world. No world waits
-for another: a world costs only the work on its own boxes, and a step takes only as long as the world's own solver
-needs. States are in the tables of petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next
-call. So results do not depend on the blocks, on the order of worlds, or on the duration of a slice.
+The thread blocks for worlds of one size form a block pool, which has its own kernel
+(petmjx/engines/warp/block_launch.py). All pools run at the same time on the same tables of worlds. A block takes a
+world from the queue of its pool. It simulates this world until the world ends, the world's drive (motion of the
+carrier) begins, or the time slice is over. Then it takes the next world. No world waits for another: each step takes
+only the time for the world's own boxes and its own solver. States are in the tables of
+petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next call. So results do not depend on the
+blocks, on the order of worlds, or on the length of a slice.
 """
 
 from __future__ import annotations
@@ -37,31 +38,32 @@ from petmjx.engines.warp.world_arrays import (
 )
 
 SLICE_NS = 250_000_000
-"""Duration of a call, ns: short enough for a progress bar and for an interruption."""
+"""Length of a time slice (one call of the kernels), ns: short enough for a progress bar and for an interruption."""
 
 PAIRS_PER_BOX = 10
-"""Pairs of near geoms for which memory is reserved, per box and per board of a carrier."""
+"""Number of pairs of near geoms for which memory is reserved, per box and per board of a carrier."""
 
 CONTACTS_PER_BOX = 8
-"""Contacts for which memory is reserved, per box. Full real pallets have 4.5 contacts per box. The largest number in
-2,000 sample plans was 6.4 per box, in a collapse."""
+"""Number of contacts for which memory is reserved, per box. Full real pallets have 4.5 contacts per box. The largest
+number in 2,000 sample plans was 6.4 per box, in a collapse."""
 
 MORE_BOXES = 2
-"""Further boxes for which buffers have room: one for the carrier, and one that small plans need."""
+"""Number of additional boxes for which buffers have room: one for the carrier, and one that small plans need."""
 
 
 @dataclass(frozen=True)
 class BlockPool:
-    """Thread blocks for worlds of one size.
+    """The thread blocks for worlds of one size.
 
     Attributes:
-        launch: how the device runs the blocks.
+        launch: configuration with which the device runs the blocks.
         blocks: number of blocks.
         n_boxes: largest number of placed boxes of a world.
         boards: largest number of shapes of a carrier.
         npairmax: largest number of pairs of near geoms of a world.
         nconmax: largest number of contacts of a world.
-        least: smallest number of worlds for which the pool is used; 0: always (small_world_blocks.py).
+        least: smallest number of worlds with which the pool is used (small_world_blocks.py). If 0, the pool is always
+            used.
         last: whether the pool is for the last worlds of a run (tail_blocks.py).
     """
 
@@ -81,7 +83,7 @@ class BlockPool:
 
     @property
     def most_idle(self) -> int:
-        """Largest number of empty lanes with which the pool is still used."""
+        """Largest number of lanes (places for a world) that may be empty while the pool is used."""
         return self.lanes - self.least if self.least else NEVER
 
     @property
@@ -99,10 +101,10 @@ class KernelLauncher:
     """Launches kernels with the constants of a run.
 
     Args:
-        constants: fields of ``world_arrays.Model`` except those of a block pool.
-        pools: block pools, in the order of the queues from which they take worlds. The device places the blocks of the
+        constants: the fields of ``world_arrays.Model``, except those that depend on the block pool.
+        pools: block pools, in the order of the queues from which they take worlds. The device starts the blocks of the
             first pools first.
-        slice_ns: duration of a call, ns. With 0, each block takes one step.
+        slice_ns: length of a time slice, ns. With 0, each block takes one step.
     """
 
     def __init__(self, constants: Mapping[str, Any], pools: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
@@ -121,7 +123,7 @@ class KernelLauncher:
             )
             for queue, pool in enumerate(pools)
         ]
-        # extra pools do not count, since another pool also has room for their worlds
+        # extra pools are left out, since another pool also has room for their worlds
         self.blocks = sum(pool.blocks for pool in pools if not pool.is_extra)
         self.lanes = sum(pool.lanes for pool in pools)
         self.slice_ns = slice_ns
@@ -129,7 +131,7 @@ class KernelLauncher:
         _LAUNCHERS[self.id] = self
 
     def workspace(self) -> jax.Array:
-        """The workspace of all blocks, which is an argument of each call."""
+        """A new workspace (memory for use within a step) for all blocks. It is an argument of each call."""
         rows = sum(world_arrays.buffer_rows(pool.sizes) for pool in self.pools)
         return jnp.zeros((rows, world_arrays.BUFFER_WORDS), jnp.float32)
 
@@ -144,8 +146,8 @@ class KernelLauncher:
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        """Advance the worlds by a time slice. Returns their states, the workspace, the frames, and ``Counts``. Fields
-        of a state that no kernel uses keep their values."""
+        """Simulate the worlds for a time slice. Returns their states, the workspace, the recorded frames, and
+        ``Counts``. Fields of a state that no kernel uses keep their values."""
         kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.pools)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         arrays = {**worlds, **state, **counts, "workspace": workspace}
@@ -182,8 +184,8 @@ def _with_block(before: tuple[Any, ...], after: tuple[Any, ...], first_block: in
 
 
 def _of_frames(name: str) -> str:
-    """The name of an array of ``FrameBuffer`` among all arrays that JAX passes. A prefix is needed, since ``State``
-    also uses some of these names."""
+    """The name of an array of ``FrameBuffer`` among all arrays that JAX passes. It has a prefix, since ``State`` uses
+    some of the same names."""
     return f"frame_{name}"
 
 
@@ -194,16 +196,17 @@ _CHANGED = (
     | {"workspace": wp.array2d[float]}
     | {_of_frames(name): kind for name, kind in array_types(FrameBuffer).items()}
 )
-"""Name → type of the arrays that JAX passes."""
+"""Name → type of the arrays that JAX passes and the kernels change."""
 
 _IDS = itertools.count()
 _LAUNCHERS: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
-"""Number → launcher. JAX never frees a function that it calls. If ``_launch`` were bound to a launcher, the memory of
-the run would never be freed. So ``_launch`` receives the launcher's number."""
+"""Number of a launcher → the launcher. JAX never frees a function that it calls. If such a function belonged to a
+launcher, the memory of the run would never be freed. So the function ``_launch`` gets only the number of the
+launcher."""
 
 
 def _launch(launcher: int, *arrays: Any) -> None:
-    """Launch the kernels of a launcher. JAX calls this with the arrays of ``_INPUTS`` and ``_CHANGED``."""
+    """Launch the kernels of a launcher. JAX calls this function with the arrays of ``_INPUTS`` and ``_CHANGED``."""
     _LAUNCHERS[launcher].launch(dict(zip(_INPUTS | _CHANGED, arrays, strict=True)))
 
 

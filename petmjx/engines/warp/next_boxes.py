@@ -1,4 +1,4 @@
-"""Arrays of the next boxes of many open worlds, and the readings of these worlds. No scene is built per candidate."""
+"""Arrays of the next boxes of many open worlds, and the states of these worlds. No scene is built for a tried place."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ def new_box(before: Stacks, boxes: NextBoxes, blank: EmptyCarrier, sim: Simulati
     """The constants of boxes that appear at their places, one box on each of these stacks.
 
     Args:
-        rows: number of rows of the arrays, at least one per box. Spare rows repeat the first box, and are not used.
+        rows: number of rows of the arrays, at least one per box. Additional rows repeat the first box, and are not
+            used.
     """
     release = release_of_next(before, boxes, sim)
     start = np.hstack([release.pos, np.tile(IDENTITY_QUAT, (len(boxes), 1))])
@@ -59,9 +60,9 @@ def new_box(before: Stacks, boxes: NextBoxes, blank: EmptyCarrier, sim: Simulati
 
 
 def with_new_box(worlds: Worlds, box: NewBox) -> Worlds:
-    """The constants of worlds with one further box each, bit-identical to those of ``upload_worlds``.
+    """The constants of worlds with one more box each, bit-identical to those from ``upload_worlds``.
 
-    Worlds without a free column keep their constants.
+    A world without a free column keeps its constants.
     """
     k, row = worlds.n_boxes, jnp.arange(len(worlds.n_boxes))
     shape = worlds.first_shape[row, jnp.minimum(k + 1, worlds.first_shape.shape[1] - 1)]
@@ -103,8 +104,8 @@ class ReadingInputs(NamedTuple):
         return cls(**{name: getattr(state if name in State._fields else state.metrics, name) for name in cls._fields})
 
     def flags_now(self, sim: Simulation) -> NDArray[np.int64]:
-        """(m,) bits of ``Flag``, on the host. A world that paused because its time was up, although it was not at rest,
-        gets ``MOVING``."""
+        """(m,) the flags of each world, as integers in the CPU's memory. A world has ``MOVING`` if it paused because
+        its time was up although it was not at rest."""
         tilted = np.asarray(self.max_tilt) > sim.thresholds.tilt_deg
         failed = (np.asarray(self.culprit) >= 0) & (tilted | (np.asarray(self.drop_step) >= 0)).any(axis=1)
         moves = (np.asarray(self.status) == Status.PAUSED) & (np.asarray(self.quiet_steps) < sim.quiet.steps) & ~failed
@@ -113,15 +114,17 @@ class ReadingInputs(NamedTuple):
 
 @jax.jit
 def reading_inputs(state: State, rows: Int[Array, " row"]) -> ReadingInputs:
-    """The fields of some worlds. For a row beyond the table, the result has the fields of an arbitrary world."""
+    """The fields of the worlds in these rows. For a row beyond the table, the fields are those of an arbitrary
+    world."""
     return take_rows(ReadingInputs.of(state), rows)
 
 
 def readings_of(report: ReadingInputs, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:
-    """The readings of the first m worlds of a report, where m is the length of ``half_size``.
+    """The readings of the first m worlds, where m is the length of ``half_size``.
 
     Args:
-        half_size, target: (m, k, 3) half extents and planned centres of the boxes, in metres.
+        report: the fields of the worlds, on the device.
+        half_size, target: (m, k, 3) half extents and planned centres of the boxes, m.
     """
     state: ReadingInputs = jax.tree.map(lambda values: values[: len(half_size)], jax.device_get(report))
     width = half_size.shape[1]

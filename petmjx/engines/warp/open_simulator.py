@@ -1,4 +1,7 @@
-"""Open worlds as a pytree, with the pure functions that change them. Jitted programs can call these functions."""
+"""Open worlds (to which boxes can be added) as a JAX pytree, with the pure functions that change them.
+
+Jitted programs can call these functions.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ from petmjx.world.scene import Scene
 
 
 class Traits(NamedTuple):
-    """Features of worlds for which a kernel must be compiled, as in ``Launch``."""
+    """Features of worlds for which a kernel must be compiled. They are the same as in ``Launch``."""
 
     hands: bool
     gives: bool
@@ -39,11 +42,12 @@ class Traits(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> Traits:
-        """The features of a world with this scene, for placements and for drives."""
+        """The features that a world with this scene needs in its placement and in its drives (motions of the
+        carrier)."""
         return cls(not scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
 
     def __or__(self, other: tuple[object, ...]) -> Traits:
-        """The features that either of the two has."""
+        """The features that at least one of the two has."""
         return Traits(*(bool(mine or its) for mine, its in zip(self, other, strict=True)))
 
 
@@ -51,21 +55,22 @@ ALL_TRAITS: Final = Traits(True, True, True)
 
 
 class OpenState(NamedTuple):
-    """Open worlds: their states, and their constants, which change only when worlds get boxes or start again."""
+    """Open worlds: their states and their constants. The constants change only when worlds get boxes or start again."""
 
     worlds: Worlds
     state: State
 
 
 class Simulator:
-    """The pure functions of open worlds.
+    """The pure functions that change open worlds.
 
     Args:
         most_boxes: largest number of boxes of a world.
         boards: largest number of shapes of a carrier.
-        room: factor by which buffers are larger than usual.
-        threads: number of CPU threads; None: one.
-        traits: features for which the kernel is compiled. A kernel with fewer features spills fewer registers.
+        room: factor by which buffers are larger than the default.
+        threads: number of CPU threads. If None, there is one thread.
+        traits: features for which the kernel is compiled. A kernel with fewer features spills fewer registers to
+            memory.
     """
 
     def __init__(
@@ -92,23 +97,23 @@ class Simulator:
         self._launcher.load()
 
     def begin(self, worlds: Worlds) -> State:
-        """States of worlds before their soft start."""
+        """The states of worlds before their soft start."""
         static = self._sim.check is Check.STATIC
         ends = jnp.full(len(worlds.n_boxes), NEVER, jnp.int32)
         fresh: State = fresh_state(worlds, all_placed=static, ends=ends, rest_steps=self._timetable.rest_steps)
         return fresh
 
     def reset(self, open_: OpenState, rows: Int[Array, " row"], worlds: Worlds) -> OpenState:
-        """Start worlds again, with these constants. Rows beyond the last world are ignored."""
+        """Start worlds again with these constants. Row numbers beyond the last world are ignored."""
         fresh = self.begin(worlds)
         return OpenState(put_rows(open_.worlds, rows, worlds), put_rows(open_.state, rows, fresh))
 
     def put(self, open_: OpenState, rows: Int[Array, " row"], worlds: Worlds) -> OpenState:
-        """Give worlds more boxes. In each paused world, the first new box is placed.
+        """Add boxes to worlds. In each paused world, the first new box is placed.
 
         Args:
-            rows: rows of these worlds. Rows beyond the last world are ignored.
-            worlds: the constants of these worlds, with both their earlier boxes and the new ones.
+            rows: row numbers of these worlds. Row numbers beyond the last world are ignored.
+            worlds: constants of these worlds, for their existing boxes and the new boxes.
         """
         after = put_rows(open_.worlds, rows, worlds)
         state = open_.state
@@ -117,13 +122,13 @@ class Simulator:
         return OpenState(after, state._replace(status=jnp.where(goes, Status.RUNNING, state.status)))
 
     def put_next(self, open_: OpenState, rows: Int[Array, " row"], box: NewBox) -> OpenState:
-        """As ``put``, for one box per world, which appears at its place."""
+        """Do the same as ``put`` for one box per world, which appears at its place."""
         return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
 
     def finish(self, open_: OpenState) -> State:
-        """Let each paused world begin its rest window or its drive, according to its constants. Some worlds paused
-        because their boxes did not come to rest in time. If such a world still moves, it first continues to wait, since
-        the last wait of a world may be longer than the earlier ones."""
+        """Let each paused world begin its rest window or its drive, as its constants say. A world may have paused
+        because its boxes did not come to rest in time. If such a world still moves, it first continues to wait, since
+        the last wait of a world may be longer than the earlier waits."""
         state, worlds = open_.state, open_.worlds
         paused = state.status == Status.PAUSED
         goes = paused & ~(self._moves(state) & self._lasts_longer(state))
@@ -139,7 +144,7 @@ class Simulator:
         )
 
     def go_on(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
-        """Let worlds continue until each has paused, ended, or overflowed its buffers."""
+        """Simulate until each world has paused, ended, or overflowed its buffers."""
 
         def going(open_: OpenState) -> Bool[Array, ""]:
             return self.going(open_)
@@ -156,7 +161,7 @@ class Simulator:
         return (state.running | ((state.status == Status.SETTLED) & driven)).any()
 
     def time_slice(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
-        """Let worlds continue for a time slice."""
+        """Simulate the worlds for a time slice."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
         flat = self._driving.begin_drives(open_.state, worlds)._asdict()
@@ -165,7 +170,7 @@ class Simulator:
         return OpenState(worlds, of_flat(after))
 
     def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
-        """The states, with the flag ``MOVING`` for worlds that continue although they are not at rest."""
+        """The states, with the flag ``MOVING`` in worlds that continue (``goes``) although they are not at rest."""
         moves = goes & self._moves(state)
         return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
 
@@ -174,7 +179,7 @@ class Simulator:
         return ~state.metrics.has_failed(self._sim.thresholds) & (state.quiet_steps < self._sim.quiet.steps)
 
     def _lasts_longer(self, state: State) -> Bool[Array, " world"]:
-        """Whether each paused world waits longer if this is its last wait."""
+        """Whether each paused world would wait longer if this were its last wait."""
         patient = self._sim.waits_for_rest and self._sim.check is Check.ONE_BY_ONE
         return patient & (state.step < jnp.asarray(self._timetable.longest)[state.last_placed_at])
 

@@ -1,7 +1,7 @@
-"""Open worlds on the engine mjx-warp. Their states stay on the device between calls.
+"""Open worlds (to which boxes can be added) on the engine mjx-warp. Their states stay on the device between calls.
 
-The pure functions that change these worlds are in petmjx/engines/warp/open_simulator.py. ``WarpWorlds`` offers the same
-operations to the host.
+petmjx/engines/warp/open_simulator.py has the pure functions that change these worlds. ``WarpWorlds`` offers the same
+operations to ordinary Python code.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
 
 MOST_TRIED: Final = 16_384
-"""Largest number of candidates simulated side by side. A candidate of 80 boxes takes 27 kB."""
+"""Largest number of tried places that are simulated at the same time. A world of 80 boxes takes 27 kB."""
 
 
 def fork(open_: OpenState, sources: Int[Array, " row"], into: Int[Array, " row"]) -> OpenState:
@@ -51,13 +51,13 @@ class WarpWorlds(OpenWorlds):
     Args:
         scenes: the scenes of the worlds.
         most_boxes: largest number of boxes that a world will ever have.
-        threads: number of CPU threads on which the worlds run; None: one.
+        threads: number of CPU threads on which the worlds run. If None, there is one thread.
 
     Attributes:
-        open: the worlds.
-        simulator: the pure functions on these worlds, also for jitted programs.
-        width: number of boxes for which a world has room.
-        boards: number of shapes for which its carrier has room.
+        open: the worlds, on the device.
+        simulator: the pure functions that change these worlds. Jitted programs can call them, too.
+        width: number of boxes for which each world has room.
+        boards: number of shapes for which the carrier of each world has room.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int, threads: int | None = None) -> None:
@@ -149,7 +149,7 @@ class WarpWorlds(OpenWorlds):
 
     @property
     def _appears(self) -> bool:
-        """Whether boxes appear at their places."""
+        """Whether boxes appear at their places, and are neither carried nor dropped."""
         return self._blank.scene.placing.appears
 
     def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
@@ -186,14 +186,14 @@ class WarpWorlds(OpenWorlds):
         return self._ended_outcomes(state, jobs, batch)
 
     def _ended_outcomes(self, state: State, jobs: Sequence[Job], batch: Batch) -> list[Outcome]:
-        """Outcomes of paused worlds that get no more boxes."""
+        """The outcomes of paused worlds that get no more boxes."""
         begun = OpenState(batch.worlds, self._jitted_finish(OpenState(batch.worlds, state)))
         ended = self._to_the_end(begun, batch.profiles)
         picked = read_back(np.arange(len(jobs)), ended.state, ended.worlds, self._sim)
         return list(outcomes(picked, jobs, range(len(jobs)), self._sim, batch.recorder))
 
     def _to_the_end(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
-        """Let worlds continue until they pause or end. Worlds that overflow their buffers continue with larger ones."""
+        """Simulate until each world pauses or ends. Worlds that overflow their buffers continue with larger buffers."""
         while bool(self.simulator.going(open_)):
             open_ = self._jitted_slice(open_, profiles)
             full = open_.state.status == Status.OVERFLOWED
@@ -226,12 +226,12 @@ class WarpWorlds(OpenWorlds):
         )
 
     def roomier(self, times: int) -> Simulator:
-        """The pure functions, with buffers that are ``times`` as large as usual. Jitted programs need larger buffers
-        from the beginning, since they cannot enlarge them."""
+        """The pure functions with buffers that are ``times`` as large as the default. Jitted programs need large
+        buffers from the beginning, since they cannot enlarge them."""
         return Simulator(self._sim, self._timetable, self.width, self.boards, times, self._threads, self._traits)
 
     def _know(self, scenes: Sequence[Scene]) -> None:
-        """Recompile the kernels if these scenes have features that the kernels lack."""
+        """Compile the kernels again if these scenes have features that the kernels lack."""
         traits = self._traits
         for scene in scenes:
             traits |= Traits.of(scene)
@@ -240,7 +240,7 @@ class WarpWorlds(OpenWorlds):
             self._make_simulator()
 
     def _constants(self, scenes: Sequence[Scene], rows: int) -> Worlds:
-        """Constants of open worlds, in ``rows`` table rows."""
+        """The constants of open worlds, in a table with ``rows`` rows."""
         self._know(scenes)
         most = max(scene.n_boxes for scene in scenes)
         if most > self.width:
@@ -255,11 +255,12 @@ class WarpWorlds(OpenWorlds):
         return worlds._replace(pauses=device_array(np.ones(rows, np.bool_)))
 
     def _rows(self, worlds: Sequence[int], length: int | None = None) -> Int[Array, " row"]:
-        """Rows of these worlds, padded with row numbers beyond the tables.
+        """The row numbers of these worlds, padded with numbers beyond the tables.
 
         Args:
-            length: number of rows. None: a power of two that is at least as large as in any call so far. So later calls
-                compile nothing, although the number of worlds changes as pallets end and start again.
+            length: length of the result. If None, the length is a power of two, at least as large as in any earlier
+                call. So later calls compile nothing, although the number of worlds changes as pallets end and start
+                again.
         """
         if length is None:
             length = self._most_rows = max(self._most_rows, padded_rows(len(worlds)))
@@ -273,7 +274,7 @@ _jitted_fork = jax.jit(fork)
 
 @jax.jit
 def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> OpenState:
-    """Copies of these worlds as separate worlds. Worlds after the first ``count`` do not continue."""
+    """Copies of these worlds. Only the first ``count`` copies can continue."""
     state = take_rows(open_.state, rows)
     padding = jnp.arange(len(rows)) >= count
     return OpenState(
@@ -283,11 +284,11 @@ def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> 
 
 
 def _coarsely_padded(count: int) -> int:
-    """Number of rows for ``count`` candidates: a power of four, so that even fewer programs are compiled."""
+    """Number of table rows for ``count`` tried places: a power of four, so that few programs are compiled."""
     return int(4 ** ((count - 1).bit_length() + 1 >> 1)) if count > 1 else 1
 
 
 def _without_padding(state: State, count: int) -> State:
-    """The states, of which only the first ``count`` worlds continue."""
+    """The states, changed so that only the first ``count`` worlds can continue."""
     padding = jnp.arange(len(state.status)) >= count
     return state._replace(status=jnp.where(padding, Status.FINISHED, state.status))

@@ -1,8 +1,9 @@
-"""The compiled programs of mjx-warp, cached for the process. A later call with the same options compiles nothing."""
+"""The compiled programs of mjx-warp, kept for the process. A later call with the same options compiles nothing."""
 
 from __future__ import annotations
 
 import functools
+import threading
 import time
 from threading import Lock
 from typing import Any
@@ -18,6 +19,7 @@ from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import NEVER, State, of_flat
 from petmjx.engines.protocol import Progress
+from petmjx.engines.subprocess.kernel_builds import KernelBuilds
 from petmjx.engines.warp.block_launch import USUAL, Launch, load_kernels
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 from petmjx.engines.warp.small_world_blocks import small_world_queues
@@ -30,24 +32,25 @@ from petmjx.world.contact_laws import MOST_IMPEDANCE, kinetic_share, lasts_steps
 from petmjx.world.film import spring_rate_1_s
 
 TOLERANCE = 1e-8
-"""MuJoCo's default solver tolerance. The solver can reach this tolerance, since forces and residuals have double
+"""Tolerance of the solver: MuJoCo's default. The solver can reach it, since forces and residuals have double
 precision."""
 
 READ_COUNTS = ("steps", "iterations", "contacts")
-"""The counts that the host reads after each time slice. A thread waits for the interpreter's lock after each array that
-it fetches. So these counts are in the same array as the statuses of all worlds, after them."""
+"""The counts that the CPU reads after each time slice (one call of the kernels). Fetching an array may require a wait
+for Python's global interpreter lock. So these counts are in the same array as the statuses of all worlds, behind
+them."""
 
 DRIVEN_ITERATIONS = 7
-"""Largest number of solver iterations per step of a drive. While a whole pallet slides and collapses, the last digits
-of accelerations would take 20 iterations and more. Of 1,600 worlds of EUMOS's grid, 1,598 have the same verdict as on
-``mujoco``, which has no such limit. For the costs and gains of the limit, see benchmarks/notebook/performance.md,
-"Sliding contacts". The limit does not apply to carriers with walls, which throw piles back. With the limit, the verdict
-differed for 9 of 240 driven worlds in roll containers with four walls."""
+"""Largest number of solver iterations per step of a drive (motion of the carrier). While a whole pallet slides and
+collapses, the last digits of accelerations would take 20 or more iterations. Of 1,600 worlds of EUMOS's grid, 1,598
+have the same verdict as on ``mujoco``, which has no such limit. benchmarks/notebook/performance.md, "Sliding contacts",
+has the costs and gains of the limit. The limit does not apply to carriers with walls, which throw piles back. With the
+limit, the verdict differed for 9 of 240 driven worlds in roll containers with four walls."""
 
 
 def friction_damping(physics: Physics) -> float:
-    """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"). 0 means that it
-    equals the damping of contacts."""
+    """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"). 0 means the same
+    damping as for contacts."""
     if not physics.has_own_friction:
         return 0.0
     time_s, damping = physics.solreffriction
@@ -56,7 +59,7 @@ def friction_damping(physics: Physics) -> float:
 
 
 def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
-    """The constants of a run for the kernels: the fields of ``world_arrays.Model`` except those of a block pool."""
+    """The constants of a run for the kernels: the fields of ``world_arrays.Model``, except those of a block pool."""
     physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
     return {
         "timestep": physics.timestep_s,
@@ -115,12 +118,12 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
 
 
 class Programs:
-    """The XLA programs of a time slice, one for each size of the tables. The programs hold the constants of a run on
-    the device, but no states. So any number of runs and threads can call them at the same time.
+    """The compiled XLA programs that simulate a time slice, one for each size of the tables. The programs hold the
+    constants of a run on the device, but no states. So any number of runs and threads can call them at the same time.
 
     Args:
         pools: block pools, as returned by ``BlockPools.of``.
-        slice_ns: duration of a call of the kernels, ns.
+        slice_ns: length of a time slice, ns.
     """
 
     def __init__(self, sim: Simulation, timetable: Timetable, pools: tuple[BlockPool, ...], slice_ns: int) -> None:
@@ -132,13 +135,14 @@ class Programs:
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
 
     def compiled(self, arguments: tuple[Any, ...], progress: Progress) -> Any:
-        """The program ``_advance`` for arguments of these sizes. The time to compile it is added to ``progress``."""
+        """The program ``_advance``, compiled for arguments of these sizes. The compile time is added to
+        ``progress``."""
         table, _, _, profiles, order, frames = arguments
         sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
         if sizes in self._compiled:
             return self._compiled[sizes]
         begin, progress.message = time.perf_counter(), "compiling"
-        with _COMPILING:  # this waits until another thread has compiled kernels ahead of time
+        with _COMPILING:  # wait here until another thread has compiled kernels in advance
             if sizes not in self._compiled:
                 self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()
@@ -154,7 +158,8 @@ class Programs:
         order: Int[Array, "queue world"],
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, Int[Array, " word"], dict[str, jax.Array], dict[str, jax.Array]]:
-        """Run a time slice. Returns states, workspace, the array for the host (``READ_COUNTS``), frames, and counts."""
+        """Simulate a time slice. Returns states, workspace, the array for the CPU (``READ_COUNTS``), frames, and
+        counts."""
         table = self._rules.begin_drives(table, worlds)
         if self._few:
             order = small_world_queues(self._few, order, table.placed, table.running)
@@ -169,22 +174,32 @@ class Programs:
 
 
 _COMPILING = Lock()
-"""A lock that is held while any program is compiled. Warp does not promise that two threads may load the same kernel at
+"""A lock that is held while a program is compiled. Warp does not promise that two threads may load the same kernel at
 once."""
 
 
-def load_usual_kernels(sim: Simulation) -> None:
+def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> None:
     """Compile the kernels that most runs with these options need, or load them from Warp's cache, before the plans are
-    known. Plans with compliant boxes, film, or many boxes need other kernels. Without a GPU, nothing is compiled."""
+    known. Plans with compliant boxes, stretch film, or many boxes need other kernels. Without a GPU, nothing is
+    compiled.
+
+    Args:
+        builds: processes that compile these kernels. The cache has the kernels when the processes have answered.
+    """
     if not wp.get_device().is_cuda:
         return
     hands, lands = not sim.placing.appears, sim.physics.has_landings
     with _COMPILING:
+        for _ in builds.answers() if builds is not None else ():
+            pass
+        if not threading.main_thread().is_alive():
+            return  # the program ends, and needs no kernels any more
         load_kernels([Launch.of(size, hands, lands=lands) for size in USUAL])
 
 
 MOST_KEPT = 16
-"""Number of ``Programs`` that are kept. A score with further attempts needs up to four. The largest takes 16 MB."""
+"""Number of ``Programs`` objects that are kept. A score with further attempts needs up to four. The largest takes 16
+MB."""
 
 
 @functools.lru_cache(MOST_KEPT)

@@ -1,4 +1,4 @@
-"""The worlds that end in a time slice, and the outcomes that the host makes of them."""
+"""The worlds that end in a time slice (one call of the kernels), and the outcomes that the CPU makes of them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 MOST_AHEAD: Final = 40
-"""Largest number of slices whose worlds may wait for the host: 4 s of a GPU's work. Each slice holds copies of rows,
-padded to hundreds. All slices together take 200 MB for plans of up to 76 boxes and 700 MB for 250 boxes, or more if
-slices have several batches of ended worlds."""
+"""Largest number of slices whose ended worlds may wait for the CPU: 4 s of a GPU's work. Each slice holds copies of the
+rows of its ended worlds, padded to hundreds of rows. All slices together take 200 MB for plans of up to 76 boxes and
+700 MB for 250 boxes. They take more if slices hold several batches of ended worlds."""
 
 
 class SliceResult(NamedTuple):
@@ -27,9 +27,9 @@ class SliceResult(NamedTuple):
 
     Attributes:
         picked: states and metrics of these worlds, on the device.
-        recorder: holds the histories of recorded worlds.
-        jobs, stream_numbers: row → job, and row → stream number, of these worlds. The rows may already have other
-            worlds.
+        recorder: object that holds the histories of recorded worlds.
+        jobs, stream_numbers: number of a table row → job, and → stream number, of these worlds. The rows themselves may
+            already hold other worlds.
     """
 
     picked: Sequence[Readback]
@@ -44,8 +44,8 @@ def outcomes_of(
     """The outcomes of the worlds that end in these slices, with the stream numbers of their jobs.
 
     Args:
-        waits: whether each slice waits for the outcomes of the previous slice. Otherwise, a thread runs the slices,
-            since for small worlds the host may be slower than the device.
+        waits: whether each slice waits for the outcomes of the previous slice. If not, a thread runs the slices, since
+            for small worlds the CPU may be slower than the device.
     """
     counting, at_hand = Lock(), 0
     progress.at_hand = 0

@@ -1,8 +1,8 @@
-"""Thread blocks for small worlds. A small world is one that has few boxes so far.
+"""Thread blocks for small worlds, which are worlds that have few boxes so far.
 
-A block for small worlds has several of them, one per warp (``block_launch.FEW_BOXES``). The steps of a small world are
-bit-identical to those in a block of its own. The world moves to a block of its own when it has more boxes, or when too
-few small worlds are left. So the choice of blocks affects only the speed.
+A block for small worlds has several of them, one per warp, which is a group of 32 threads (``block_launch.FEW_BOXES``).
+The steps of a small world are bit-identical to those in a block of its own. A world moves to a block of its own when it
+has more boxes, or when too few small worlds are left. So the choice of blocks affects only the speed.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from petmjx.engines.warp.block_launch import FEW_BOXES, Launch, size_for
 from petmjx.engines.warp.kernel_launcher import BlockPool
 
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
-"""Bounds of the share of lanes that small worlds fill. These blocks come into use if small worlds fill at least the
-first share of their lanes. These blocks are no longer used if small worlds fill less than the second share. For fewer
-worlds, blocks of one world are faster."""
+"""Limits for the use of blocks for small worlds, as shares of their lanes (places for a world). The blocks come into
+use if small worlds fill at least the first share of the lanes. The blocks go out of use if small worlds fill less than
+the second share of the lanes. For fewer worlds, blocks of one world are faster."""
 
 
 def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:
-    """The block pool for small worlds. None: this device has no such blocks, or there are too few worlds.
+    """The block pool for small worlds. None if this device has no such blocks, or if there are too few small worlds.
 
     Args:
         pool: the pool from which these worlds come.
         worlds: number of worlds that begin with few boxes.
-        lanes: largest number of worlds in blocks of one kind. None: the number for which the device has room.
+        lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
     """
     one = pool.launch
     launch = Launch.of(FEW_BOXES, *one.traits)
@@ -42,14 +42,14 @@ def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> 
 def small_world_queues(
     few: BlockPool, order: Int[Array, "queue world"], placed: Int[Array, " world"], running: Bool[Array, " world"]
 ) -> Int[Array, "queue+1 world"]:
-    """The queues, preceded by a new queue of small worlds. The new queue gets the worlds of the last queue that have
-    few boxes now, if there are enough of them.
+    """The queues, preceded by a new queue of small worlds. The worlds that have few boxes now move from the last queue
+    to the new queue, if there are enough of them.
 
     Worlds keep their order. Jitted programs can call this function.
 
     Args:
-        placed: number of boxes of each world.
-        running: whether each world continues.
+        placed: number of placed boxes of each world.
+        running: whether each world can continue.
     """
     last = order[-1]
     chosen = (last >= 0) & (running & (placed <= few.n_boxes))[last]

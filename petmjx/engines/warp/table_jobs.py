@@ -1,4 +1,4 @@
-"""``TableJobs``: the jobs of a run, on their way from a ``JobStream`` into the rows of a table."""
+"""``TableJobs`` moves the jobs of a run from a ``JobStream`` into the rows of a table of worlds."""
 
 from __future__ import annotations
 
@@ -15,49 +15,51 @@ from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 from petmjx.world.job import Job
 
 SPARE_ROWS: Final = 4
-"""Number of rows of a table if more jobs may follow, as a multiple of the number of jobs at the beginning. With more
-waiting worlds, blocks can begin with longer ones."""
+"""Number of rows of a table, divided by the number of jobs at the beginning, if more jobs may follow. With more waiting
+worlds, thread blocks can begin with longer worlds."""
 
 MOST_FOLLOWING_ROWS: Final = 2048
 """Smallest number of rows of a table that further jobs may join later, such as the many drives that follow a single
-placement. If the stream has fewer jobs in all, the table has only as many rows as jobs. A GPU has fewer blocks than
-half of this number."""
+placement. (A drive is a motion of the carrier.) If the stream has fewer jobs in all, the table has only as many rows as
+jobs. A GPU has fewer thread blocks than half of this number."""
 
 REFILL_SHARE: Final = 2
-"""Jobs join a table while fewer than one in ``REFILL_SHARE`` of its rows are live, so that many join together. Jobs
-that follow from outcomes join at once."""
+"""New jobs join a table only while fewer than one in ``REFILL_SHARE`` rows holds a world that has not ended, so that
+many jobs join together. Jobs that follow from outcomes join at once."""
 
 MOST_JOINING: Final = 512
-"""Largest number of jobs that join between two time slices. Joining takes some 50 ms, during which the device works on
-slices in flight.
+"""Largest number of jobs that join between two time slices (calls of the kernels). Joining takes about 50 ms. Meanwhile
+the device works on slices that have already been started.
 """
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
-"""Number of jobs that are written into a table at a time. The second number is for jobs that follow from outcomes."""
+"""Number of jobs that are written into a table at a time: ``JOIN_ROWS`` in general, ``FEEDBACK_ROWS`` for jobs that
+follow from outcomes."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
-"""Largest memory for the profiles of jobs that follow, bytes. This memory has room for 7,000 different profiles of 20
-s. Further worlds wait until a profile's row is free."""
+"""Largest memory for the profiles (motions of the carrier) of jobs that follow, bytes. This memory has room for 7,000
+different profiles of 20 s. Further worlds wait until the row of a profile is free."""
 
 _SAMPLE_BYTES: Final = 3 * 4
 
 LARGE_GRANULE: Final = 64
-"""If larger plans may follow, the number of box columns of worlds above the smaller size is a multiple of this."""
+"""If larger plans may follow, the number of box columns for worlds above the smaller size is a multiple of this."""
 
 
 class TableJobs:
-    """Takes the jobs of a stream for one table, and for further tables if jobs have no room in it.
+    """Takes the jobs of a stream for one table, and for further tables if the first has no room for them.
 
     Args:
         size: largest number of rows of a table.
         least_rows: smallest number of rows of a table.
-        granule: as for ``KernelFeatures.of``.
-        depth_first: whether jobs that follow from outcomes begin at once. The first table then also has their features.
+        granule: see ``KernelFeatures.of``.
+        depth_first: whether jobs that follow from outcomes begin at once. The kernels of the first table then also have
+            the features that these jobs need.
 
     Attributes:
-        needs: features of the jobs of the latest table.
+        needs: features that the kernels of the latest table need.
         alone: whether there is only one job in total.
-        running: worlds of the previous table, which continue in the next one.
+        running: worlds of the previous table, which continue in the next table.
         in_flight: stream number → job, for jobs that have been taken and have no outcome yet.
     """
 
@@ -78,8 +80,8 @@ class TableJobs:
 
     @property
     def ended(self) -> bool:
-        """Whether everything is done: no job waits, none will come, and no world is about to move to another table.
-        Waits for the source.
+        """Whether no job waits, none will come, and no world is about to move to another table. Waits for the thread
+        that makes worlds.
         """
         return self.running is None and not self._stream.peek(1, wait=True)
 
@@ -89,11 +91,11 @@ class TableJobs:
         return any(job.record is not None for job in self._stream.peek(self._size))
 
     def begin(self) -> tuple[list[Job], list[int], int]:
-        """The jobs of the next table (those of running worlds come first), their stream numbers, and the number of
+        """The jobs of the next table (the jobs of running worlds come first), their stream numbers, and the number of
         rows.
 
         Raises:
-            InputError: a job has more boxes than any block has room for.
+            InputError: a job has more boxes than the largest block has room for.
         """
         jobs, stream_numbers = list[Job](), list[int]()
         if self.running is not None:
@@ -103,7 +105,7 @@ class TableJobs:
         further = self._stream.peek(room, least=least, wait=not jobs)
         every = [*jobs, *further]
         grows = self.feedback or not self._stream.closed or self._stream.ready > len(further)
-        # A table that further jobs may join has columns for their boxes. Each width is compiled once.
+        # A table that further jobs may join has columns for their boxes. Programs are compiled once for each width.
         needs = KernelFeatures.of(every, self._granule)
         if grows and self._stream.bounds is not None:
             counts = [count for count in self._stream.bounds.box_counts if count <= MAX_BOXES]
@@ -120,8 +122,8 @@ class TableJobs:
         return every, [*stream_numbers, *taken], padded_rows(max(len(every), rows))
 
     def profile_room(self, jobs: Sequence[Job], rows: int) -> tuple[int, int]:
-        """Room for profiles in a table with these jobs and this number of rows: the number of profiles, and their
-        number of steps.
+        """The room for profiles in a table with these jobs and this number of rows: the number of profiles, and the
+        number of steps of each profile.
         """
         bounds = self._stream.bounds
         if bounds is not None and bounds.drive_steps:
@@ -131,10 +133,11 @@ class TableJobs:
         return spare * len({id(job.drive.excitation) for job in jobs if job.drive}), 0
 
     def join(self, table: WorldTable, *, wait: bool = False) -> list[int]:
-        """Put waiting jobs into free rows of a table, in order, until one does not fit. Returns their rows.
+        """Put waiting jobs into free rows of a table, in order, until a job does not fit. Returns the numbers of the
+        rows.
 
         Args:
-            wait: whether to wait for a job if further ones may come.
+            wait: whether to wait for a job if further jobs may come.
         """
         live = int(table.live.sum())
         limit = table.rows if self.feedback else table.rows // REFILL_SHARE
@@ -150,11 +153,11 @@ class TableJobs:
         return rows
 
     def needs_another(self, table: WorldTable, blocks: int) -> bool:
-        """Whether another table is due: the next job has no room in this one, and no more worlds are live than the
-        device has blocks.
+        """Whether another table is needed: the next job does not fit in this table, and no more worlds are running than
+        the device has blocks.
 
         Args:
-            blocks: number of blocks of the device.
+            blocks: number of thread blocks of the device.
         """
         live = int(table.live.sum())
         waiting = self._stream.peek(1)
@@ -170,17 +173,18 @@ class TableJobs:
         return self._stream.wait_for_following(self.in_flight)
 
     def answered(self, stream_number: int) -> None:
-        """Note that the outcome of a job has been taken, and that the jobs that follow from it have been put."""
+        """Note that the outcome of a job has been taken, and that the jobs that follow from this outcome have been
+        put."""
         del self.in_flight[stream_number]
         self._stream.wake()
 
     def lose(self) -> dict[int, Job]:
-        """Remove and return the jobs without an outcome, whose states are lost."""
+        """Remove all jobs without an outcome, whose states are lost, and return them by stream number."""
         lost, self.in_flight, self.running = self.in_flight, {}, None
         return lost
 
     def _take(self, jobs: Sequence[Job]) -> Sequence[int]:
-        """Take the first jobs of the stream; returns their stream numbers."""
+        """Take the first jobs of the stream. Returns their stream numbers."""
         stream_numbers = range(self._taken, self._taken + len(jobs))
         self._stream.take_peeked(jobs)
         self.in_flight.update(zip(stream_numbers, jobs, strict=True))

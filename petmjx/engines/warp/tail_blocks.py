@@ -1,10 +1,9 @@
-"""Thread blocks for a run's last worlds. Each block has a multiprocessor of the GPU to itself, and more threads.
+"""Thread blocks for the last worlds of a run. Each such block has a GPU multiprocessor to itself, and more threads.
 
-A run ends with its longest worlds. Each of two blocks that share a multiprocessor is slower than it would be alone. So
-the last world of a run is delayed while its block shares a multiprocessor. Worlds that are expected to be among the
-last ones therefore get blocks that fill a multiprocessor (``block_launch.LAST``). When no more worlds are left than
-there are multiprocessors, all worlds of the smaller size get such blocks. A world's steps are bit-identical to those in
-other blocks. Only the speed is affected.
+A run ends with its longest worlds. Two blocks that share a multiprocessor are slower than one block alone, so sharing
+delays the end of the run. Worlds that are expected to be among the last ones therefore get blocks that fill a
+multiprocessor (``block_launch.LAST``). When no more worlds are left than there are multiprocessors, all worlds of the
+smaller size get such blocks. The steps of a world are bit-identical to those in other blocks; only the speed differs.
 """
 
 from __future__ import annotations
@@ -21,22 +20,23 @@ from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.small_world_blocks import compacted_queue
 
 MOST_EXPECTED: Final = 16
-"""Largest number of worlds that are expected to be the last ones while other worlds still wait. These are the worlds
-with the largest numbers of steps so far. Each of their blocks takes the room of two usual blocks."""
+"""Largest number of worlds that get blocks for last worlds while other worlds still wait: the worlds that are expected
+to end last because they have the largest numbers of steps so far. Each of their blocks takes the room of two usual
+blocks."""
 
 LONG: Final = 2.0
-"""A world is long if its number of steps is more than LONG times the mean of the finished worlds."""
+"""A world is *long* if its number of steps is more than LONG times the mean number of steps of finished worlds."""
 
 GOES_ON: Final = 8.0
 """A long world is expected to take at most GOES_ON times as many further steps as it has taken so far."""
 
 
 def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
-    """The block pool for the last worlds. None: it would be the same as the usual pool, as on a CPU.
+    """The block pool for the last worlds. None if it would be the same as the usual pool, as on a CPU.
 
     Args:
         pool: the pool from which these worlds come.
-        lanes: largest number of worlds in blocks of one kind. None: the number for which the device has room.
+        lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
     """
     one = pool.launch
     if one.per_sm == 1:
@@ -52,12 +52,12 @@ def tail_queues(
     running: Bool[Array, " world"],
     lanes: int,
 ) -> Int[Array, "queue+1 world"]:
-    """The queues, preceded by a new queue of the last worlds of the run. These worlds leave the last of the queues.
-    Worlds keep their order. Jitted programs can call this function.
+    """The queues, preceded by a new queue of the last worlds of the run. These worlds are removed from the last of the
+    queues. Worlds keep their order. Jitted programs can call this function.
 
     Args:
-        order: the queues. Each row lists worlds, followed by negative numbers.
-        steps, running, lanes: as for ``expected_tail``.
+        order: the queues. Each row lists the numbers of worlds, followed by negative numbers.
+        steps, running, lanes: see ``expected_tail``.
     """
     few = ((order >= 0) & running[order]).sum() <= last.lanes  # rows outside the queues may be in any state
     chosen = (running & few) | expected_tail(order, steps, running, lanes)
@@ -70,12 +70,13 @@ def tail_queues(
 def expected_tail(
     order: Int[Array, "queue world"], steps: Int[Array, " world"], running: Bool[Array, " world"], lanes: int
 ) -> Bool[Array, " world"]:
-    """Whether each world is expected to be among the last ones. Other worlds may still wait. For jitted programs.
+    """Whether each world is expected to be among the last worlds of the run, while other worlds may still wait. Jitted
+    programs can call this function.
 
     Args:
-        order: the queues. Each row lists worlds, followed by negative numbers.
-        steps: number of steps of each world so far; 0 before it is taken from a queue.
-        running: whether each world continues.
+        order: the queues. Each row lists the numbers of worlds, followed by negative numbers.
+        steps: number of steps of each world so far. 0 before a block takes the world from a queue.
+        running: whether each world can continue.
         lanes: number of worlds that run at the same time.
     """
     begun = steps > 0

@@ -1,5 +1,5 @@
-"""Time slices of mjx-warp, in which every world of a table advances: their programs and buffers, and the work of the
-host between two slices."""
+"""Time slices (calls of mjx-warp's kernels) in which every world of a table advances: their programs and buffers, and
+the work of the CPU between two slices."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.world_table import Run, WorldTable
 
 UNDER_WAY = 2
-"""Number of slices in flight, so that the device is never idle. Worlds that end in a slice reach the host when the next
-slice has ended."""
+"""Number of slices that have been started and not yet read, so that the device is never idle. The CPU reads the worlds
+that end in a slice when the next slice has ended."""
 
 
 class Slice(NamedTuple):
-    """The results of a time slice, except the states.
+    """The results of a time slice, except for the states.
 
     Attributes:
         number: number of the slice, counted from the first slice of its table.
-        began: time at which the host began the slice, s.
-        readback: statuses of all rows, then the counts ``READ_COUNTS``.
+        began: time at which the CPU started the slice, s.
+        readback: statuses of all rows, followed by the counts ``READ_COUNTS``.
     """
 
     number: int
@@ -49,11 +49,11 @@ class Slice(NamedTuple):
 
 
 class Rollout:
-    """The buffers of a run, and its queue of time slices in flight.
+    """The buffers of a run, and the queue of its started time slices.
 
     Args:
-        pools: block pools, as from ``BlockPools.of``.
-        slice_ns: time slice of a call of the kernels, ns.
+        pools: block pools, as returned by ``BlockPools.of``.
+        slice_ns: length of a time slice, ns.
     """
 
     def __init__(self, run: Run, pools: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
@@ -65,11 +65,11 @@ class Rollout:
 
     @property
     def under_way(self) -> int:
-        """Number of slices in flight: they have begun, and nobody has waited for them yet."""
+        """Number of slices that have been started and that no caller has waited for yet."""
         return len(self._slices)
 
     def start(self, table: WorldTable, order: Int[Array, "queue world"]) -> None:
-        """Begin a time slice for all running worlds of a table, after the slices in flight."""
+        """Start a time slice for all running worlds of a table, after the slices that are already started."""
         lanes = self.launcher.lanes
         if table.frames is None or (len(table.frames["of"]) < lanes and not table.recorder.idle):
             table.frames = room_for(table, lanes)
@@ -81,17 +81,17 @@ class Rollout:
         table.slices += 1
 
     def keep_under_way(self, count: int, table: WorldTable, order: Int[Array, "queue world"]) -> None:
-        """Begin slices until ``count`` are in flight."""
+        """Start slices until ``count`` of them are started and not yet read."""
         while self.under_way < count:
             self.start(table, order)
 
     def finish(self, table: WorldTable) -> None:
-        """Wait for all slices in flight."""
+        """Wait for all started slices."""
         while self.under_way:
             self.wait(table)
 
     def close(self) -> None:
-        """Wait for slices in flight, and free the workspace."""
+        """Wait for all started slices, and free the workspace."""
         while self._slices:
             with suppress(jax.errors.JaxRuntimeError):  # the rollout may be closed because of this error
                 self._slices.popleft().readback.block_until_ready()
@@ -101,7 +101,8 @@ class Rollout:
             self.workspace.delete()
 
     def wait(self, table: WorldTable) -> tuple[NDArray[np.int32], Slice]:
-        """Wait for the first slice in flight. Returns the statuses of the table's worlds after it, and the slice."""
+        """Wait for the oldest started slice. Returns the statuses of the table's worlds after this slice, and the
+        slice."""
         ended = self._slices.popleft()
         readback = np.array(ended.readback)
         self._last_end, began = time.perf_counter(), max(ended.began, self._last_end)
@@ -119,14 +120,14 @@ class Rollout:
 
 
 class TableSlices:
-    """Time slices of a table, until all of its worlds have ended or continue in another table. While the device runs a
-    slice, the host makes outcomes of ended worlds, and puts further jobs into their rows.
+    """The time slices of a table, until all its worlds have ended or continue in another table. While the device
+    computes a slice, the CPU makes outcomes of ended worlds, and puts further jobs into their rows.
 
     Args:
-        waits: whether each slice waits for the outcomes of the previous slice, since the host must fetch frames of
-            recorded worlds.
-        pools: enlarges buffers.
-        rollout_for: function that returns the rollout for the table; None if memory has run out.
+        waits: whether each slice waits for the outcomes of the previous slice. This is necessary if worlds are
+            recorded, since the CPU must fetch their frames.
+        pools: object that enlarges buffers.
+        rollout_for: function that returns the buffers (``Rollout``) for the table, or None if memory has run out.
     """
 
     def __init__(
@@ -146,7 +147,7 @@ class TableSlices:
         """The worlds that end in each slice.
 
         Args:
-            simulate: False: memory has run out, so all worlds are given up.
+            simulate: if False, memory has run out, and all worlds are given up.
         """
         table = self._table
         self._queues.add(table.jobs, np.arange(len(table.jobs)), table.live, table.run.sim)
@@ -177,24 +178,24 @@ class TableSlices:
                 return
 
     def _keep_under_way(self, rollout: Rollout) -> None:
-        """Begin slices until the right number of them is in flight."""
-        # a job that follows from an outcome joins after the slices in flight; so while blocks are idle, only one slice
-        # is in flight
+        """Start as many slices as are useful now."""
+        # A job that follows from an outcome joins only after the started slices. So while blocks are idle, only one
+        # slice is started at a time.
         blocks_idle = int(self._table.live.sum()) <= rollout.launcher.blocks
         single = self._waits or (self._source.feedback and blocks_idle)
         rollout.keep_under_way(1 if single else UNDER_WAY, self._table, self._queues.order)
 
     def _wait_for_slice(self) -> tuple[NDArray[np.int32], PickedFrames | None]:
-        """Wait for the first slice in flight. Returns the statuses of the worlds after it, and the frames of recorded
-        worlds."""
+        """Wait for the oldest started slice. Returns the statuses of the worlds after this slice, and the frames of
+        recorded worlds."""
         if self._rollout is None:
             return self._table.status(), None
         status, ended_slice = self._rollout.wait(self._table)
         return status, None if self._table.recorder.idle else pick_frames(ended_slice.frames)
 
     def _grow_overflowed(self, rollout: Rollout) -> NDArray[np.int32]:
-        """Enlarge the buffers of worlds that overflowed them and were stopped. Worlds that overflow at ``most_room``
-        are given up. Returns the statuses of all worlds."""
+        """Enlarge the buffers of worlds that overflowed their buffers and stopped. Worlds that overflow the largest
+        buffers (``most_room``) are given up. Returns the statuses of all worlds."""
         table = self._table
         rollout.finish(table)
         rows = np.flatnonzero(table.status() == Status.OVERFLOWED)
@@ -216,13 +217,13 @@ class TableSlices:
         return table.status()
 
     def _give_up_table(self) -> None:
-        """End all worlds that have not ended: memory has run out."""
+        """Give up all worlds that have not ended, since memory has run out."""
         is_live = self._table.live.copy()
         is_live[self._table.ended(self._table.status())] = False
         self._table.give_up(np.flatnonzero(is_live), Flag.OUT_OF_MEMORY)
 
     def _read_ended(self, status: NDArray[np.int32]) -> SliceResult:
-        """Read back the worlds that have ended, and free their rows."""
+        """Fetch the results of the worlds that have ended, and free their rows."""
         table = self._table
         ended = table.ended(status)
         picked = read_back(ended, table.table, table.worlds, table.run.sim)
@@ -232,15 +233,15 @@ class TableSlices:
         return SliceResult(picked, table.recorder, jobs, stream_numbers)
 
     def _refill(self, rollout: Rollout) -> None:
-        """Put waiting jobs into free rows, and begin the next slices."""
+        """Put waiting jobs into free rows, and start the next slices."""
         self._join()
         if self._table.live.any():
             self._keep_under_way(rollout)
         else:
-            rollout.finish(self._table)  # no world runs in the slices in flight
+            rollout.finish(self._table)  # no world runs in the started slices
 
     def _join(self, *, wait: bool = False) -> bool:
-        """Put waiting jobs into free rows. Returns whether any was added."""
+        """Put waiting jobs into free rows. Returns whether a job was added."""
         table = self._table
         rows = self._source.join(table, wait=wait)
         if rows:

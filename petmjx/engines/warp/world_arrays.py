@@ -2,14 +2,13 @@
 
 The kernels and their C++ functions take whole records. Each array is declared once, with its element type and axes.
 ``Worlds`` and ``State`` have the fields of the tables in petmjx/engines/mjx/world_constants.py, world_state.py and
-running_metrics.py. JAX passes these arrays, and the kernels change ``State`` in place. All other arrays are declared
-here. The workspace is one buffer, which is divided into arrays of the shapes declared here.
+running_metrics.py. JAX passes these arrays, and the kernels change ``State`` in place. All other arrays are declared in
+this file. The workspace is one buffer, which is divided into arrays of the shapes that are declared here.
 
-Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: a queue of
-worlds of one size. ``body``: the carrier, followed by the boxes in packing order. ``free_body``: a body that moves.
-``dof``: a degree of freedom, of which each free body has six. ``geom``: the floor, followed by the shapes of the
-bodies. ``pair``: two geoms that are near each other. ``contact``: a point in which the geoms of a pair touch. Units are
-SI.
+Axes. ``world``: row of a table. ``block``: thread block, which has one world at a time. ``queue``: queue of worlds of
+one size. ``body``: the carrier, followed by the boxes in packing order. ``free_body``: body that can move. ``dof``:
+degree of freedom; each free body has six. ``geom``: the floor, followed by the shapes of the bodies. ``pair``: two
+geoms that are near each other. ``contact``: point in which the geoms of a pair touch. Units are SI.
 """
 
 from __future__ import annotations
@@ -26,15 +25,15 @@ from jaxtyping import Bool, Float, Int
 from petmjx.engines.mjx import running_metrics, world_constants, world_state
 
 PANEL = 16
-"""Number of rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple of it."""
+"""Number of rows of a panel in the Cholesky factorisation. The Hessian is padded to a multiple of this number."""
 
 MAX_BOXES = 512
-"""Number of boxes of the largest world. The solver's right-hand side must fit in shared memory, which sets this
+"""Largest number of boxes of a world. The right-hand side of the solver must fit in shared memory, which sets this
 limit."""
 
 EFC_WORDS = 32
-"""Number of values stored per contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (aref,
-3), stiffness of a row (D, 1), friction (1)."""
+"""Number of values stored per contact: contact frame (9), moment arms of both bodies (9 + 9), reference accelerations
+(aref, 3), stiffness of a constraint row (D, 1), friction (1)."""
 
 BUFFER_WORDS = 1024
 """Number of 32-bit words in a row of the buffer that holds workspaces."""
@@ -44,11 +43,11 @@ if TYPE_CHECKING:
     Ref = Annotated[_Record, "passed by reference"]
 else:
     Ref = wp.ref
-    """Type of a record that is passed to a kernel's function by reference.
+    """Type of a record that is passed by reference to a function of a kernel.
 
-    Records have hundreds of fields. If they are passed by value, copying them takes half of the compile time. A
-    function that is generic in another argument takes records by value, since Warp (1.18) cannot match references in
-    this case.
+    Records have hundreds of fields. If they are passed by value, half of the compile time goes into copies. A function
+    that is generic in another argument must still take records by value, since Warp (1.18) cannot match references in
+    such a function.
     """
 
 TYPES: Mapping[Any, Any] = {Float: wp.float32, Int: wp.int32, Bool: wp.bool}
@@ -59,7 +58,7 @@ def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) 
     """A Warp struct whose arrays declare their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number.
 
     Args:
-        tables: records of JAX arrays. The struct also has their fields, except those in ``without``.
+        tables: records of JAX arrays. The struct also gets their fields, except the fields named in ``without``.
     """
     annotations, axes = inspect.get_annotations(cls, eval_str=True), {}
     for name, kind in annotations.items():
@@ -89,8 +88,8 @@ class Model:
     skin: float  # margin added to boxes in collision detection, m
     carrier_skin: float  # the same margin for the carrier, m
     pyramidal: int  # 1 with pyramidal friction cones
-    friction_damping: float  # damping along a contact's tangents, 1/s; 0: the same as along its normal
-    slip_slack: float  # reference acceleration up to which a slip is not corrected, m/s²; inf: none is corrected
+    friction_damping: float  # damping along a contact's tangents, 1/s; 0 if as along the normal
+    slip_slack: float  # tangential acceleration up to which a slip is not corrected, m/s²; inf: no slip is corrected
     kinetic_share: float  # friction of contacts that slide fast, as a share of friction at rest
     impratio_invsqrt: wp.float64  # 1 / √impratio
     tolerance: wp.float64  # tolerance of the solver, as in MuJoCo
@@ -99,8 +98,8 @@ class Model:
     ls_iterations: int  # largest number of iterations of the solver's line search
 
     queue: int  # the queue from which these blocks take worlds
-    most_idle: int  # largest number of lanes without a world; above it, the other lanes stop for this call
-    most_placed: int  # largest number of boxes; if a world has more, it moves to other blocks in the next call
+    most_idle: int  # largest number of lanes without a world; if more are empty, the other lanes stop for this call
+    most_placed: int  # largest number of boxes; a world with more boxes moves to other blocks in the next call
     npairmax: int  # largest number of pairs of near geoms of a world
     nconmax: int  # largest number of contacts of a world
 
@@ -138,18 +137,18 @@ class Model:
     landing_lasts: int  # number of steps for which a box counts as landing after its first touch
     restitution: float
 
-    due: wp.array[int]  # by step; as in Timetable
+    due: wp.array[int]  # index: step; as in Timetable
     longest: wp.array[int]
     settled: wp.array[int]
-    settled_nominally: wp.array[int]  # by number of boxes
+    settled_nominally: wp.array[int]  # index: number of boxes
 
 
 @partial(record, tables=(world_constants.Worlds,), without=("driven",))
 class Worlds:
-    """Constants of worlds: the table ``world_constants.Worlds``, the profiles of the excitations, and the queues."""
+    """Constants of worlds: the table ``world_constants.Worlds``, the samples of the excitations, and the queues."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # worlds in their order, then negative numbers
+    order: Annotated[wp.array2d[int], "queue world"]  # numbers of worlds in their order, followed by negative numbers
 
     if TYPE_CHECKING:
 
@@ -158,7 +157,7 @@ class Worlds:
 
 @partial(record, tables=(world_state.State, running_metrics.Metrics), without=("metrics",))
 class State:
-    """The state of worlds: the table ``world_state.State`` and its metrics."""
+    """States of worlds: the table ``world_state.State`` and its metrics."""
 
     if TYPE_CHECKING:
 
@@ -175,8 +174,8 @@ class Workspace:
     Jaref: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·qacc − aref
     jv: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·search
     contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # force in the contact's frame
-    worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess over thresholds, and its box
-    hessian: Annotated[wp.array2d[float], "block entry"]  # envelope of the Hessian, if not in shared memory
+    worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess over thresholds, and the box that has it
+    hessian: Annotated[wp.array2d[float], "block entry"]  # the non-zero part of the Hessian, if not in shared memory
     strip: Annotated[wp.array2d[float], "block part"]  # rows of the Hessian's factor, if not in shared memory
     efc: Annotated[wp.array3d[float], "block contact efc_word"]  # written by make_constraint; layout: efc.cuh
     curvature: Annotated[wp.array3d[float], "block contact 6"]
@@ -195,7 +194,7 @@ class Workspace:
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
     pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # a contact point, and the distance there
-    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0: both geoms are rigid
+    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0 if both geoms are rigid
     # for each geom: the first pair in which it is pair_geom1
     geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]
     geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs, sorted by pair_geom2
@@ -215,7 +214,7 @@ class Workspace:
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # number of free bodies
     solver_niter: Annotated[wp.array[int], "block"]
-    solver_paused: Annotated[wp.array[int], "block"]  # iterations before the solver paused; 0: it has ended
+    solver_paused: Annotated[wp.array[int], "block"]  # iterations before the solver paused; 0 if it has ended
     world: Annotated[wp.array[int], "block"]  # the world of a block; negative: no world
     frame: Annotated[wp.array[int], "block"]  # the frame that a block writes
 
@@ -224,9 +223,9 @@ class Workspace:
 class FrameBuffer:
     """Frames of recorded worlds, in the order in which blocks write them. All worlds of a call share this buffer."""
 
-    every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: the world is not recorded
+    every: Annotated[wp.array[int], "world"]  # number of steps between two frames of a world; 0 if not recorded
     used: Annotated[wp.array[int], "1"]
-    of: Annotated[wp.array[int], "frame"]  # the world of a frame
+    of: Annotated[wp.array[int], "frame"]  # the world to which each frame belongs
     step: Annotated[wp.array[int], "frame"]
     placed: Annotated[wp.array[int], "frame"]
     pose: Annotated[wp.array3d[float], "frame box 7"]
@@ -236,11 +235,11 @@ class FrameBuffer:
 
 @record
 class Counts:
-    """Counters of a call."""
+    """Counters of one call of the kernels."""
 
     taken: Annotated[wp.array[int], "queue"]  # number of worlds that blocks have taken so far
     idle: Annotated[wp.array[int], "queue"]  # number of lanes that found no further world
-    clock: Annotated[wp.array[int], "1"]  # when the call began (block.cuh)
+    clock: Annotated[wp.array[int], "1"]  # time at which the call began (block.cuh)
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
     contacts: Annotated[wp.array[int], "1"]  # largest number of contacts of a world
@@ -248,29 +247,29 @@ class Counts:
 
 @record
 class Thread:
-    """A thread, its block, and this block's world."""
+    """A thread, its block, and the world of the block."""
 
     block: int
     thread: int
     threads: int
     world: int
     placed: int  # number of placed boxes
-    geoms: int  # number of geoms: the floor, and the shapes of the carrier and of these boxes
+    geoms: int  # number of geoms: the floor, and the shapes of the carrier and of the placed boxes
     held: int  # 1 if the carrier cannot move, and so is not a free body
-    hands: int  # 1 if a hand may carry boxes; 0: the compiler leaves hands out
-    gives: int  # 1 if boxes may be compliant; 0: the compiler leaves compliance out
-    wraps: int  # 1 if film may hold boxes; 0: the compiler leaves film out
-    lands: int  # 1 if the law of landing boxes may act; 0: the compiler leaves it out
-    carried: int  # 1 if a hand holds the last of these boxes
+    hands: int  # 1 if a hand may carry boxes; if 0, the compiler leaves hands out
+    gives: int  # 1 if boxes may be compliant; if 0, the compiler leaves compliance out
+    wraps: int  # 1 if film may hold boxes; if 0, the compiler leaves film out
+    lands: int  # 1 if the law of landing boxes may act; if 0, the compiler leaves it out
+    carried: int  # 1 if a hand holds the box that was placed last
 
 
 def most_panels(n_boxes: int) -> int:
-    """Number of panels of the system of a world with ``n_boxes`` boxes and a moving carrier."""
+    """Number of panels of the system of equations of a world with ``n_boxes`` boxes and a moving carrier."""
     return -(-6 * (n_boxes + 1) // PANEL)
 
 
 def axes(blocks: int, n_boxes: int, boards: int, npairmax: int, nconmax: int) -> dict[str, int]:
-    """Sizes of the axes of the workspace of some blocks.
+    """Axis → size, for the workspace of some blocks.
 
     Args:
         n_boxes: largest number of boxes of a world.
@@ -299,12 +298,12 @@ def axes(blocks: int, n_boxes: int, boards: int, npairmax: int, nconmax: int) ->
 
 
 def array_types(kind: Any) -> dict[str, Any]:
-    """Name → type of a record's arrays, in order."""
+    """Name → type, for the arrays of a record, in order."""
     return {name: kind.vars[name].type for name in kind.shapes}
 
 
 def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
-    """Name → shape of a record's arrays, for axes of these sizes."""
+    """Name → shape, for the arrays of a record with axes of these sizes."""
     return {
         name: tuple(axis if isinstance(axis, int) else sizes[axis] for axis in shape)
         for name, shape in kind.shapes.items()
@@ -312,8 +311,8 @@ def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ..
 
 
 def filled_record(kind: Any, values: Mapping[str, Any]) -> Any:
-    """A record whose fields are taken from ``values``. Other entries of ``values`` are not used. Arrays must have
-    contiguous rows (arrays.cuh)."""
+    """A record whose fields are taken from ``values``. Additional entries of ``values`` are not used. The rows of
+    arrays must be contiguous (arrays.cuh)."""
     instance = kind()
     for name in kind.vars:
         assert getattr(values[name], "is_contiguous", True), name
@@ -330,8 +329,8 @@ def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...]
 
 
 def buffer_rows(sizes: Mapping[str, int]) -> int:
-    """Number of rows of ``BUFFER_WORDS`` words that hold the workspace of some blocks. Each array holds the blocks one
-    after another.
+    """Number of rows, of ``BUFFER_WORDS`` words each, of a buffer for the workspace of some blocks. An array of the
+    workspace holds the data of all blocks one after another.
 
     Args:
         sizes: axis → size.
@@ -340,8 +339,8 @@ def buffer_rows(sizes: Mapping[str, int]) -> int:
 
 
 def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict[str, Any]:
-    """The workspace's arrays, as views of a buffer of 32-bit words (row, ``BUFFER_WORDS``). They begin at
-    ``first_row``.
+    """The arrays of a workspace, as views of a buffer of 32-bit words (row, ``BUFFER_WORDS``). The first array begins
+    at ``first_row``.
     """
     views: dict[str, Any] = {}
     pointer = buffer.ptr + 4 * BUFFER_WORDS * first_row

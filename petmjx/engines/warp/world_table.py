@@ -22,7 +22,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Excitation, Job
 
 MAX_GROWTH = 8
-"""Largest factor by which buffers grow. Buffers double with each overflow. A world that needs larger buffers is
+"""Largest factor by which buffers grow. Buffers are doubled at each overflow. A world that needs larger buffers becomes
 invalid."""
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
@@ -39,11 +39,12 @@ def _put_profiles(profiles: jax.Array, rows: jax.Array, samples: jax.Array) -> j
 
 
 def _put_into(table: Table, rows: NDArray[np.intp], values: Table, put: Callable[..., Table] = _put) -> Table:
-    """The table, with the first rows of ``values`` in these rows. The memory of the old table is reused.
+    """The table, with the first rows of ``values`` written into the rows ``rows``. The memory of the old table is
+    reused.
 
     Args:
-        values: has at least as many rows as ``rows``.
-        put: a function like ``put_rows``.
+        values: table with at least as many rows as ``rows`` has entries.
+        put: function that works like ``put_rows``.
     """
     length, end = len(jax.tree.leaves(values)[0]), len(jax.tree.leaves(table)[0])
     padded = np.full(length, end, np.int32)  # rows beyond the end are dropped
@@ -53,11 +54,11 @@ def _put_into(table: Table, rows: NDArray[np.intp], values: Table, put: Callable
 
 @dataclass
 class Run:
-    """Options that the worlds of a table have in common.
+    """Options that all worlds of a table have in common.
 
     Attributes:
-        needs: features and sizes of the table's kernels.
-        message: the progress message while the table's worlds are simulated.
+        needs: features and sizes that the table's kernels need.
+        message: progress message while the worlds of the table are simulated.
     """
 
     sim: Simulation
@@ -68,16 +69,16 @@ class Run:
 
     @classmethod
     def of(cls, needs: KernelFeatures, sim: Simulation, progress: Progress) -> Run:
-        """The run options of worlds with these needs."""
+        """The options of a run whose worlds have these needs."""
         return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress, progress.message)
 
 
 class RunningWorlds(NamedTuple):
-    """The worlds of a table that have not ended, on their way into another table.
+    """The worlds of a table that have not ended and move to another table.
 
     Attributes:
         jobs, stream_numbers: the jobs of these worlds, and the stream numbers of the jobs.
-        states: one row per world, then rows that belong to no world.
+        states: one row per world, followed by rows that belong to no world.
     """
 
     jobs: list[Job]
@@ -87,15 +88,15 @@ class RunningWorlds(NamedTuple):
 
 @dataclass
 class WorldTable(Batch):
-    """Worlds of all sizes on the device, and the buffers for their frames.
+    """Worlds of all sizes on the device, and the buffers for their recorded frames.
 
-    ``jobs`` has the job that each used row got last.
+    ``jobs`` has the last job of each used row.
 
     Attributes:
-        stream_numbers: stream number of each row's job.
-        live: (row,) whether the row's world has not ended.
+        stream_numbers: stream number of the job in each row.
+        live: (row,) whether the world in each row has not ended.
         slices: number of time slices that have begun.
-        since: (row,) number of the first slice with the row's world. In earlier slices, the row had another world.
+        since: (row,) number of the first slice of the world in each row. In earlier slices, the row had another world.
     """
 
     run: Run
@@ -115,17 +116,18 @@ class WorldTable(Batch):
         return len(self.table.status)
 
     def status(self) -> NDArray[np.int32]:
-        """(row,) statuses on the host, after all slices that have begun. Waits for these slices."""
+        """(row,) statuses of the worlds after all slices that have begun, in the CPU's memory. Waits for these
+        slices."""
         return np.asarray(self.table.status)
 
     def status_after(self, slice_number: int, status: NDArray[np.int32]) -> NDArray[np.int32]:
-        """(row,) statuses after a slice. Worlds that joined later count as running."""
+        """(row,) statuses of the worlds after a slice. Worlds that joined after this slice have the status running."""
         running: NDArray[np.int32] = np.where(self.since > slice_number, np.int32(Status.RUNNING), status)
         return running
 
     def ended(self, status: NDArray[np.int32]) -> NDArray[np.intp]:
-        """Rows of the live worlds that have reached their end. A settled world that waits for its drive is not
-        included.
+        """Row numbers of the worlds that have just reached their end. A settled world that waits for its drive (motion
+        of the carrier) is not included.
         """
         settled = np.flatnonzero(self.live & (status == Status.SETTLED))
         is_end = self.live & (status == Status.FINISHED)
@@ -133,7 +135,7 @@ class WorldTable(Batch):
         return np.flatnonzero(is_end)
 
     def fits(self, job: Job) -> bool:
-        """Whether a job can get a row: the table, and the blocks of its size, have room for it."""
+        """Whether a job can get a row: the table, and the blocks of the job's size, have room for its world."""
         needs = self.run.needs
         has_blocks = job.scene.n_boxes <= needs.widths.get(size_of(job), 0)
         has_blocks &= len(job.scene.carrier.half_size) <= self.boards
@@ -143,11 +145,11 @@ class WorldTable(Batch):
         return has_blocks and has_times and has_steps and needs.know(job) and job.record is None and self.recorder.idle
 
     def add(self, jobs: Sequence[Job], stream_numbers: Sequence[int], at_once: int) -> NDArray[np.intp]:
-        """Put jobs that fit into free rows. Returns the rows. There are fewer rows than jobs if not all profiles have
-        room.
+        """Put jobs that fit into free rows. Returns the row numbers. There are fewer rows than jobs if the table has no
+        room for all their profiles (motions of the carrier).
 
         Args:
-            at_once: number of rows that are written at a time. XLA compiles a program for each number.
+            at_once: number of rows that are written at a time. XLA compiles a program for each such number.
         """
         jobs = jobs[: self._with_profiles(jobs)]
         free = np.flatnonzero(~self.live)[: len(jobs)]
@@ -167,14 +169,14 @@ class WorldTable(Batch):
         return free
 
     def _with_profiles(self, jobs: Sequence[Job]) -> int:
-        """Put the profiles of jobs into rows that no live world needs. Returns the number of jobs whose profiles had
-        room.
+        """Write the profiles of jobs into profile rows that no running world needs. Returns the number of jobs whose
+        profiles had room.
         """
         if all(job.drive is None for job in jobs):
             return len(jobs)
         live = [self.jobs[row] for row in np.flatnonzero(self.live).tolist()]
         needed = {id(excitation) for excitation in map(_excitation, live) if excitation is not None}
-        # an excitation that no world needs may have been freed, and another may have the same id
+        # an excitation that no world needs may have been freed, and another excitation may have the same id
         self.profile_rows = {key: row for key, row in self.profile_rows.items() if key in needed}
         free = sorted({*range(len(self.profiles))} - {*self.profile_rows.values()}, reverse=True)
         rows, samples = list[int](), list[NDArray[np.float32]]()
@@ -201,7 +203,7 @@ class WorldTable(Batch):
         self.live[rows] = False
 
     def take_running(self) -> RunningWorlds | None:
-        """The live worlds, for another table; None if there are none."""
+        """The worlds that have not ended, for another table. None if there are none."""
         rows = np.flatnonzero(self.live)
         if not len(rows):
             return None
@@ -210,13 +212,14 @@ class WorldTable(Batch):
         return RunningWorlds(jobs, stream_numbers, _take(self.table, device_array(padded)))
 
     def put_running(self, running: RunningWorlds) -> None:
-        """Let worlds of another table continue in the first rows, which already have their jobs. The tables may differ
-        in the number of box columns, but both have enough for these worlds."""
+        """Let worlds of another table continue in the first rows, which already have their jobs. The two tables may
+        have different numbers of box columns, but both have enough for these worlds."""
         rows = np.arange(len(running.jobs))
         self.table = _put_into(self.table, rows, running.states, _put_resized)
 
     def retry(self, rows: NDArray[np.int64]) -> None:
-        """Clear the overflow bits of worlds and set the bit for a re-run, since results in larger buffers are valid."""
+        """Prepare worlds to continue with larger buffers, with which their results are valid: replace the flags of
+        overflow by ``Flag.RERUN_AFTER_OVERFLOW``."""
         flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
         self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
 

@@ -1,4 +1,5 @@
-"""A figure that compares criteria with physics: precision, recall and correlation of each criterion, with intervals."""
+"""A figure that compares criteria with simulations: precision, recall and correlation of each criterion, with
+intervals."""
 
 from __future__ import annotations
 
@@ -19,11 +20,11 @@ PANELS: Final = (
     ("recall", "recall"),
     ("mcc", "Matthews' correlation"),
 )
-"""Column of ``judged``, and the label below its panel."""
+"""(column of ``CriteriaResults.judged``, label of the panel) for each panel."""
 
 
 def draw_criteria(results: CriteriaResults) -> Any:
-    """A matplotlib figure with a row for each criterion.
+    """The figure, made with matplotlib, with a row for each criterion.
 
     Raises:
         InputError: the criteria were not compared with a run.

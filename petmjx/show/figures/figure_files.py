@@ -1,4 +1,4 @@
-"""``petmjx.figure``: results as a figure for a paper."""
+"""``petmjx.figure``: draws results as a figure for a paper."""
 
 from __future__ import annotations
 
@@ -29,15 +29,18 @@ def figure(results: PackerComparison | CriteriaResults | RunResults, *files: str
 
     ``petmjx.figure(petmjx.compare_packers(["A", "B"]), "packers.pdf")``
 
-    With the same version of matplotlib, the same results give the same bytes.
+    With the same version of matplotlib, the same results give the same bytes. The figure shows
+
+    - for a comparison of packers: shares and differences, with a sentence about each pair of packers,
+    - for criteria with a run: precision, recall and correlation,
+    - for a search: the share of plans that survive each level,
+    - for another sweep: shares along the sweep's axes,
+    - for a score with confidence: the share of worlds in which each plan stands.
 
     Args:
-        results: the results. A comparison of packers is drawn as shares and differences, with a sentence about each
-            pair of packers; criteria with a run as precision, recall and correlation; a search as the share of plans
-            that survive each level; another sweep as shares along its axes; a score with confidence as the share of
-            worlds in which each plan stands.
-        files: paths to write. The suffix determines the format. A file never appears half-written, and replaces an
-            existing one.
+        results: the results.
+        files: paths to write. The suffix determines the format. Existing files are replaced. A file appears only when
+            it is complete.
 
     Returns:
         The paths of the files.
@@ -50,14 +53,14 @@ def figure(results: PackerComparison | CriteriaResults | RunResults, *files: str
     check_figures(paths)
     with paper_style():
         for path in paths:
-            drawn = _drawn_figure(results)  # the figure is drawn again for each file, since writing a figure changes it
+            drawn = _drawn_figure(results)  # drawn again for each file, since writing a figure changes the figure
             with atomic_write(path) as temporary:
                 write(drawn, temporary, path.suffix.lower().removeprefix("."))
     return paths
 
 
 def check_figures(paths: list[Path]) -> None:
-    """Check that figures can be written, before the results are computed.
+    """Check that figures can be written. Called before the results are computed.
 
     Raises:
         InputError: a suffix is unknown, a path cannot be written, or matplotlib is missing.

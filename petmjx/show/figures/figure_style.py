@@ -1,5 +1,5 @@
-"""The style of figures for papers, and of their files. Text in a file is stored as text, and nothing depends on the
-date."""
+"""The style of figures for papers, and of their files. Text is stored as text, not as outlines. Files do not contain
+the date."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 WIDTH_IN: Final = 6.3
-"""Width of the text of a page (A4 with usual margins), inches."""
+"""Width of the text on a page (A4 with usual margins), inches."""
 
 POINTS: Final = 8.0
 """Size of text, points."""
@@ -19,11 +19,11 @@ POINTS: Final = 8.0
 DOTS_PER_INCH: Final = 200
 
 SETTINGS: Final[Any] = {
-    "svg.fonttype": "none",  # letters are stored as text instead of outlines
-    "svg.hashsalt": "petmjx",  # ids in SVG files are the same each time
-    "pdf.fonttype": 42,  # fonts are TrueType, which journals require
-    "font.family": "DejaVu Sans",  # this font is part of matplotlib
-    "text.parse_math": False,  # a $ in a name does not begin a formula
+    "svg.fonttype": "none",  # store letters as text, not as outlines
+    "svg.hashsalt": "petmjx",  # makes ids in SVG files the same each time
+    "pdf.fonttype": 42,  # TrueType, which journals require
+    "font.family": "DejaVu Sans",  # comes with matplotlib
+    "text.parse_math": False,  # otherwise, a $ in a name would begin a formula
     "font.size": POINTS,
     "axes.titlesize": POINTS,
     "axes.labelsize": POINTS,
@@ -39,7 +39,7 @@ _UNDATED: Final[dict[str, dict[str, Any]]] = {"svg": {"Date": None}, "pdf": {"Cr
 
 @contextmanager
 def paper_style() -> Iterator[None]:
-    """Within the body, set matplotlib's settings for all figures."""
+    """A context in which matplotlib has the settings of figures for papers."""
     from matplotlib import rc_context
 
     with rc_context(SETTINGS), warnings.catch_warnings():
@@ -53,6 +53,6 @@ def write(figure: Any, path: Path, kind: str, dots_per_inch: float = DOTS_PER_IN
 
 
 def wrapped_sentences(sentences: Sequence[str], width_in: float = WIDTH_IN) -> str:
-    """Sentences wrapped into lines that fit below a figure. Each sentence begins a new line."""
-    letters = int(width_in * 72 / (POINTS * 0.55))  # the width of a letter is about 0.55 of its size
+    """Sentences, wrapped into lines that fit below a figure. Each sentence begins a new line."""
+    letters = int(width_in * 72 / (POINTS * 0.55))  # a letter's width is about 0.55 of the size of text
     return "\n".join(line for sentence in sentences for line in textwrap.wrap(sentence, letters))

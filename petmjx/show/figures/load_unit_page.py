@@ -1,7 +1,7 @@
-"""A PDF page about each load unit of a chain, to be sent to others: its four sides, its chance to arrive, and the
-assumptions.
+"""A PDF file with a page about each load unit (loaded pallet) of a chain, to be sent to others. A page shows the four
+sides of the load unit, the probability that it arrives, and the assumptions.
 
-``petmjx report DIR --pdf FILE`` writes it, with matplotlib. docs/chains.md shows an example.
+``petmjx report DIR --pdf FILE`` writes the file, with matplotlib. docs/chains.md shows an example.
 """
 
 from __future__ import annotations
@@ -40,30 +40,32 @@ from petmjx.world.scene import build_scene
 A4_IN: Final = (8.27, 11.69)
 
 MOST_PAGES: Final = 50
-"""Largest number of plans in one file. Each has one page."""
+"""Largest number of pages in a file. There is one page per plan."""
 
 LETTERS: Final = 128
 """Largest number of letters in a line of text."""
 
 FOOTER: Final = 0.045
-"""Height of the line with the versions plus the room above it, as a share of the page."""
+"""Height of the space at the bottom of a page for the line with the versions, as a share of the page."""
 
 SIDES: Final = (("front", 0, 1, 1.0), ("right", 1, 0, -1.0), ("back", 0, 1, -1.0), ("left", 1, 0, 1.0))
-"""Name of a view, the axis across the view, the axis into it, and whether that axis points away from (1) or towards
-(-1) the eye."""
+"""For each view of the load: its name, the horizontal axis in the view, the axis perpendicular to the view, and whether
+the latter points away from the eye (1) or towards the eye (-1). Axis 0 is x, axis 1 is y."""
 
 MIRRORED: Final = frozenset({"back", "left"})
-"""Views in which the axis across the view runs to the left."""
+"""Views in which the horizontal axis points to the left."""
 
 
 def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path) -> int:
-    """Write a page for each plan of a chain. Returns the number of pages.
+    """Write a PDF file with a page for each plan of a chain. Returns the number of pages.
 
     Args:
+        run: the run of the chain.
         plans: the plans of the run, by id.
+        path: the file to write.
 
     Raises:
-        InputError: the run is not that of a chain, is not complete or has too many plans, or none of its plans was
+        InputError: the run is not the run of a chain, is not complete, or has too many plans; or none of its plans was
             found.
     """
     if is_chain(run.info) and run.unfinished:
@@ -89,7 +91,7 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
 
 
 def sentence(row: Mapping[Any, Any]) -> str:
-    """One sentence about a plan's chance to arrive. ``row`` is a row of ``arrivals``."""
+    """Sentences about the share of worlds in which a plan arrives. ``row`` is a row of the table ``arrivals``."""
     judged = row["n_worlds"] - row["n_invalid"]
     if not judged:
         return "No world has a verdict."
@@ -117,7 +119,7 @@ def _page(run: RunResults, plan: Plan, row: Mapping[Any, Any]) -> Any:
         for title, lines in texts
     ]
     wrapped = [(title, text) for title, text in wrapped if text]
-    # long chains have many lines, so lines are made smaller until they fit
+    # a long chain has many lines, so all text is made as small as needed to fit
     top, title_height, line_height = 0.43, 0.03, 0.0135
     height = sum(title_height + line_height * (text.count("\n") + 1) for _, text in wrapped)
     smaller = min(1.0, (top - FOOTER) / height)
@@ -134,7 +136,7 @@ def _page(run: RunResults, plan: Plan, row: Mapping[Any, Any]) -> Any:
 
 
 def _draw_side(axes: Any, plan: Plan, name: str, across: int, into: int, away: float) -> None:
-    """Draw the load seen from one side. Boxes farther away are drawn first."""
+    """Draw the load as seen from one side. Boxes that are farther away are drawn first."""
     from matplotlib.patches import Rectangle
 
     colours = article_colours(plan.articles)
@@ -146,7 +148,7 @@ def _draw_side(axes: Any, plan: Plan, name: str, across: int, into: int, away: f
         axes.add_patch(Rectangle(place, *size, facecolor=colours[box], edgecolor="black", linewidth=0.5))
     left, right, top = low[:, across].min(), high[:, across].max(), high[:, 2].max()
     axes.add_patch(Rectangle((left, -80), right - left, 80, facecolor="0.75", edgecolor="0.4", linewidth=0.5))
-    # all views have the scale of the widest one
+    # all views have the scale of the widest view
     extent = high[:, :2].max(axis=0) - low[:, :2].min(axis=0)
     middle, reach = (left + right) / 2, extent.max() / 2 + 30
     axes.set_xlim((middle + reach, middle - reach) if name in MIRRORED else (middle - reach, middle + reach))
@@ -197,12 +199,14 @@ def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
 
 
 def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
-    """A text that states how much film is around the load, from which leg on, and from which acceleration on the
-    wrapped load slides (formula in docs/wrap.md).
+    """A text about the film: how many turns are around the load, from which leg on, and the smallest acceleration at
+    which the wrapped load slides (formula in docs/wrap.md).
 
     Args:
-        slides_g: smallest acceleration at which the load slides without film, g. It equals the coefficient of friction
-            between load and carrier.
+        run: the run of the chain.
+        plan: the plan.
+        slides_g: smallest acceleration at which the load slides without film, g. This number is the coefficient of
+            friction between load and carrier.
     """
     sim = Simulation.read(run.info["config"]["simulation"])
     legs = [leg for leg in run.info["config"]["sweep"]["legs"] if leg.get("wrap_turns") is not None]
@@ -221,7 +225,7 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
 
 
 def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:
-    """The box with the largest force on its top, in the worlds in which the plan arrives."""
+    """A text about the box with the largest force on its top, in the worlds in which the plan arrives."""
     if not run.keeps_boxes:
         return
     worlds = run.worlds[run.worlds["plan_id"] == plan.plan_id]
@@ -251,7 +255,7 @@ def _remedies(run: RunResults, plan: Plan) -> list[str]:
 
 
 def _assumed(run: RunResults) -> list[str]:
-    """The chain in words: its errors, its legs, and the limits of the model."""
+    """Texts about the assumptions: the errors, the legs of the chain, and the limits of the model."""
     sweep = run.info["config"]["sweep"]
     errors = ", ".join(f"{name} {_value(value)}" for name, value in sweep["axes"].items())
     lines = [f"Chain {printable_name(str(sweep['name']))}; {PLACING} with {errors or 'no errors'}."]

@@ -1,4 +1,5 @@
-"""A figure of packers: each packer's share of standing plans, and the differences of pairs, with intervals."""
+"""A figure that compares packers: the share of each packer's plans that stand, and the difference of this share for
+each pair of packers, with intervals."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from petmjx.show.figures.figure_style import POINTS, WIDTH_IN, wrapped_sentences
 from petmjx.show.pages.palette import OKABE_ITO
 
 ROW_IN: Final = 0.26
-"""Height of the row of a packer or pair, inches."""
+"""Height of the row for a packer or for a pair of packers, inches."""
 
 LINE_IN: Final = 0.155
 """Height of a line of text, inches."""
@@ -23,7 +24,7 @@ _COLOUR: Final = OKABE_ITO[4]
 
 
 def draw_packers(comparison: PackerComparison) -> Any:
-    """A matplotlib figure with the shares on the left, the differences on the right, and a sentence about each pair of
+    """The figure, made with matplotlib: shares on the left, differences on the right, and a sentence about each pair of
     packers below.
 
     Raises:
@@ -56,7 +57,7 @@ def draw_packers(comparison: PackerComparison) -> Any:
 
 
 def _intervals(axes: Any, rows: list[tuple[str, float, float, float]]) -> None:
-    """Draw one dot with its interval per row, in per cent."""
+    """Draw a dot and an interval, in per cent, for each row (name, value, low end, high end)."""
     for place, (_, value, low, high) in enumerate(rows):
         axes.plot([100 * low, 100 * high], [place, place], color=_COLOUR, linewidth=1.4, solid_capstyle="butt")
         axes.plot(100 * value, place, "o", color=_COLOUR, markersize=4)

@@ -39,16 +39,17 @@ _AXES: Final = {
     "yaw_error_deg": "error of yaw, °",
     "drop_height_mm": "height of release, mm",
 }
-"""Descriptions of columns of summaries. A column without a description is shown by its name."""
+"""Name of a column in a run's table ``summary`` → label of an axis of the figure. Other columns are labelled with their
+names."""
 
 
 def draw_answers(run: RunResults) -> Any:
-    """A matplotlib figure of the table ``summary``.
+    """The figure of a run's table ``summary``, made with matplotlib.
 
-    For a search, there is a panel per profile, with a line per direction: the share of all plans that survive each
-    level. For a grid or a sample, the share that stands is drawn with its interval, along each axis that has several
-    values. For a score with confidence, the figure shows the share of worlds in which each plan stands; for a chain,
-    the share in which it arrives.
+    For a search, there is a panel for each profile, with a line for each direction: the share of plans that survive
+    each level. For another sweep, there is a panel for each axis with several values: the share of worlds that stand,
+    with its interval. For a score with confidence, the figure shows the share of worlds in which each plan stands. For
+    a chain, it shows the share of worlds in which each plan arrives.
 
     Raises:
         InputError: the run has no summary, or nothing in its summary can be drawn.
@@ -68,15 +69,14 @@ def draw_answers(run: RunResults) -> Any:
 
 
 def survival_curve(levels: pd.Series[float]) -> tuple[Any, Any]:
-    """A step curve of the share of plans that survive each level. Plans that survive only level 0 do not count as
-    surviving.
+    """A step curve of the share of plans that survive each level.
 
     Args:
-        levels: the largest level that each plan survives. Null means that the plan survives no level, and counts as 0.
+        levels: the largest level that each plan survives. A missing value means that the plan survives no level; it
+            counts as 0.
 
     Returns:
-        Two arrays: (m,) levels in ascending order from 0; and (m,) for each level, the share of plans whose largest
-        level is at least as high.
+        (m,) levels, rising from 0, and (m,) share of plans whose largest level is at least as high.
     """
     survived = np.sort(levels.fillna(0.0).to_numpy(np.float64))
     at = np.unique(np.concatenate(([0.0], survived)))
@@ -93,7 +93,7 @@ def _levels(summary: pd.DataFrame) -> Any:
         for number, direction in enumerate(directions[:MOST_LINES]):
             at, share = survival_curve(rows.loc[rows["direction_deg"] == direction, strength])
             label = "" if pd.isna(direction) else f"{direction:g}°"
-            # the last step falls to 0 at the level at which the last plan fails
+            # above the largest level that any plan survives, the curve falls to 0
             axes.step([*at, at[-1]], [*(100 * share), 0.0], where="pre", label=label, **_line(number))
         axes.set_xlabel(f"{'level, g' if strength.endswith('_g') else 'scale'}")
         axes.set_ylabel("plans that survive it, %")
@@ -106,7 +106,8 @@ def _levels(summary: pd.DataFrame) -> Any:
 
 
 def _line(number: int) -> dict[str, Any]:
-    """Colour and dashes of a line. The styles are chosen so that two lines that coincide are both visible."""
+    """Colour and dashes of line ``number``. Lines have different dashes, so that two lines at the same place are both
+    visible."""
     return {"color": category(number), "linestyle": _DASHES[number % len(_DASHES)]}
 
 
@@ -135,7 +136,7 @@ def _shares(summary: pd.DataFrame) -> Any:
 
 
 def _plans(rows: pd.DataFrame) -> Any:
-    """A figure with a row for each plan: the share of its worlds in which it stands."""
+    """A figure with a row for each plan: the share of the plan's worlds in which it stands or arrives."""
     from matplotlib.figure import Figure
 
     if not len(rows) or len(rows) > MOST_PLANS:
@@ -154,7 +155,7 @@ def _plans(rows: pd.DataFrame) -> Any:
 
 
 def _panels(count: int) -> tuple[Any, list[Any]]:
-    """A figure with panels, two in each row."""
+    """A figure and its ``count`` panels, two in each row."""
     from matplotlib.figure import Figure
 
     if count > MOST_PANELS:

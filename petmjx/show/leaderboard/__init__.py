@@ -1,1 +1,1 @@
-"""A leaderboard of packers: a folder of static pages."""
+"""A leaderboard of packers, as a folder of static HTML pages."""

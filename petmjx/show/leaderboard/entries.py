@@ -1,4 +1,5 @@
-"""The entries of a leaderboard. An entry is a run, or a file of plans that are scored for the board."""
+"""The entries of a leaderboard (board). An entry is given as a run, or as a file of plans. Such plans are simulated for
+the board."""
 
 from __future__ import annotations
 
@@ -32,10 +33,10 @@ REPAIRED: Final = "-repaired"
 """Suffix in the names of entries whose plans were repaired."""
 
 OF_REPAIR: Final = (*OF_RUN, *OF_READING)
-"""Options of runs that are also options of repairs."""
+"""Names of those options of runs that repairs also have."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
-"""Name of a packer → the watcher of its run."""
+"""A function that returns, for the name of a packer, a context with an object that watches the progress of its run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +45,10 @@ class Entry:
 
     Attributes:
         name: name of the packer.
-        run: the run of its plans.
-        plans: the plans of the run that could be found again, by id.
+        run: the run in which the packer's plans were simulated.
+        plans: those plans of the run that were found again, by id.
         ours: whether the packer is part of petmjx.
-        scored: whether the board itself has just simulated all of its plans.
+        scored: whether all plans of the run were simulated for this board just now.
     """
 
     name: str
@@ -58,7 +59,8 @@ class Entry:
 
 
 def packer_sources(paths: Mapping[str, Any] | Sequence[Any]) -> dict[str, Path]:
-    """Name of each packer → its run or its plans. Without names, packers are named after their folders and files.
+    """Name of each packer → folder of its run, or file of its plans. If no names are given, packers get the names of
+    these folders and files.
 
     Raises:
         InputError: there is no path, a path does not exist, a name cannot be the name of a folder, or two packers have
@@ -80,7 +82,7 @@ def packer_sources(paths: Mapping[str, Any] | Sequence[Any]) -> dict[str, Path]:
 
 
 def _name_of(path: Path) -> str:
-    """The name of a folder, or the name of a file without its suffixes."""
+    """The name of a folder, or of a file without its suffixes."""
     path = path.resolve()
     return path.name if path.is_dir() else path.name.partition(".")[0]
 
@@ -99,10 +101,14 @@ def pack_ours(orders: Path, folder: Path) -> dict[str, Path]:
 
 
 def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str, str]:
-    """Name of each entry with repaired plans → the packer whose plans are repaired.
+    """Name of each entry with repaired plans → name of the packer whose plans are repaired.
+
+    Args:
+        names: names of the packers whose plans are repaired.
+        paths: name of each packer → its run or plans.
 
     Raises:
-        InputError: there is no such packer, or another entry has this name.
+        InputError: there is no packer with one of these names, or a packer has the name of such an entry.
     """
     entries = {}
     for name in dict.fromkeys(names):
@@ -120,10 +126,12 @@ def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str,
 def repair_entries(
     names: Mapping[str, str], paths: Mapping[str, Path], folder: Path, options: Mapping[str, Any]
 ) -> dict[str, Path]:
-    """Repair the plans of packers. Returns the name of each entry → the file with its plans.
+    """Repair the plans of packers. Returns the name of each entry → the file with its repaired plans.
 
     Args:
-        names: name of each entry → the packer whose plans are repaired.
+        names: name of each entry → name of the packer whose plans are repaired.
+        paths: name of each packer → its run or plans.
+        folder: folder of the board.
         options: options of ``petmjx.score``. Options that repairs do not have are ignored.
 
     Raises:
@@ -145,11 +153,16 @@ def repair_entries(
 def enter(
     name: str, path: Path, folder: Path, watch: Watch | None, options: Mapping[str, Any], *, ours: bool = False
 ) -> Entry:
-    """Make an entry: use a run unchanged, or score plans into the board's folder. A run that is already there is
-    resumed.
+    """Make an entry. A run is used unchanged. Plans are simulated, with results in the board's folder; if the folder
+    already has results, this run is resumed.
 
     Args:
-        options: options of ``petmjx.score``, for scoring plans.
+        name: name of the packer.
+        path: folder of a run, or plans.
+        folder: folder of the board.
+        watch: see ``Watch``. If None, the run is not watched.
+        options: options of ``petmjx.score`` for plans.
+        ours: whether the packer is part of petmjx.
 
     Raises:
         InputError: plans or options are unusable, or the board's folder has another run.
@@ -169,7 +182,7 @@ def enter(
 
 def keep_plans(entry: Entry, folder: Path) -> str:
     """Write the plans of an entry into the board's folder, so that the board can be made again from this folder.
-    Returns the name of the file; "" if the plans were not found."""
+    Returns the name of the file, or "" if no plans were found."""
     if not entry.plans:
         return ""
     file = folder / PLANS / f"{entry.name}.json"

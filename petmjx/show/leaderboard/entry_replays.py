@@ -1,5 +1,5 @@
-"""Checks the entries of a leaderboard: simulates some of their plans again, and refuses entries that these replays
-contradict."""
+"""Checks the entries of a leaderboard: some plans of each entry are simulated again. If these simulations (replays)
+contradict the verdicts in an entry's run, the entry is refused."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from petmjx.show.leaderboard.entries import Entry
 from petmjx.version import __version__
 
 NEAR_MARGIN: Final = 0.1
-"""If the absolute value of a margin is smaller than this, the verdict may differ between engines and between
-machines."""
+"""Absolute value of a world's margin (distance from a threshold) below which the verdict may differ between engines,
+and between machines."""
 
 NEAR_FLAGS: Final = Flag.SINKING | Flag.MOVING | Flag.KNIFE_EDGE | Flag.TIMESTEP
 """Flags of worlds whose verdicts may also differ between engines and between machines."""
@@ -37,9 +37,10 @@ class Replay:
     """A plan of an entry, simulated again.
 
     Attributes:
+        plan_id: id of the plan.
         claimed: the verdict in the entry's run.
-        verdict, reason: verdict and reason of the replay.
-        near: whether the two verdicts may differ by chance, since the replay is near a threshold or has no valid
+        verdict, reason: the verdict of the replay, and its reason.
+        near: whether the two verdicts may differ by chance, because the replay is near a threshold or has no valid
             verdict.
     """
 
@@ -51,19 +52,19 @@ class Replay:
 
     @classmethod
     def of(cls, plan_id: str, claimed: str, outcome: Outcome) -> Replay:
-        """A replay from its outcome."""
+        """A replay, given the outcome of its simulation."""
         reason = outcome.reason.value
         return cls.from_row(plan_id, claimed, outcome.verdict.value, reason, outcome.margin, int(outcome.flags))
 
     @classmethod
     def from_row(cls, plan_id: str, claimed: str, verdict: str, reason: str, margin: float, flags: int) -> Replay:
-        """A replay from a row of the table ``worlds``."""
+        """A replay, given values in a row of the table ``worlds``."""
         near = verdict not in _VALID or not abs(margin) >= NEAR_MARGIN or bool(flags & NEAR_FLAGS)
         return cls(plan_id, claimed, verdict, reason, near)
 
     @property
     def differs(self) -> bool:
-        """Whether the run claims another verdict."""
+        """Whether the entry's run has another valid verdict."""
         return self.claimed in _VALID and self.verdict != self.claimed
 
 
@@ -72,10 +73,12 @@ class Sample:
     """The replays of an entry.
 
     Attributes:
-        engine: name of the engine that simulated them.
-        exact: whether the run used the same engine and the same version of petmjx, so that verdicts can differ only
-            because of rounding.
-        fault: another fault of the run; "" if there is none.
+        packer: name of the entry.
+        engine: name of the engine of the replays.
+        exact: whether the entry's run used the same engine and the same version of petmjx, so that verdicts can differ
+            only because of rounding.
+        replays: the replays.
+        fault: another fault of the entry's run; "" if there is no other fault.
     """
 
     packer: str
@@ -85,7 +88,7 @@ class Sample:
     fault: str = ""
 
     def with_replays(self, more: Collection[Replay]) -> Sample:
-        """The sample with further replays added. A plan that is already in the sample is not counted again."""
+        """The sample with additional replays. Replays of plans that are already in the sample are ignored."""
         replayed_ids = {replay.plan_id for replay in self.replays}
         return replace(
             self, replays=(*self.replays, *(replay for replay in more if replay.plan_id not in replayed_ids))
@@ -95,9 +98,9 @@ class Sample:
     def refusal(self) -> str:
         """Why the entry is not rated, in one line; "" if it is rated.
 
-        In an ``exact`` sample, a single differing verdict that is not near a threshold refutes the run. In other
-        samples, several such verdicts are needed. Differing verdicts near a threshold refute the run only if there are
-        several of them, and more than half of all replays differ.
+        If the sample is ``exact``, one different verdict refutes the run, unless the replay is near a threshold.
+        Otherwise, at least two such verdicts are needed. If all different verdicts are near a threshold, they refute
+        the run only if there are at least two of them, and if they are more than half of the replays.
         """
         differing = [replay for replay in self.replays if replay.differs]
         firm = [replay for replay in differing if not replay.near]
@@ -119,7 +122,7 @@ class Sample:
 
     @property
     def note(self) -> str:
-        """A line about verdicts that differ without refuting the run; "" if there are none."""
+        """A line about verdicts that differ without refuting the run; "" if no verdict differs."""
         differing = [replay.plan_id for replay in self.replays if replay.differs]
         if not differing or self.refusal:
             return ""
@@ -128,7 +131,7 @@ class Sample:
         return f"{many} that the board simulated again {verb} another verdict here: {first_names(differing)}"
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain values."""
+        """The sample as values for JSON."""
         differing = [replay.plan_id for replay in self.replays if replay.differs]
         plans = [replay.plan_id for replay in self.replays]
         return {"packer": self.packer, "engine": self.engine, "plans": plans, "differ": differing}
@@ -139,15 +142,17 @@ def sample_entry(
 ) -> Sample:
     """Simulate some plans of an entry again.
 
-    The plans are drawn with random numbers from the operating system, so that nobody can predict which plans are
-    checked. Plans that stand according to the run are simulated first, since the rating depends on them.
+    The plans are chosen with random numbers from the operating system, so that nobody can predict which plans are
+    checked. Plans that stand according to the entry's run are chosen first, since the rating depends on them.
 
-    most: number of plans. If a verdict differs on an engine other than the run's, the same number of further plans is
-    simulated.
+    Args:
+        entry: the entry.
+        most: number of plans. If a verdict differs but does not refute the run, the same number of further plans is
+            simulated.
         sim: simulation options of the board.
-        options: run options of the board. If they name no engine, the run's engine is used if it can run on this
-            machine, else ``mujoco``.
-        wanted: ids of the plans to sample; None: all.
+        options: run options of the board. If they name no engine, the engine of the entry's run is used, or ``mujoco``
+            if this engine cannot run on this machine.
+        wanted: ids of the plans from which the sample is chosen. If None, all plans of the run are used.
     """
     config = entry.run.info.get("config", {})
     engine = options.engine if "engine" in options.model_fields_set else str(config.get("engine"))
@@ -184,14 +189,15 @@ def _replay(plan_id: str, claimed: str, row: pd.Series) -> Replay:
 
 
 def _drawn(claimed: Mapping[str, str]) -> list[str]:
-    """All plans that have a valid verdict, in random order, but with plans that stand first."""
+    """Ids of all plans with a valid verdict: first those that stand, then the others, both in random order."""
     valid = [name for name, verdict in claimed.items() if verdict in _VALID]
     shuffled = [valid[at] for at in np.random.default_rng().permutation(len(valid))]
     return sorted(shuffled, key=lambda name: claimed[name] != Verdict.STABLE.value)
 
 
 def _simulate(plans: Sequence[Any], sim: Simulation, options: RunOptions, engine: Any) -> Any:
-    """Score plans. If the run's engine cannot run on this machine, ``mujoco`` is used."""
+    """Simulate plans. If ``engine`` cannot run on this machine, ``mujoco`` is used, unless the user named the
+    engine."""
     engine_name = engine if not isinstance(engine, str) or engine in ENGINES or engine == options.engine else "mujoco"
     for candidate in dict.fromkeys((engine_name, "mujoco")):
         try:

@@ -1,4 +1,5 @@
-"""Rates packers by physics, as a folder of static pages: ``petmjx.leaderboard``."""
+"""``petmjx.leaderboard``: rates packers by simulations of their plans, and writes a folder of static pages (the
+board)."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ from petmjx.show.leaderboard.leaderboard_page import Board, StoryEntry, board_pa
 from petmjx.show.pages.story_page import story_page
 
 MOST_STORIES: Final = 100
-"""Largest number of stories per packer. A story is a page of 0.1 to 1 MB."""
+"""Largest number of stories per packer. A story is a page about the simulation of one plan, and takes 0.1 to 1 MB."""
 
 
 def leaderboard(
@@ -64,38 +65,40 @@ def leaderboard(
 
     ``petmjx.leaderboard({"mine": "mine.json"}, "board", orders="orders.json", baselines=True)``
 
-    The folder contains ``index.html``, ``leaderboard.json`` with the same numbers, and the pages of stories. It also
-    contains all that is needed to make the board again: ``plans/``, ``orders.json``, and the command, which the page
-    shows.
+    The folder contains ``index.html``, ``leaderboard.json`` with the same numbers, and pages about single plans
+    (stories). It also contains all that is needed to make the board again: the folder ``plans``, ``orders.json``, and
+    the command, which ``index.html`` shows.
 
-    Plans are scored into ``runs/`` in this folder. Existing runs are used unchanged, but ``replays`` of their plans are
-    simulated again. If the replays contradict the run of an entry, the entry is not rated, and a ``PlanWarning`` states
-    this.
+    Plans are simulated, with results in the folder ``runs``. Existing runs are used unchanged, but ``replays`` of their
+    plans are simulated again. If these simulations contradict the run of an entry, the entry is not rated, and a
+    ``PlanWarning`` states this.
 
     Args:
-        packers: name → the folder of a run, or plans. Without names, packers are named after their folders and files.
+        packers: name of a packer → folder of a run, or plans. If no names are given, packers get the names of these
+            folders and files.
         out: folder of the site.
         orders: file with the orders of the plans, in any form. The rating then covers these orders, and KPIs are added.
-            Without orders, the rating covers the orders for which any packer has a plan, so the rating of a packer
-            depends on the other packers.
-        baselines: whether to pack the orders with each of petmjx's packers as well.
-        repairs: names of packers whose plans are also repaired (docs/repair.md), and rated as the entry
-            ``NAME-repaired``.
+            If None, the rating covers the orders for which any packer has a plan, so the rating of a packer depends on
+            the other packers.
+        baselines: whether the orders are also packed by each of petmjx's packers, which then take part.
+        repairs: names of packers whose plans are also repaired (docs/repair.md). The repaired plans are rated as an
+            additional entry ``NAME-repaired``.
         stories: number of plans per packer that get a page. Plans that fall while another packer's plan for the same
             order stands come first.
-        replays: number of plans per entry that are simulated again, unless the board has just scored the entry. The
-            plans are drawn at random. The options of these simulations are those of this call; if it gives none, those
-            of the runs, or the defaults if runs differ.
-        watch: function that returns for a packer a context manager with the watcher of its run.
+        replays: number of plans per entry that are simulated again, unless this call has simulated all plans of the
+            entry. The plans are chosen at random. The options of these simulations are those of this call. If this call
+            gives no options, they are those of the runs, or the defaults if runs have different options.
+        watch: function that returns, for the name of a packer, a context with an object that watches the progress of
+            its run.
         overwrite: whether to replace an existing leaderboard.
-        options: options of ``petmjx.score``, for plans that are scored.
+        options: options of ``petmjx.score`` for plans that are simulated.
 
     Returns:
         The path of ``index.html``.
 
     Raises:
-        InputError: there are fewer than two packers; plans, runs or options are unusable; no packer has a run that its
-            replays confirm; or the folder is not writable, or contains something other than a leaderboard.
+        InputError: there are fewer than two packers; plans, runs or options are unusable; the replays of every packer
+            contradict its run; or the folder is not writable, or contains something other than a leaderboard.
     """
     flag_of(baselines, "baselines")
     integer_of(stories, "stories", 0, MOST_STORIES)
@@ -155,8 +158,11 @@ class _RatedEntries:
     """The rated entries and their comparison. Entries that are not rated appear only in ``samples``.
 
     Attributes:
+        entries: the rated entries.
+        comparison: the comparison of these entries.
+        story_entries: the stories.
         options: simulation options of the board.
-        samples: samples of all entries that were simulated again.
+        samples: the replays of each entry of which plans were simulated again.
     """
 
     entries: Sequence[Entry]
@@ -169,8 +175,8 @@ class _RatedEntries:
 def _rated_entries(
     entries: Sequence[Entry], folder: Path, orders: Path | None, options: Mapping[str, Any], stories: int, replays: int
 ) -> _RatedEntries:
-    """Check each entry by samples and stories, which the board simulates itself, and compare the entries whose runs are
-    confirmed."""
+    """Check each entry by simulating some of its plans again (samples and stories), and compare the entries that these
+    simulations do not contradict."""
     runs_by_packer({entry.name: entry.run for entry in entries})
     of_simulation, of_run, _ = sorted_options(options, Confidence)
     sim, run_options = _options_of(of_simulation, entries), RunOptions(**of_run)
@@ -203,8 +209,8 @@ def _rated_entries(
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
-    """The simulation options of the board: those of the call; if it gives none, those of the runs, or the defaults if
-    runs differ."""
+    """The simulation options of the board: those of the call. If the call gives no options, they are those of the runs,
+    or the defaults if runs have different options."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
     if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)
@@ -228,7 +234,7 @@ def _entries(
 
 
 def _is_same(source: Path, target: Path) -> bool:
-    """Whether a file of orders is the board's own file."""
+    """Whether the user's file of orders is the file ``orders.json`` of the board itself."""
     return source.exists() and target.is_file() and not target.is_symlink() and source.samefile(target)
 
 
@@ -239,8 +245,8 @@ def _digest(file: Path) -> str:
 def _stories(
     entries: Sequence[Entry], comparison: PackerComparison, folder: Path, most: int
 ) -> tuple[list[StoryEntry], dict[str, list[Replay]]]:
-    """Make stories of some plans of each packer. Each plan is simulated again as in its run. The simulations are also
-    returned, as replays of each packer."""
+    """Make stories of some plans of each packer. Each of these plans is simulated again, as in its run. Returns the
+    stories, and the name of each packer → these simulations as replays."""
     folder.mkdir(exist_ok=True)
     stories: list[StoryEntry] = []
     replays_by_name: dict[str, list[Replay]] = {}
@@ -258,9 +264,11 @@ def _stories(
 
 
 def worth_telling(comparison: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:
-    """The plans of a packer, sorted by how worth telling their stories are. First come plans that do not stand while
-    another packer's plan does, then other plans that do not stand, then plans that stand while another packer's plan
-    does not, then all others. In each group the largest plans come first."""
+    """Ids of a packer's plans, sorted by how interesting a page about them is.
+
+    First come plans that fall while another packer's plan stands, then other plans that fall, then plans that stand
+    while another packer's plan falls, then all other plans. In each group, the plans with the most boxes come first.
+    """
     mine = comparison.plans[(comparison.plans["packer"] == packer) & comparison.plans["plan_id"].isin(list(plans))]
     lost = set(comparison.decided.loc[comparison.decided["lost_by"] == packer, "plan_id"])
     falls = mine["verdict"] == Verdict.UNSTABLE.value

@@ -1,4 +1,5 @@
-"""The files of a leaderboard: which files will be written, and which existing files are the board's own."""
+"""The files of a leaderboard (board): which files will be written, and which existing files belong to the board, so
+that they may be replaced."""
 
 from __future__ import annotations
 
@@ -25,16 +26,17 @@ ORDERS: Final = "orders.json"
 
 FILES: Final = "files"
 UNFINISHED: Final = "unfinished"
-"""Keys in ``leaderboard.json``: the list of the board's own files, and the mark of an unfinished board."""
+"""Two keys in ``leaderboard.json``: the list of the files that belong to the board, and a mark for an unfinished
+board."""
 
 _MOST_BYTES: Final = 1 << 30
 _NO_FILE: Final = ".none"
-"""A file name that no run has. The name stands for a file in the folder of a run when the path to this folder is
+"""Name of a file that no run has. It stands for any file in the folder of a run when the path of this folder is
 checked."""
 
 
 def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:
-    """The files that a board may have besides its runs, as paths relative to its folder.
+    """The files that a board may have besides those of its runs, as paths relative to the board's folder.
 
     Args:
         packers: names of the packers.
@@ -53,14 +55,14 @@ class BoardFolder:
     """The folder of a leaderboard while it is being made.
 
     Args:
-        folder: the folder, which :meth:`begin` creates.
-        names: the files that will be written, from :func:`names_of`.
-        packers: names of the packers that will be scored into the folder.
+        folder: the folder. :meth:`begin` creates it if it does not exist.
+        packers: names of the packers.
+        names: the files that may be written, from :func:`names_of`.
         inputs: files and folders that are read.
-        overwrite: whether to replace an existing board. An unfinished board is continued even without this option.
+        overwrite: whether to replace an existing board. An unfinished board is continued even if this is False.
 
     Attributes:
-        board_files: the board's own files, as paths relative to its folder.
+        board_files: the files that belong to the board, as paths relative to the board's folder.
 
     Raises:
         InputError: the folder contains something other than a leaderboard, a foreign file with the name of a board's
@@ -89,8 +91,8 @@ class BoardFolder:
         self.check()
 
     def check(self) -> None:
-        """Check again that no foreign file would be replaced or deleted, since hours may have passed since the first
-        check."""
+        """Check that no file would be replaced or deleted that does not belong to the board. This check is repeated,
+        since making a board may take hours."""
         check_outputs(
             [self._folder / name for name in dict.fromkeys((*self._names, *self.board_files, *self._runs))],
             overwrite=self._overwrite,
@@ -100,17 +102,19 @@ class BoardFolder:
         )
 
     def begin(self) -> None:
-        """Create the folder, and write the list of the board's own files before the first of these files."""
+        """Create the folder, and write ``leaderboard.json`` with the list of the board's files, before any of these
+        files is written."""
         self._folder.mkdir(parents=True, exist_ok=True)
         self.board_files |= frozenset(self._names)
         self._write({**self._before, "petmjx": __version__, UNFINISHED: True, FILES: sorted(self.board_files)})
         self._overwrite = True  # from now on, files with these names belong to this board
 
     def finish(self, board: Mapping[str, Any], written: Collection[str]) -> None:
-        """Write ``leaderboard.json``, and delete files that an earlier board has left.
+        """Write ``leaderboard.json``, and delete files of an earlier board that this board does not have.
 
         Args:
-            written: the files, among ``names``, that the board has.
+            board: content of ``leaderboard.json``.
+            written: the files that were written.
         """
         self.check()
         for name in self.board_files.difference(written, (DATA,)):
@@ -142,8 +146,8 @@ def _board_in(folder: Path) -> Mapping[str, Any] | None:
 
 
 def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
-    """The board's own files, from its list. If the board has no list, its own files are those of its packers and
-    stories."""
+    """The files that belong to a board, according to the list in its ``leaderboard.json``. If there is no list, they
+    are the files of its packers and stories."""
     if not board:
         return
     listed = board.get(FILES)
@@ -162,7 +166,7 @@ def _tables(value: Any) -> list[dict[str, Any]]:
 
 
 def _is_a_board_file(name: str) -> bool:
-    """Whether a board may have a file with this name. The check ensures that an edited ``leaderboard.json`` cannot make
+    """Whether a board can have a file with this name. Without this check, an edited ``leaderboard.json`` could make
     petmjx delete other files."""
     path = PurePosixPath(name)
     if len(path.parts) == 1:

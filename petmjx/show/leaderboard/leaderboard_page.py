@@ -1,4 +1,4 @@
-"""The page of a leaderboard."""
+"""The main page of a leaderboard, ``index.html``."""
 
 from __future__ import annotations
 
@@ -45,13 +45,19 @@ _MEANS: Final = {
     "kpi_5": ("kpi_5", ".3f"),
     "utilisation_2m": ("use below 2 m", ".3f"),
 }
-"""Column of ``PackerComparison.packers``, with its heading and its format."""
+"""Name of a column of ``PackerComparison.packers`` → (heading, format)."""
 
 
 @dataclass(frozen=True)
 class StoryEntry:
-    """A story on the board: a plan of a packer, its verdict, and the path of its page relative to the board's
-    folder."""
+    """A story, that is, a page about the simulation of one plan.
+
+    Attributes:
+        packer: name of the packer.
+        plan_id: id of the plan.
+        verdict: verdict of the simulation.
+        file: path of the page, relative to the board's folder.
+    """
 
     packer: str
     plan_id: str
@@ -64,13 +70,16 @@ class Board:
     """The content of the page.
 
     Attributes:
-        rating: a row for each packer, from ``petmjx.analysis.packer_rating.rate``.
-        digests: packer → SHA-256 of the file with its plans in the board's folder. Packers whose plans were not found
-            are missing.
+        entries: the rated entries.
+        comparison: the comparison of these entries.
+        rating: a table with a row for each packer, from ``petmjx.analysis.packer_rating.rate``.
+        digests: name of a packer → SHA-256 of the file with its plans in the board's folder. Packers whose plans were
+            not found are missing.
+        story_entries: the stories.
         orders: whether the board was made with orders.
-        stories: largest number of stories of a packer.
-        options: simulation options for making the board again.
-        samples: samples of all entries whose plans were simulated again, including entries that are not rated.
+        stories: largest number of stories per packer.
+        options: simulation options with which the board can be made again.
+        samples: the replays of each entry of which plans were simulated again, including entries that are not rated.
     """
 
     entries: Sequence[Entry]
@@ -84,7 +93,7 @@ class Board:
     samples: Sequence[Sample]
 
     def to_dict(self) -> dict[str, Any]:
-        """The board as plain values."""
+        """The board as values for ``leaderboard.json``."""
         return {
             "petmjx": __version__,
             "command": self.command,
@@ -102,7 +111,7 @@ class Board:
 
     @property
     def notes(self) -> list[str]:
-        """Lines with reasons to doubt the board."""
+        """Notes for the reader: refused entries, and other reasons to doubt the board."""
         lost = [entry.name for entry in self.entries if entry.name not in self.digests]
         lines = [sample.refusal or sample.note for sample in self.samples if sample.refusal or sample.note]
         lines += self.comparison.notes
@@ -117,7 +126,7 @@ class Board:
 
     @property
     def command(self) -> str:
-        """The command that makes the board again in another folder. This command must be run in the board's folder."""
+        """The command that makes the board again, in another folder. It must be run in the board's folder."""
         entry_names = [entry.name for entry in self.entries if entry.name in self.digests and not entry.ours]
         words = ["petmjx", "leaderboard", *(f"{name}={PLANS}/{name}.json" for name in entry_names)]
         words += ["--orders", ORDERS] if self.orders else []
@@ -133,7 +142,7 @@ class Board:
 def _changed_options(
     values: Mapping[str, Any], usual: Mapping[str, Any], prefix: str = ""
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the dotted name and the value of each option that does not have its default."""
+    """Yield (name with dots, value) of each option whose value differs from its default."""
     for name, value in values.items():
         default = usual.get(name)
         if isinstance(value, Mapping) and isinstance(default, Mapping):
@@ -149,7 +158,7 @@ def _toml(value: Any) -> str:
 
 
 def board_page(board: Board) -> str:
-    """The text of the page."""
+    """The HTML text of the page."""
     first = board.rating.iloc[0]
     orders = count_text(int(first["n_orders"]), "order")
     sections: list[tuple[str, Content]] = [
@@ -192,7 +201,7 @@ def _rating(board: Board) -> Markup:
 
 
 def _rerun_text(board: Board) -> Content:
-    """A text about the entries that were given as runs, with the number of their plans that were simulated again."""
+    """A text with the number of plans that were simulated again, for each entry that was given as a run."""
     parts = [
         f"{count_text(len(sample.replays), 'plan')} of {printable(sample.packer)}"
         for sample in board.samples

@@ -12,12 +12,12 @@ from petmjx.world.history import FLOOR, Contacts
 
 
 class Pushes(NamedTuple):
-    """k pushes, sorted by pair of bodies, then by frame. A push is the total force between two bodies.
+    """k pushes, sorted by pair of bodies, then by frame. A push is the total force between two bodies in one frame.
 
     Attributes:
-        frame: (k,) number of the frame.
-        point: (k, 3) centre of pressure, m: the mean position of the contacts, weighted by their forces.
-        force: (k, 3) sum of the forces on the lower of the two bodies, N. The force's z is never positive.
+        frame: (k,) number of the frame of each push.
+        point: (k, 3) point at which each push acts, m: the mean position of the contacts, weighted by their forces.
+        force: (k, 3) force on one of the two bodies, N: on the body that is pushed down, so that z is never positive.
     """
 
     frame: NDArray[np.int32]
@@ -26,7 +26,7 @@ class Pushes(NamedTuple):
 
 
 def pushes(contacts: Contacts) -> Pushes:
-    """The forces between each pair of bodies that press on each other, in each frame."""
+    """The total force between each pair of bodies that press on each other, in each frame."""
     strength = np.linalg.norm(contacts.force, axis=1)
     body = contacts.body.astype(np.int64) - FLOOR  # shifted, so that the lowest number of a body is 0
     on_later = np.where(body[:, 0] > body[:, 1], -1.0, 1.0)[:, None] * contacts.force

@@ -1,7 +1,7 @@
 """Makes one offline HTML page from its parts.
 
-The page contains its styles, scripts and data, and its content security policy forbids it to request anything else.
-Texts from plans never become markup: in HTML they pass through :func:`escaped_html`, in data through :func:`page`, and
+The page contains its styles, scripts and data. Its content security policy forbids it to request anything else. Texts
+from plans never become markup: :func:`escaped_html` escapes them in HTML, :func:`page` escapes them in data, and
 scripts write them as text.
 """
 
@@ -24,13 +24,13 @@ _BLOCK_NAME: Final = re.compile(r"[a-z][a-z0-9-]*")
 
 
 def escaped_html(value: object) -> str:
-    """A value as text for use within HTML, or within a quoted attribute."""
+    """A value as text that can be used within HTML, or within a quoted attribute."""
     return html.escape(printable(str(value)))
 
 
 def filled_template(template: str, **parts: str) -> str:
-    """A file of ``petmjx/show/pages/static`` in which ``$names`` are replaced by ``parts``. The parts are markup, so
-    plain text must be escaped before."""
+    """The text of a file in ``petmjx/show/pages/static``, in which names such as ``$title`` are replaced by ``parts``.
+    Parts are markup, so plain text must be escaped before."""
     return Template(static_text(template)).substitute(parts)
 
 
@@ -52,11 +52,11 @@ def page(
     Args:
         title: title of the page, as text.
         body: content of the page, as markup.
-        script: name of the entry module in ``petmjx/show/pages/static``. The modules that it imports are included. "":
-            no script.
-        styles: style sheets in the same folder, added after ``base.css``.
+        script: name of the script's main module in ``petmjx/show/pages/static``. Modules that it imports are included.
+            "" if the page has no script.
+        styles: names of style sheets in the same folder, added after ``base.css``.
         info: plain values, which the script reads with ``readInfo()``.
-        blocks: name → result of :func:`petmjx.show.pages.page_arrays.block`, which the script reads with
+        blocks: name → arrays, as text from :func:`petmjx.show.pages.page_arrays.block`. The script reads them with
             ``readBlock(name)``.
 
     Raises:
@@ -78,12 +78,12 @@ def page(
 
 
 def _source(text: str) -> str:
-    """The source for a Content-Security-Policy that allows exactly this text."""
+    """The entry of a Content-Security-Policy that allows exactly this script or style sheet."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _json(info: Mapping[str, Any]) -> str:
-    """JSON that cannot end the HTML element around it: ASCII only, and without ``<``, ``>`` and ``&``."""
+    """JSON that cannot end the HTML element in which it is: ASCII only, and without ``<``, ``>`` and ``&``."""
     text = json.dumps(to_json(info), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

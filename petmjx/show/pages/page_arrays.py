@@ -1,8 +1,8 @@
 """Compact arrays in a page: deflated bytes in base64, which ``petmjx/show/pages/static/blocks.js`` reads.
 
-A *block* consists of the length of the header (4 bytes), the header (JSON, padded with spaces to a multiple of 8
-bytes), and the arrays, each of which starts at a multiple of 8 bytes. All numbers are little-endian. The block is
-deflated (zlib) and stored in base64.
+A *block* is a text that contains several arrays. Before it is deflated (zlib) and encoded in base64, a block consists
+of the length of the header (4 bytes), the header (JSON, padded with spaces so that the arrays begin at a multiple of 8
+bytes), and the arrays, each of which begins at a multiple of 8 bytes. All numbers are little-endian.
 """
 
 from __future__ import annotations
@@ -19,15 +19,18 @@ from numpy.typing import NDArray
 
 _TYPES: Final = {"int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"}
 _MISSING: Final = -32768
-"""The value that represents NaN among int16 numbers."""
+"""The int16 number that represents NaN."""
 _LARGEST: Final = 32767
 _ALIGNED: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
 class PackedArray:
-    """An array as stored in a block. The original numbers are ``values`` × ``scale`` + ``offset``. With ``steps``, each
-    row of axis 0 holds the differences from the row before, modulo the range of the type; these deflate better."""
+    """An array as stored in a block.
+
+    The original numbers are ``values`` × ``scale`` + ``offset``. If ``steps`` is True, each row along axis 0 is the
+    difference from the row before, modulo the range of the type. Differences deflate better.
+    """
 
     values: NDArray[Any]
     scale: float | None = None
@@ -36,8 +39,8 @@ class PackedArray:
 
 
 def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> PackedArray:
-    """Store floats as int16. The range of the floats is divided into 65,534 equal parts, so the error is at most half a
-    part. NaN is kept.
+    """Store floats as int16. The range of the floats is divided into 65,534 equal parts, so errors are at most half a
+    part. NaN stays NaN.
 
     Args:
         values: floats of any shape. Infinities become NaN.
@@ -74,7 +77,8 @@ def _differences(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def block(columns: Mapping[str, NDArray[Any] | PackedArray]) -> str:
-    """The text of a block with these arrays, by name. Plain arrays are stored unchanged.
+    """The text of a block with the given arrays (name → array). Arrays that are not a ``PackedArray`` are stored
+    unchanged.
 
     Raises:
         ValueError: an array has a type other than floats and integers of up to 32 bits.

@@ -1,7 +1,7 @@
-"""Scripts and styles of pages. Files of ``petmjx/show/pages/static`` are joined into one text each.
+"""Scripts and styles of pages. Files of ``petmjx/show/pages/static`` are joined into one script and one style sheet.
 
-Scripts are ES modules, so that editors, linters and Node understand them. Modules inside one file cannot import each
-other. So each module becomes a function that is called once and returns the module's exports.
+Script files are ES modules, so that editors, linters and Node understand them. But modules within one file cannot
+import each other. So each module becomes a function that is called once and returns the module's exports.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ _EXPORTED: Final = re.compile(r"^export (?:async function|function|const|class) 
 
 @functools.cache
 def static_text(name: str) -> str:
-    """The text of a file of ``petmjx/show/pages/static``."""
+    """The text of a file in ``petmjx/show/pages/static``."""
     return files("petmjx.show.pages").joinpath("static", name).read_text(encoding="utf-8")
 
 
 def joined_modules(entry: str) -> str:
-    """Join a module and all modules that it imports into one module. The exports of ``viewer.js`` are then in the
-    object ``viewer_js``.
+    """The text of one module that contains a module and all modules that it imports. The exports of ``viewer.js``, for
+    example, are then in the object ``viewer_js``.
 
     Raises:
         ValueError: modules import each other; or an import or export has a form other than ``import {a, b} from
@@ -53,10 +53,10 @@ def _gather(name: str, texts: dict[str, str], trail: tuple[str, ...]) -> None:
 
 
 def _object_import(imported: re.Match[str]) -> str:
-    """Replace an import by an access to the object of its module."""
+    """The statement that replaces an import: it reads names from the object with the module's exports."""
     return f"const {imported[1].removeprefix('* as ')} = {imported[2]}_js;"
 
 
 def joined_styles(names: Sequence[str]) -> str:
-    """Join style sheets, in order."""
+    """The text of several style sheets, in order."""
     return "\n".join(static_text(name) for name in names)

@@ -1,4 +1,4 @@
-"""Colours for pages and pictures that colour-blind people can distinguish. All are sRGB, as ``#rrggbb``."""
+"""Colours for pages and pictures that colour-blind people can distinguish, in sRGB, as ``#rrggbb``."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from petmjx.show.pages.page_scripts import static_text
 Rgb = tuple[float, float, float]
 
 OKABE_ITO: Final = ("#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7")
-"""Okabe and Ito, "Color Universal Design", 2008, without black."""
+"""The colours of Okabe and Ito, "Color Universal Design", 2008, without black."""
 
 _TONES: Final = (0.0, 0.45, -0.4)
-"""Tones of the hues. Pure tones are used first; once all hues are used, lighter tones follow, and then darker tones."""
+"""Tones in which the colours are used, one after another: pure, lighter (mixed with white), and darker (mixed with
+black)."""
 
 RAMP_COLOURS: Final = 64
 
-# The ramp is a path through the colour space OKLab, from dark blue through green to yellow.
-# Source of OKLab: Ottosson, "A perceptual color space for image processing", 2020.
-# Lightness grows evenly, so the order of values is visible even without hues.
+# The ramp (colours for values from small to large) is a path through the colour space OKLab, from dark blue through
+# green to yellow (Ottosson, "A perceptual color space for image processing", 2020). Lightness grows evenly, so the
+# order of values is visible even without hues.
 _LIGHTNESS: Final = (0.36, 0.93)
 _HUE_DEG: Final = (278.0, 103.0)
 _CHROMA: Final = 0.15
 
 
 def article_colours(articles: Sequence[str]) -> list[str]:
-    """A colour for each box. All boxes of an article have the same colour. The most frequent articles get pure
-    colours."""
+    """The colour of each box, given the article of each box. All boxes of an article have the same colour. The most
+    frequent articles get pure colours."""
     counts = Counter(articles)
     ranked = sorted(counts, key=lambda article: (-counts[article], articles.index(article)))
     colours = {article: category(number) for number, article in enumerate(ranked)}
@@ -38,7 +39,7 @@ def article_colours(articles: Sequence[str]) -> list[str]:
 
 
 def category(number: int) -> str:
-    """The colour of a category; categories are numbered from 0. After 21 categories, the colours repeat."""
+    """The colour of category ``number``, from 0. After 21 categories, colours repeat."""
     hue, tone = OKABE_ITO[number % len(OKABE_ITO)], _TONES[number // len(OKABE_ITO) % len(_TONES)]
     towards = 1.0 if tone > 0 else 0.0
     red, green, blue = (part + abs(tone) * (towards - part) for part in rgb_of(hue))
@@ -51,25 +52,25 @@ def ramp() -> list[str]:
 
 
 def rgb_of(colour: str) -> Rgb:
-    """Convert ``#rrggbb`` to shares from 0 to 1."""
+    """Red, green and blue, from 0 to 1, of a colour ``#rrggbb``."""
     red, green, blue = (int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5))
     return red, green, blue
 
 
 def hex_of(rgb: Rgb) -> str:
-    """Convert shares from 0 to 1 to ``#rrggbb``."""
+    """The colour ``#rrggbb`` with the given red, green and blue, from 0 to 1."""
     return "#" + "".join(f"{round(255 * min(max(part, 0.0), 1.0)):02x}" for part in rgb)
 
 
 def look() -> dict[str, Any]:
-    """How boxes look, read from ``petmjx/show/pages/static/look.js``."""
+    """The appearance of boxes and walls, read from ``petmjx/show/pages/static/look.js``."""
     _, _, json_text = static_text("look.js").partition("LOOK = ")
     appearance: dict[str, Any] = json.loads(json_text.rstrip().removesuffix(";"))
     return appearance
 
 
 def _on_path(share: float) -> str:
-    """The colour at a position on the path (0 to 1), with the largest chroma that sRGB allows."""
+    """The colour at a position on the ramp, from 0 to 1. Its chroma is reduced as far as sRGB requires."""
     lightness, hue = (low + share * (high - low) for low, high in (_LIGHTNESS, _HUE_DEG))
     chroma = _CHROMA
     while True:
@@ -81,7 +82,7 @@ def _on_path(share: float) -> str:
 
 
 def _linear_of(lightness: float, a: float, b: float) -> Rgb:
-    """Convert OKLab to linear sRGB, with the matrices of Ottosson's definition."""
+    """Linear sRGB of a colour in OKLab, with the matrices of Ottosson's definition."""
     long = (lightness + 0.3963377774 * a + 0.2158037573 * b) ** 3
     middle = (lightness - 0.1055613458 * a - 0.0638541728 * b) ** 3
     short = (lightness - 0.0894841775 * a - 1.2914855480 * b) ** 3
@@ -93,5 +94,5 @@ def _linear_of(lightness: float, a: float, b: float) -> Rgb:
 
 
 def _srgb_encoding(linear: float) -> float:
-    """Apply sRGB's transfer function (IEC 61966-2-1)."""
+    """The sRGB value of a linear value: sRGB's transfer function (IEC 61966-2-1)."""
     return 12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055

@@ -1,4 +1,5 @@
-"""The page about how files are read: pictures of plans, columns, units and axes, and the other readings."""
+"""The page about how files of other tools are read: pictures of plans, columns, units and axes, and other possible
+readings."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from petmjx.version import __version__
 _MOST_PICTURES: Final = 4
 """Largest number of plans of a file that are drawn."""
 _MOST_BOXES: Final = 8
-"""Largest number of boxes whose numbers are shown. This number is enough to compare the boxes with the file."""
+"""Largest number of boxes of a plan whose sizes, corners and masses are listed."""
 _MOST_LINES: Final = 20
 """Largest number of lines about odd and skipped plans."""
 
@@ -30,21 +31,22 @@ _FACTS: Final = {
     "origin": "origin",
     "order": "packing order",
 }
-"""Field of a reading → its heading."""
+"""Name of a field of ``Reading`` → its heading."""
 _WORDS: Final = {
     "sizes": {"placed": "as placed", "item": "before turning"},
     "rule": ROTATION_RULES,
     "origin": {"given": "as in the file", "middle": "the middle of the carrier", "floor": "below the deck"},
     "order": {"sequence": "by its column", "rows": "as the rows", "height": "from the ground up"},
 }
-"""Field of a reading → value → description."""
+"""Name of a field of ``Reading`` → value → description of the value."""
 
 
 def reading_page(plan_set: PlanSet, infos: Sequence[Mapping[str, Any]]) -> str:
-    """One offline HTML file that shows how files are read.
+    """The text of an offline HTML file that shows how files are read.
 
     Args:
-        infos: the records of ``petmjx.show.file_info.file_infos``.
+        plan_set: the plans in the files.
+        infos: one record per file, from ``petmjx.show.file_info.file_infos``.
     """
     sections = "".join(
         _section(record, [plan for plan in plan_set if plan.source == record["file"]]) for record in infos
@@ -93,7 +95,7 @@ def _conventions(reading: Mapping[str, Any]) -> str:
 
 
 def _columns(reading: Mapping[str, Any]) -> str:
-    """The section about the columns, and about other readings with a similar cost."""
+    """The section about the columns of the file, and about other possible readings."""
     html = f"<h3>Columns</h3>{_table(('in petmjx', 'in the file'), reading['columns'].items())}"
     if reading["unused"]:
         html += f"<p>Not used: {escaped_html(', '.join(reading['unused']))}</p>"
@@ -107,7 +109,7 @@ def _columns(reading: Mapping[str, Any]) -> str:
 
 
 def _first_boxes(plan: Plan) -> str:
-    """The numbers of the first boxes in petmjx's form."""
+    """A table of the first boxes of a plan, as petmjx reads them."""
     rows = [
         (box, plan.articles[box], _lengths(plan.size_mm[box]), _lengths(plan.corner_mm[box]), f"{plan.mass_kg[box]:g}")
         for box in range(min(plan.n_boxes, _MOST_BOXES))

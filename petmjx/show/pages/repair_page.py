@@ -30,10 +30,10 @@ def write_repair_page(repairs: Repairs, path: Path) -> None:
 
 
 def repair_page(repairs: Repairs) -> str:
-    """One offline HTML file. For each plan that did not stand, it has two pictures of the end of the simulation, and
-    the changes.
+    """The text of an offline HTML file about repairs. For each plan that did not stand, it shows the changes, and two
+    pictures: the end of the simulation before and after the repair.
 
-    Both plans are simulated once more to make the pictures.
+    To make the pictures, both plans are simulated once more.
     """
     fell = [repaired for repaired in repairs.each if not repaired.trial_before.stands]
     standing = len(repairs.each) - len(fell)
@@ -78,8 +78,8 @@ def _heading(repaired: Repaired) -> str:
 
 
 def _numbers(repaired: Repaired) -> list[int]:
-    """For each box of the repaired plan, its number in the original plan. Added sheets have the numbers after the last
-    box of the original plan."""
+    """The number in the original plan of each box of the repaired plan. Sheets that the repair added have numbers after
+    the last box of the original plan."""
     from petmjx.repairs.changes import applied
     from petmjx.repairs.drafts import Draft
 
@@ -98,7 +98,8 @@ def _picture(title: str, story: Story, marked: Collection[int], numbers: list[in
 
 
 def _facts(repaired: Repaired) -> str:
-    """A line with the cost, and with the shares of worlds with errors in which the plan stands."""
+    """A line with the cost of the repair, the shares of worlds with errors in which the plan stands, and the number of
+    plans that were simulated."""
     facts = [("cost", f"{repaired.cost:.2f}")] if repaired.stands else []
     for name, share in (("before", repaired.share_before), ("after", repaired.share_after)):
         if share is not None:

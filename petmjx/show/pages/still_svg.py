@@ -22,7 +22,7 @@ from petmjx.show.pages.story_data import framed_corners
 from petmjx.world.rotation import corners, rotations
 from petmjx.world.scene import IDENTITY_QUAT, build_scene
 
-# The first view of petmjx/show/pages/static/camera.js, but without perspective.
+# the same view as the first view of petmjx/show/pages/static/camera.js, but without perspective
 _LOOK: Final = look()
 _AZIMUTH, _ELEVATION = _LOOK["view"]["azimuth"], _LOOK["view"]["elevation"]
 _TOWARDS: Final = np.array(
@@ -36,18 +36,19 @@ _SUNWARD: Final = np.array(_LOOK["sunward"]) / np.linalg.norm(_LOOK["sunward"])
 _WIDTH: Final = 800.0
 _MARGIN: Final = 12.0
 _TOUCHING_M: Final = 1e-3
-"""Boxes that overlap by at most this depth still count as side by side."""
+"""Largest overlap of two boxes that still count as side by side, m."""
 
-# The four corners around each face of a box: −x, +x, −y, +y, −z, +z.
+# numbers of the four corners of each face of a box: −x, +x, −y, +y, −z, +z
 _FACES: Final = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
 def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequence[int] | None = None) -> str:
-    """The last frame of a story as SVG.
+    """The last frame of a story (the simulation of one plan) as SVG.
 
     Args:
-        marked: boxes that are outlined; None: the first box to fail.
-        numbers: numbers by which the picture names the boxes; None: the boxes' numbers in the plan.
+        story: the story.
+        marked: numbers of the boxes that are outlined. If None, the first box to fail is outlined.
+        numbers: the number that the picture shows for each box. If None, it shows the boxes' numbers in the plan.
     """
     marked = (story.outcome.culprit,) if marked is None else marked
     history, scene = story.history, story.scene
@@ -103,12 +104,15 @@ def _svg(
     """The boxes of a plan and the boards of its carrier as SVG.
 
     Args:
-        boxes: centres, axes and half sizes as in ``drawing_order``, first of the shown boxes, then of the boards.
-        shown: row in the plan of each shown box.
-        numbers: numbers by which the picture names the shown boxes.
+        boxes: centres, axes and half sizes, as in ``drawing_order``, first of the boxes that are drawn, then of the
+            carrier's boards and walls.
+        plan: the plan.
+        shown: number in the plan of each box that is drawn.
+        numbers: the number that the picture shows for each of these boxes.
         fit: the result of ``_picture_fit``.
-        marked: rows of the boxes that are outlined.
-        n_walls: number of walls, which are the last boards, and are drawn as panes.
+        marked: numbers in the plan of the boxes that are outlined.
+        n_walls: number of walls. They are the last entries in ``boxes``, and are drawn transparent.
+        label: description of the picture for screen readers.
     """
     n_boards = len(boxes[0]) - len(shown)
     colours = article_colours(plan.articles)
@@ -132,19 +136,20 @@ def _svg(
 
 
 def _projection(points: FloatArray) -> FloatArray:
-    """(…, 2) positions in the picture, m to the right and downwards."""
+    """(…, 2) positions of (…, 3) points in the picture, m to the right and downwards."""
     return np.stack([points @ _RIGHT, points @ _DOWN], axis=-1)
 
 
 def _picture_fit(
     points: FloatArray, framed: tuple[FloatArray, FloatArray] | None = None
 ) -> tuple[FloatArray, float, float]:
-    """The upper left corner (2,), the pixels per m, and the height of a picture.
+    """How the scene fits into the picture: (2,) position of the picture's upper left corner, as in ``_projection``, the
+    number of pixels per m, and the height of the picture, px.
 
     Args:
-        points: corners of all boxes.
-        framed: lowest and highest corner of the scene. Boxes far away from it are cut off. None: the picture shows all
-            boxes.
+        points: (…, 3) corners of all boxes, m.
+        framed: lowest and highest corner of the part of the scene that the picture must show. Boxes far outside are cut
+            off. If None, the picture shows all boxes.
     """
     projected = _projection(points).reshape(-1, 2)
     if framed is not None:
@@ -161,7 +166,7 @@ def _picture_fit(
 
 
 def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
-    """One face of a box as a polygon; "" if the face is turned away from the eye."""
+    """A face of a box as an SVG polygon; "" if the face is turned away from the eye."""
     normal = axes[:, number // 2] * (1 if number % 2 else -1)
     if normal @ _TOWARDS <= 1e-9:
         return ""
@@ -174,12 +179,14 @@ def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
 def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[int]:
     """The order in which boxes must be drawn so that near boxes cover the boxes behind them.
 
-    If the plane through a face of one box has the other box on its far side, this plane determines which box is nearer.
-    If no face separates two boxes, or if boxes form a cycle in which each is behind the next, they are ordered by the
-    distance of their centres.
+    If the plane through a face of one box separates it from another box, the plane determines which of the two boxes is
+    nearer to the eye. If no such plane separates two boxes, or if boxes form a cycle in which each box is behind the
+    next, boxes are ordered by the distance of their centres from the eye.
 
     Args:
-        pos: (k, 3) centres; axes: (k, 3, 3) the columns are their axes; half: (k, 3) half sizes; all in m.
+        pos: (k, 3) centres of the boxes, m.
+        axes: (k, 3, 3) rotation matrices of the boxes. The columns are the boxes' axes.
+        half: (k, 3) half sizes of the boxes, m.
     """
     before = _before(pos, axes, half)
     depth = pos @ _TOWARDS
@@ -197,7 +204,7 @@ def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[i
 
 
 def _before(pos: FloatArray, axes: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
-    """(k, k): whether the row's box must be drawn before the column's box."""
+    """(k, k) whether the box of the row must be drawn before the box of the column."""
     points = corners(pos, axes, half)
     flat = _projection(points)
     low, high = flat.min(axis=1), flat.max(axis=1)

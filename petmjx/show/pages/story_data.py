@@ -1,4 +1,5 @@
-"""The data in the page of a story: values for its script, and its frames as arrays."""
+"""The data in the page of a story (the simulation of one plan): values for the page's script, and arrays with the
+story's frames."""
 
 from __future__ import annotations
 
@@ -20,16 +21,17 @@ from petmjx.world.job import FORCE
 
 _FAR_M: Final = 0.8
 _FAR_SHARE: Final = 0.5
-"""A box is not framed if its distance from the pallet exceeds both ``_FAR_M`` and this share of the pallet's height."""
+"""Distance from the planned load up to which the view must show boxes at the end: ``_FAR_M`` + this share of the load's
+height."""
 _LOST_M: Final = 50.0
-"""Boxes farther away than this are not drawn. Boxes this far away occur in simulations that became numerically
-unstable. If such boxes were drawn, all other positions would be stored less precisely."""
+"""Distance from the origin beyond which boxes are not drawn, m. Such boxes occur in simulations that became numerically
+unstable. If they were drawn, all other positions would be stored less precisely."""
 _ARROW_M: Final = 0.45
-"""Room to the left of the carrier for the arrow of gravity (petmjx/show/pages/static/arrows.js)."""
+"""Width of the space to the left of the carrier for the arrow of gravity, m (petmjx/show/pages/static/arrows.js)."""
 
 
 def story_info(story: Story) -> dict[str, Any]:
-    """The values that the script reads with ``readInfo()``. Lengths are in m unless their name contains mm."""
+    """The values that the page's script reads with ``readInfo()``. Lengths are in m unless their name contains mm."""
     limits, outcome = thresholds_of(story), story.outcome
     first = None
     if outcome.culprit >= 0:
@@ -49,7 +51,7 @@ def story_info(story: Story) -> dict[str, Any]:
 
 
 def _boxes(story: Story) -> dict[str, Any]:
-    """Columns of the boxes, in packing order."""
+    """Properties of the boxes: name → one value per box, in packing order."""
     plan, metrics = story.plan, story.outcome.boxes
     return {
         "article": [printable(name) for name in plan.articles],
@@ -77,8 +79,8 @@ def placed_s(history: History) -> FloatArray:
 
 
 def _drive(story: Story) -> dict[str, Any] | None:
-    """The drive: its kind, "force" or "acceleration", and the value that corresponds to 1 g. None if there is no
-    drive."""
+    """What shakes the carrier: its kind ("force" or "acceleration"), its name, and the value that corresponds to 1 g.
+    None if nothing shakes the carrier."""
     if story.drive is None or not np.any(story.history.drive):
         return None
     kind = story.drive.excitation.kind
@@ -87,8 +89,8 @@ def _drive(story: Story) -> dict[str, Any] | None:
 
 
 def framed_corners(story: Story) -> tuple[FloatArray, FloatArray]:
-    """(3,) lowest and (3,) highest corner of the volume that the view frames: the carrier, the plan, and the boxes that
-    are near the plan at the end."""
+    """(3,) lowest and (3,) highest corner of the volume that the view must show, m: the carrier, the planned load, and
+    the boxes that are near the planned load at the end."""
     scene = story.scene
     low = np.vstack([scene.target - scene.half_size, scene.carrier.low]).min(axis=0)
     high = np.vstack([scene.target + scene.half_size, scene.carrier.high]).max(axis=0)
@@ -102,7 +104,8 @@ def framed_corners(story: Story) -> tuple[FloatArray, FloatArray]:
 
 
 def story_blocks(story: Story) -> dict[str, str]:
-    """The blocks that the script reads with ``readBlock``: ``frames``, and ``contacts`` if they were recorded."""
+    """The arrays that the page's script reads with ``readBlock``: the block ``frames``, and the block ``contacts`` if
+    contacts were recorded."""
     blocks = {"frames": block(_frames(story, thresholds_of(story)))}
     if story.history.contacts is not None:
         blocks["contacts"] = block(_contacts(story.history.contacts))
@@ -110,9 +113,11 @@ def story_blocks(story: Story) -> dict[str, str]:
 
 
 def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | PackedArray]:
-    """The columns for f frames of n boxes. ``shift_mm`` and ``tilt_deg`` are the values to which the limits apply.
+    """The arrays of the block ``frames``, for f frames of n boxes. ``shift_mm`` and ``tilt_deg`` are the values to
+    which the thresholds apply.
 
-    Forces are stored as square roots with their sign, since impacts are a thousand times as large as forces at rest.
+    Instead of a force, its square root is stored, with the force's sign, since impacts are a thousand times as large as
+    forces at rest.
     """
     history = story.history
     n_frames, n = history.pos.shape[:2]
@@ -137,8 +142,8 @@ def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | Packed
 
 
 def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | PackedArray]:
-    """One force for each frame and pair of bodies. The rows of a pair are adjacent, so each row differs little from the
-    row before, and the rows deflate well."""
+    """The arrays of the block ``contacts``: one force for each pair of bodies and each frame. The rows of a pair are
+    adjacent, so each row differs little from the row before, and the rows deflate well."""
     forces = pushes(contacts)
     return {
         "frame": integer_column(forces.frame, steps=True),

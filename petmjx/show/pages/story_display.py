@@ -1,4 +1,4 @@
-"""Shows stories in notebooks: the result of ``petmjx.tell`` appears as a page that can be played and turned."""
+"""Shows stories (results of ``petmjx.tell``) in notebooks, as a page that can be played and turned."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FRAME_HEIGHT_PX = 760
 
 
 def story_as_html(story: Story) -> str:
-    """The page of a story inside a frame, so that its styles do not mix with those of the notebook."""
+    """The page of a story inside an HTML frame, so that its styles do not mix with those of the notebook."""
     page, title = html.escape(story_page(story)), html.escape(repr(story))
     style = f"width: 100%; height: {FRAME_HEIGHT_PX}px; border: 0"
     return f'<iframe title="{title}" srcdoc="{page}" style="{style}"></iframe>'

@@ -1,4 +1,5 @@
-"""The page of one story: the pallet in 3D over time, the first box to fail, and the numbers of all boxes."""
+"""The page of one story (the simulation of one plan): the pallet in 3D over time, the first box to fail, and a table of
+all boxes."""
 
 from __future__ import annotations
 
@@ -15,8 +16,8 @@ from petmjx.version import __version__
 
 
 def story_page(story: Story) -> str:
-    """One offline HTML file in which a story can be played, turned and inspected. Without WebGL, it shows a still
-    picture and numbers.
+    """An offline HTML file in which a story can be played, turned and inspected. Without WebGL, it shows a still
+    picture and a table.
 
     Returns:
         The text of the file, to be written as UTF-8.
@@ -49,7 +50,7 @@ def story_page(story: Story) -> str:
 
 
 def _notes(story: Story) -> list[str]:
-    """Warnings for the reader, one line each."""
+    """Notes for the reader, one line each."""
     notes = notes_in_words(story)
     if story.drive is not None and not np.any(story.history.drive):
         name = story.drive.excitation.name
@@ -58,7 +59,7 @@ def _notes(story: Story) -> list[str]:
 
 
 def _summary(story: Story) -> str:
-    """The number of boxes, and the reason of the verdict."""
+    """A sentence with the number of boxes and the reason of the verdict."""
     outcome = story.outcome
     placed = "" if outcome.n_placed == outcome.n_boxes else f"{outcome.n_placed} of "
     boxes = f"{placed}{count_text(outcome.n_boxes, 'box', 'boxes')} placed"
@@ -75,12 +76,12 @@ _COLUMNS = (
     ("rest_force_n", "force on top at rest, N", "z.1f"),
     ("drop_s", "dropped, s", ".2f"),
 )
-"""The columns of numbers: name in ``story_info``, heading with the unit, and format. In the z of forces, -0.0 is shown
-as 0.0."""
+"""The columns with numbers: name in ``story_info``, heading with the unit, and format. The z in the format of forces
+turns -0.0 into 0.0."""
 
 
 def _table(story: Story, boxes: dict[str, Any]) -> str:
-    """The numbers of all boxes as an HTML table."""
+    """The HTML table with one row per box."""
     heads = ['<th scope="col">box</th>', '<th scope="col" class="text">article</th>']
     heads += ['<th scope="col" class="text">item</th>', '<th scope="col">size, mm</th>']
     heads += [f'<th scope="col">{title}</th>' for _, title, _ in _COLUMNS]

@@ -1,1 +1,1 @@
-"""Pictures, films and recordings of the story of one plan, drawn without a display (docs/seeing.md)."""
+"""Pictures, films and recordings of a story (the simulation of one plan), drawn without a display (docs/seeing.md)."""

@@ -1,4 +1,5 @@
-"""Films of a story, written frame by frame: GIF with Pillow, MP4 (H.264) with the ffmpeg of imageio-ffmpeg."""
+"""Films of a story (the simulation of one plan), written frame by frame: GIF with Pillow, and MP4 (H.264) with the
+ffmpeg of imageio-ffmpeg."""
 
 from __future__ import annotations
 
@@ -26,21 +27,21 @@ if TYPE_CHECKING:
 Progress = Callable[[int], None]
 
 HELD_S: Final = 2.0
-"""How long a film shows its last frame, s."""
+"""Time for which a film shows its last frame, s."""
 
 USUAL_LONGEST_S: Final = 20.0
-"""Largest length of a film if no speed is given, s. Such a film runs in real time, or faster if it would last longer
-than this in real time."""
+"""Longest duration of a film if no speed is given, s. A film that would last longer in real time runs faster than real
+time."""
 
 MOST_FRAMED: Final = 400
-"""Largest number of frames to which the camera of a film is fitted."""
+"""Largest number of frames of the history to which the camera of a film is fitted."""
 
 GIF_COLOURS: Final = 255
-"""Number of colours in a GIF. The last of the 256 colours is reserved for pixels that do not change."""
+"""Number of colours in a GIF. The last of the 256 possible colours marks pixels that do not change."""
 
 
 def film_times(story: Story, speed: float, fps: float) -> list[float]:
-    """The times of the frames of a film, s, from the first frame of the story to its last."""
+    """The times of a film's frames, s, from the first frame of the story to its last frame."""
     first, last = float(story.history.time_s[0]), float(story.history.time_s[-1])
     count = math.floor((last - first) * fps / speed + 1e-9)
     times = [first + number * speed / fps for number in range(count + 1)]
@@ -48,22 +49,21 @@ def film_times(story: Story, speed: float, fps: float) -> list[float]:
 
 
 def usual_speed(story: Story) -> float:
-    """The smallest whole multiple of real time with which the film lasts at most ``USUAL_LONGEST_S``; 1 is real
-    time."""
+    """The smallest speed with which a film lasts at most ``USUAL_LONGEST_S``, as a whole multiple of real time."""
     lasts_s = float(story.history.time_s[-1] - story.history.time_s[0])
     return float(max(1, math.ceil(lasts_s / USUAL_LONGEST_S)))
 
 
 def spread_times(story: Story) -> list[float]:
-    """Times, s, spread over a story, from which a palette can be made: some while boxes are placed and some while they
-    fall, so that their pictures contain all colours of the film."""
+    """Times of a story, s, whose pictures together contain all colours of the film: some while boxes are placed, and
+    some while boxes fall."""
     first, last = float(story.history.time_s[0]), float(story.history.time_s[-1])
     signs = [story.outcome.first_sign_s] if math.isfinite(story.outcome.first_sign_s) else []
     return sorted([first + share * (last - first) for share in (0.25, 0.5, 0.75, 1.0)] + signs)
 
 
 def film_frames(story: Story, look: PictureStyle, speed: float, times: list[float]) -> Iterator[Image]:
-    """The pictures of a film at these times, s, from one camera that frames the whole story."""
+    """The pictures of a film at the given times, s. The camera does not move, and shows the whole story."""
     count = len(story.history.time_s)
     framed_numbers = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
     overlay = Overlay(look.colours, look.size, speed, look.arrows)
@@ -75,8 +75,8 @@ def film_frames(story: Story, look: PictureStyle, speed: float, times: list[floa
 
 
 def palette_of(frames: Iterable[Image]) -> Image:
-    """The palette of a GIF, made from some of its frames: 255 colours including white, and one index for pixels that do
-    not change."""
+    """The palette of a GIF, made from some of its frames: 255 colours, of which one is white. The index after them
+    marks pixels that do not change."""
     from PIL import Image
 
     sample_frames = list(frames)
@@ -93,10 +93,9 @@ def palette_of(frames: Iterable[Image]) -> Image:
 def write_gif(
     frames: Iterator[Image], path: Path, palette: Image, fps: float, progress: Progress | None = None
 ) -> None:
-    """Write a film that repeats. Each frame contains only the pixels that change, so that flat colours take little
-    space.
+    """Write a film that repeats. Each frame contains only the pixels that change, which keeps the file small.
 
-    GIF measures time in hundredths of a second, so the times of frames are rounded such that their sum is right.
+    GIF stores durations of frames in hundredths of a second. The durations are rounded so that their sum is right.
     """
     from PIL import Image
     from PIL.GifImagePlugin import getdata, getheader
@@ -143,8 +142,8 @@ def write_mp4(
 
 
 def _colour_indices(frame: Image, palette: Image) -> NDArray[np.uint8]:
-    """(height, width) the index of the colour of each pixel. White is set explicitly, because Pillow would use a
-    similar colour."""
+    """(height, width) index in the palette of each pixel's colour. White pixels get exactly white, since Pillow would
+    choose a similar colour."""
     from PIL import Image
 
     indices = np.array(frame.quantize(palette=palette, dither=Image.Dither.NONE), dtype=np.uint8)
@@ -154,8 +153,8 @@ def _colour_indices(frame: Image, palette: Image) -> NDArray[np.uint8]:
 
 
 def _changes(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[Image, tuple[int, int]]:
-    """The smallest part of a picture that contains all changed pixels, and the position of this part. Unchanged pixels
-    in it are transparent."""
+    """The smallest rectangle of a picture that contains all changed pixels, and its position (x, y). In the rectangle,
+    unchanged pixels are transparent."""
     from PIL import Image
 
     changed = before != after

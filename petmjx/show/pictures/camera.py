@@ -1,4 +1,4 @@
-"""The camera of a picture: named views, and a camera that frames given points."""
+"""The camera of a picture: views with names, and the camera that shows given points as large as possible."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ NEAREST_M: Final = 0.3
 
 
 class View(NamedTuple):
-    """The direction of a camera as seen from the pallet. ``azimuth_deg`` is 0 in front (at −y) and 90 on the right (at
-    +x). ``elevation_deg`` is the angle above the horizontal."""
+    """The direction from the pallet to the camera, degrees. ``azimuth_deg`` is 0 in front (at −y) and 90 on the right
+    (at +x). ``elevation_deg`` is the angle above the horizontal."""
 
     azimuth_deg: float
     elevation_deg: float
@@ -43,10 +43,10 @@ _ANGLES: Final = re.compile(r"\s*([+-]?\d+(?:\.\d*)?)\s*/\s*([+-]?\d+(?:\.\d*)?)
 
 
 def view_of(text: str) -> View:
-    """A view, given by its name or as "AZIMUTH/ELEVATION" in degrees.
+    """The view with a name such as "front", or with angles as in "35/24" (azimuth/elevation in degrees).
 
     Raises:
-        InputError: the text is neither, or the elevation is outside ±90°.
+        InputError: the text has another form, or the elevation is outside ±90°.
     """
     if text in VIEWS:
         return VIEWS[text]
@@ -62,7 +62,8 @@ def view_of(text: str) -> View:
 
 
 class Margins(NamedTuple):
-    """Strips at the edges of a picture that are left free, as shares of its width or height."""
+    """Widths of the free strips at the edges of a picture, as shares of the picture's width (left, right) or height
+    (top, bottom)."""
 
     left: float = 0.04
     right: float = 0.04
@@ -75,10 +76,10 @@ class Camera:
     """A pinhole camera.
 
     Attributes:
-        pos: (3,) position, m.
-        right, up, forward: (3,) unit vectors.
+        pos: (3,) position of the camera, m.
+        right, up, forward: (3,) unit vectors of the camera's axes.
         width, height: size of the picture, px.
-        depth_m: distances of the nearest and of the farthest framed point, measured along ``forward``.
+        depth_m: distances, along ``forward``, from the camera to the nearest and the farthest point that it must show.
     """
 
     pos: FloatArray
@@ -90,7 +91,7 @@ class Camera:
     depth_m: tuple[float, float]
 
     def scaled(self, factor: int) -> Camera:
-        """The same camera with a larger picture."""
+        """The same camera with a picture that is larger by a factor."""
         return replace(self, width=factor * self.width, height=factor * self.height)
 
     @property
@@ -99,8 +100,8 @@ class Camera:
         return _half_angle_tangent()
 
     def project(self, points: FloatArray) -> FloatArray:
-        """(k, 2) pixels of points (k, 3) that are in front of the camera, to the right and downwards from the upper
-        left corner."""
+        """(k, 2) places of (k, 3) points in the picture, px, to the right and downwards from the upper left corner. All
+        points must be in front of the camera."""
         x, y, z = _along((self.right, self.up, self.forward), points - self.pos)
         scale = self.height / (2 * self.tangent)
         return np.stack((self.width / 2 + scale * x / z, self.height / 2 - scale * y / z), axis=1)
@@ -109,14 +110,17 @@ class Camera:
 def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Margins | None = None) -> Camera:
     """The nearest camera with which all points are within the margins of its picture.
 
-    In the axes of the camera, a point (x, y, z) is to the left of the right margin if x − cx ≤ r (z − cz). Here (cx,
-    cy, cz) is the position of the camera, and r is the tangent of the angle to this margin. So cx − r cz ≥ A with A =
-    max(x − r z). Likewise, −cx − l cz ≥ B for the left margin. The sum of both gives cz ≤ −(A + B) / (r + l). The
-    vertical direction gives another limit for cz, and the smaller of the two limits is used.
+    Let (cx, cy, cz) be the camera's position along its own axes, and r the tangent of the angle between its forward
+    direction and the right margin. A point (x, y, z) is to the left of this margin if x − cx ≤ r (z − cz). So
+    cx − r cz ≥ A with A = max(x − r z) over all points. Likewise, −cx − l cz ≥ B for the left margin. The sum of both
+    inequalities gives cz ≤ −(A + B) / (r + l). The upper and lower margins give another limit for cz. The smaller limit
+    is used.
 
     Args:
         points: (k, 3) the points, m.
+        view: direction from the pallet to the camera.
         size: width and height of the picture, px.
+        margins: the margins. If None, the default margins are used.
     """
     margins = margins or Margins()
     right, up, forward = _axes(view)
@@ -140,7 +144,7 @@ def _half_angle_tangent() -> float:
 
 
 def _axes(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The directions right, up and forward of a camera that is directed at the pallet."""
+    """The unit vectors right, up and forward of a camera that is directed at the pallet."""
     azimuth, elevation = deg_to_rad(view.azimuth_deg), deg_to_rad(view.elevation_deg)
     flat = math.cos(elevation)
     right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
@@ -149,5 +153,5 @@ def _axes(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _along(axes: tuple[FloatArray, ...], points: FloatArray) -> tuple[FloatArray, ...]:
-    """The coordinates of points (k, 3) along each axis: one array (k,) per axis."""
+    """The coordinates of (k, 3) points along each axis: one (k,) array per axis."""
     return tuple(np.asarray(points @ axis) for axis in axes)

@@ -25,7 +25,8 @@ CARRIER: Final[Rgb] = (0.70, 0.64, 0.56)
 CARTON: Final[Rgb] = (0.86, 0.74, 0.56)
 
 _DARKEST: Final = 0.15
-"""Position on the ramp at which scales begin. Black edges are hardly visible on darker colours."""
+"""Position on the ramp of colours, from 0 to 1, at which scales begin. On darker colours, black edges are hardly
+visible."""
 
 MOST_NAMED: Final = 7
 """Largest number of articles that a legend names."""
@@ -33,8 +34,10 @@ MOST_NAMED: Final = 7
 
 @dataclass(frozen=True)
 class Scale:
-    """The meaning of colours that represent values, from ``low`` (dark) to ``high`` (bright). Values above ``high``
-    have the last colour."""
+    """The meaning of colours that represent values from ``low`` (dark) to ``high`` (bright).
+
+    If ``open_end`` is True, larger values can occur. They have the same colour as ``high``.
+    """
 
     label: str
     low: float
@@ -47,9 +50,11 @@ class Colouring:
     """The colours of a story's boxes.
 
     Attributes:
-        scale: the meaning of the colours if they represent values; else None.
-        names: the meaning of the colours if they represent names.
-        note: an additional line of the legend.
+        story: the story.
+        colour: what the colours represent.
+        scale: the meaning of the colours if they represent values, else None.
+        names: (name, colour) pairs if the colours represent names.
+        note: text of the legend if there are too many names.
     """
 
     story: Story
@@ -64,7 +69,7 @@ class Colouring:
         return self.colour is Colour.PLANNED
 
     def of(self, poses: Poses) -> NDArray[np.float64]:
-        """(k, 3) red, green and blue of the placed boxes, from 0 to 1."""
+        """(k, 3) colour of each placed box: red, green and blue, from 0 to 1."""
         if self.colour is Colour.PLANNED:
             return np.tile(np.array(CARTON), (poses.n_placed, 1))
         if self.scale is None:
@@ -83,7 +88,7 @@ class Colouring:
 
 
 def colouring(story: Story, colour: Colour) -> Colouring:
-    """The colours of a story's boxes. A scale is the same for all frames of the story."""
+    """The colours of a story's boxes. If they represent values, the scale is the same for all frames of the story."""
     if colour is Colour.ARTICLE:
         colours = article_colours(story.plan.articles)
         shades = {name or UNNAMED: rgb_of(shade) for name, shade in zip(story.plan.articles, colours, strict=True)}
@@ -114,8 +119,8 @@ def _scale(story: Story, colour: Colour) -> Scale:
 
 
 def _usual_force(story: Story) -> float:
-    """The larger of two forces, N: the largest force at rest, and the force that 98 % of the forces in the frames do
-    not exceed. Impacts exceed it, but last less than a frame."""
+    """Force for the upper end of a scale, N: the largest force at rest, or the 98 % quantile of all forces in the
+    frames, whichever is larger. Impacts are stronger, but last less than a frame."""
     forces = story.history.top_force_n[np.isfinite(story.history.top_force_n)]
     rest_force_n = story.outcome.boxes.rest_top_force_n
     usual = float(np.quantile(forces, 0.98)) if len(forces) else 0.0
@@ -123,14 +128,14 @@ def _usual_force(story: Story) -> float:
 
 
 def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> float:
-    """The smallest step × 10ⁿ that is not below a positive value."""
+    """The smallest number of the form step × 10ⁿ that is not below ``value``, which must be positive."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in steps if step * power >= value * (1 - 1e-9))
 
 
 def ramp_colours(shares: FloatArray) -> NDArray[np.float64]:
-    """(k, 3) colours, dark to bright, for values (k,) from 0 to 1. Values outside this range get the first or the last
-    colour."""
+    """(k, 3) colours, from dark to bright, for (k,) numbers from 0 to 1. Numbers outside this range get the first or
+    the last colour."""
     last = RAMP_COLOURS - 1
     places = _DARKEST + (1 - _DARKEST) * np.clip(np.nan_to_num(shares, nan=1.0), 0.0, 1.0)
     return np.asarray(_ramp()[np.round(places * last).astype(np.intp)])

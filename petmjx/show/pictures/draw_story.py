@@ -1,5 +1,5 @@
-"""Draws a story at one time: boxes with edges, the carrier, shadows on the floor, planned places, and contact
-forces."""
+"""Draws a story (the simulation of one plan) at one time: boxes with edges, the carrier, shadows on the floor, planned
+places, and contact forces."""
 
 from __future__ import annotations
 
@@ -35,39 +35,40 @@ _SUN: Final = (0.26, 0.36, -1.0)
 _FLOOR_HALF_M: Final = 60.0
 
 _TOWARDS_CAMERA: Final = 1.5e-3
-"""Edges are drawn nearer to the camera than their faces, by this share of the distance, and smaller by the same share.
-So the edges cover the same pixels as before, but lie in front of the faces."""
+"""Share of the distance from the camera by which edges are drawn nearer to the camera than their box. They are also
+drawn smaller by this share. So the edges cover the same pixels, but lie in front of the faces."""
 
 _SEE_THROUGH: Final = 0.24
-"""Opacity of boxes when contact forces are drawn."""
+"""Opacity of boxes if contact forces are drawn."""
 
 _AWAY: Final = 0.25
-"""A box counts as away from its planned place if its shift or tilt exceeds this share of the threshold. For such a box,
-the planned place is drawn."""
+"""Share of the shift or tilt threshold above which a box counts as away from its planned place, so that the planned
+place is drawn."""
 
 _LEAST_FORCE: Final = 0.02
-"""A contact has no arrow if its force is below this share of a usual force."""
+"""Smallest force that gets an arrow, as a share of a usual force."""
 
 _ARROW_SHARE: Final = 0.4
 """Length of the arrow for a usual force, as a share of the pallet's largest extent."""
 
 LEAST_LEVEL_G: Final = 0.005
-"""Shaking that is weaker than this has no arrow and no text."""
+"""Level above which shaking gets an arrow and a text, g."""
 
 REACH: Final = 1.25
 LEAST_REACH_M: Final = 1.0
-"""A box is not framed if its centre is farther from the planned load than both ``REACH`` times the load's largest
-extent and this length, m. Framing a box that has rolled away would make all others small."""
+"""Distance of a box from the planned load beyond which a picture need not show the box: ``REACH`` × the load's largest
+extent, but at least ``LEAST_REACH_M``. To show a box that has rolled away, all other boxes would have to be small."""
 
 
 class Painter:
-    """Draws frames of one story, all of the same size. Use it in a ``with`` statement, in one thread.
+    """Draws pictures of one story, all of the same size. Use it in a ``with`` statement, in one thread.
 
     Args:
         colours: colours of the boxes.
-        size: width and height, px.
-        line_px: width of edges, px.
-        newtons_per_m: scale of the arrows for contact forces. Boxes are then transparent. None: no arrows.
+        size: width and height of a picture, px.
+        line_px: width of boxes' edges, px.
+        newtons_per_m: force per length of the arrows for contact forces. Boxes are then transparent. If None, no arrows
+            are drawn.
 
     Raises:
         InputError: this machine cannot draw.
@@ -92,7 +93,7 @@ class Painter:
         self.canvas.__exit__(kind, error, trace)
 
     def picture(self, poses: Poses, camera: Camera) -> NDArray[np.uint8]:
-        """(height, width, 3) pixels."""
+        """(height, width, 3) the picture: red, green and blue of each pixel."""
         scene = self.story.scene
         half_size, turned = scene.half_size[: poses.n_placed], rotations(poses.quat)
         centers, turns, half_sizes = scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
@@ -128,8 +129,8 @@ class Painter:
         self.canvas.box(half_size, np.array([0.0, 0.0, self.story.scene.floor_z - 0.012]), np.eye(3), FLOOR)
 
     def _shadow(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray) -> None:
-        """Draw the shadow of a box: the box itself, flattened onto the floor along the light. The flattened box keeps a
-        little of its height, since faces need normals."""
+        """Draw the shadow of a box: a box that is flattened onto the floor, along the direction of the light. It keeps
+        a little of its height, since faces need normals."""
         across = np.array(_SUN[:2]) / _SUN[2]
         flatten = np.array([[1.0, 0.0, -across[0]], [0.0, 1.0, -across[1]], [0.0, 0.0, 1e-3]])
         above = pos - np.array([0.0, 0.0, self.story.scene.floor_z])
@@ -141,7 +142,8 @@ class Painter:
         self.canvas.edges((1 - _TOWARDS_CAMERA) * half_size, nearer, turned, rgb)
 
     def _shaking(self, poses: Poses) -> None:
-        """Draw an arrow above the load. The arrow's length grows with the strength of the shaking."""
+        """Draw an arrow above the load that shows the shaking of the carrier. The arrow's length is proportional to the
+        strength."""
         level = shaking_g(self.story, poses)
         if np.linalg.norm(level) > LEAST_LEVEL_G:
             start, longest = _above(self.story)
@@ -161,7 +163,8 @@ class Painter:
 
 
 def newtons_per_m(story: Story) -> float:
-    """The scale of arrows: a round number for which arrows are neither dots nor longer than the pallet.
+    """Force per length of the arrows for contact forces, N/m: a round number with which arrows are neither as short as
+    dots nor longer than the pallet.
 
     Raises:
         InputError: contacts were not recorded.
@@ -179,8 +182,8 @@ def newtons_per_m(story: Story) -> float:
 
 
 def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, FloatArray]]:
-    """For each pair of bodies that press on each other in a frame, the position (3,), m, and the force (3,) on the
-    lower body, N."""
+    """For each pair of bodies that press on each other in a frame, the (3,) point at which the force acts, m, and the
+    (3,) force on the lower body, N."""
     is_drawn = np.zeros(int(contacts.frame.max(initial=0)) + 1, dtype=bool)
     is_drawn[poses.frame : poses.frame + 1] = True
     forces = pushes(contacts.of_frames(is_drawn, 0))
@@ -188,8 +191,8 @@ def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, 
 
 
 def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
-    """(k, 3) points that a picture of these frames must show, m: the planned load, the carrier, and boxes that are near
-    enough."""
+    """(k, 3) points that pictures of the given frames must show, m: the corners of the planned load, of the carrier,
+    and of boxes that are near enough."""
     scene = story.scene
     upright = np.tile(np.eye(3), (scene.n_boxes, 1, 1))
     planned = corners(scene.target, upright, scene.half_size).reshape(-1, 3)
@@ -211,7 +214,8 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
 
 
 def _above(story: Story) -> tuple[FloatArray, float]:
-    """The middle (3,) of the arrow that shows the shaking, m, and the arrow's length at the strongest shaking, m."""
+    """(3,) middle of the arrow that shows the shaking of the carrier, m, and the arrow's length at the strongest
+    shaking, m."""
     scene, longest = story.scene, 0.5 * largest_extent_m(story)
     top = float((scene.target + scene.half_size)[:, 2].max()) + 0.15 * longest
     return np.array([*scene.carrier.pos[:2], top]), longest
@@ -229,13 +233,14 @@ def _most_in_a_frame(contacts: Contacts) -> int:
 
 
 def _far_to_near(poses: Poses, camera: Camera) -> list[int]:
-    """The boxes with known poses, in the order in which transparent boxes must be drawn."""
+    """Numbers of the boxes with known poses, from the farthest to the nearest: transparent boxes must be drawn in this
+    order."""
     depth = (poses.pos - camera.pos) @ camera.forward
     return [int(box) for box in np.argsort(-depth, kind="stable") if np.isfinite(depth[box])]
 
 
 def _away(story: Story, poses: Poses) -> list[int]:
-    """Boxes that are clearly away from their planned places."""
+    """Numbers of the boxes that are clearly away from their planned places."""
     limits = thresholds_of(story)
     is_far = shift_mm(story, poses) > _AWAY * 1000 * limits.shift_m
     return [int(box) for box in np.flatnonzero(is_far | (tilts_deg(poses) > _AWAY * limits.tilt_deg))]

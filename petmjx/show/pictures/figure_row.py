@@ -1,4 +1,5 @@
-"""A row of pictures as a figure for a paper: PNG; or PDF and SVG, in which labels are text and outlines are vectors."""
+"""A row of pictures as a figure for a paper, in PNG, PDF or SVG. In PDF and SVG, labels are text and outlines are
+vectors."""
 
 from __future__ import annotations
 
@@ -34,8 +35,11 @@ def write_figure(story: Story, look: PictureStyle, moments: list[Moment], path: 
     """Write a row with one picture for each moment, all from the same camera.
 
     Args:
-        look: style of the pictures. ``look.size`` is the size of each single picture, px.
-        kind: ``png``, ``pdf`` or ``svg``.
+        story: the story.
+        look: style of the pictures. ``look.size`` is the size of a single picture, px.
+        moments: the moments of the story that are shown.
+        path: the file to write.
+        kind: format of the file: ``png``, ``pdf`` or ``svg``.
     """
     from matplotlib.figure import Figure
 
@@ -62,14 +66,14 @@ def _head(figure: Any, story: Story, width: float, height: float) -> None:
     colour = FIRST if story.outcome.culprit >= 0 else "0.35"
     below = figure.text(left, top - 0.17 / height, line, size=_POINTS, color=colour, va="top")
     for text in (name, below):
-        text.set_parse_math(False)  # a $ in an id does not begin a formula
+        text.set_parse_math(False)  # otherwise, a $ in an id would begin a formula
     room = width - 0.08
     wide = len(line) * _POINTS * 0.55 / 72
     below.set_size(max(4.0, _POINTS * min(1.0, room / wide)))
 
 
 def _panel(axes: Any, pixels: Any, story: Story, moment: Moment, camera: Camera, letter: str) -> None:
-    """Draw one picture, with its title above it and with the first box to fail outlined."""
+    """Draw one picture with a title above, and with an outline around the first box to fail."""
     poses = poses_of_frame(story.history, moment.frame)
     axes.imshow(pixels, interpolation="none", extent=(0, camera.width, camera.height, 0))
     axes.set_axis_off()
@@ -98,7 +102,7 @@ def _polygon(outline: Any) -> Any:
 
 
 def _foot(figure: Any, look: PictureStyle, width: float, height: float) -> None:
-    """Draw the legend below the pictures: a colour bar, or names with their colours; and the meaning of arrows."""
+    """Draw the legend below the pictures: a colour bar, or names with their colours; and a line about arrows."""
     colours = look.colours
     row = 0.24 / height
     if colours.scale is not None:

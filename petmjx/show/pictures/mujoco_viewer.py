@@ -21,7 +21,7 @@ from petmjx.show.pictures.story_poses import Poses, poses_at
 from petmjx.world.mujoco_model import build_spec, geom_bodies
 
 _PARKED_M: Final = 100.0
-"""Distance at which boxes wait until they are placed, m. At this distance they touch nothing."""
+"""Distance from the origin of boxes that are not yet placed, m. So far away, they touch nothing."""
 
 _SPACE, _RIGHT, _LEFT, _HOME = 32, 262, 263, 268
 """Key codes of GLFW."""
@@ -34,8 +34,10 @@ class Player:
     """Controls which time of a story is shown.
 
     Attributes:
-        time_s: the shown time, s.
-        speed: multiple of real time.
+        story: the story.
+        speed: speed of playing, as a multiple of real time.
+        time_s: the time that is shown, s.
+        paused: whether the time stands still.
     """
 
     story: Story
@@ -68,7 +70,7 @@ class Player:
             self.time_s = float(times[min(max(frame, 0), len(times) - 1)])
 
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the shown time after ``seconds`` of real time."""
         if not self.paused:
             self.time_s = min(self.time_s + self.speed * seconds, self.last_s)
 
@@ -112,7 +114,7 @@ def check_display() -> None:
 
 
 def viewer_model(story: Story) -> tuple[Any, Any]:
-    """The exact MuJoCo model of a story's world, with a light added, and the model's data."""
+    """The exact MuJoCo model of a story's world with an additional light, and the model's data."""
     physics = Simulation(**story.options).physics
     spec = build_spec(story.scene, physics)
     spec.worldbody.add_light(pos=[0.0, 0.0, 6.0], dir=[0.0, 0.0, -1.0])
@@ -143,7 +145,7 @@ def show(story: Story, time_s: float, model: Any, data: Any) -> None:
 
 
 def _qpos(story: Story, poses: Poses) -> FloatArray:
-    """(7 (n + 1),) positions and orientations of the carrier and the boxes, in the order of the model."""
+    """(7 (n + 1),) the model's ``qpos``: positions and orientations of the carrier and the n boxes."""
     waiting = np.arange(story.plan.n_boxes - poses.n_placed)
     parked = np.stack((_PARKED_M + 5.0 * waiting, 0 * waiting, _PARKED_M + 0.0 * waiting), axis=1)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(waiting), 1))

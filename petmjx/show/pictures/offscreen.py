@@ -1,8 +1,8 @@
 """MuJoCo's renderer without a window: it receives geoms and returns pixels.
 
-``mujoco.Renderer`` uses the OpenGL library that was chosen when mujoco was first imported. Engines import mujoco long
-before any picture is drawn. So here the context is made when it is needed, with EGL unless ``MUJOCO_GL`` names another
-library.
+``mujoco.Renderer`` uses the OpenGL library that was chosen when mujoco was first imported. But engines import mujoco
+long before any picture is drawn. So this module makes an OpenGL context when a picture is drawn. The library is EGL,
+unless ``MUJOCO_GL`` names another library.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _ADVICE: Final = (
 )
 
 _LIGHTS: Final = (
-    # Lights, as (direction, ambient, diffuse).
-    # The lights are chosen so that top faces have their true colour, and other faces are darker by different amounts.
+    # (direction, ambient, diffuse) of each light. With these lights, top faces have their true colour, and side faces
+    # are darker by different amounts.
     ((0.0, 0.0, -1.0), 0.46, 0.54),
     ((-0.25, 1.0, 0.0), 0.0, 0.36),
     ((-1.0, -0.35, 0.0), 0.0, 0.24),
@@ -48,11 +48,11 @@ _LIGHTS: Final = (
 
 
 class Canvas:
-    """A picture of one size that is drawn again and again. Use it in a ``with`` statement, in one thread.
+    """Draws pictures of one size, one after another. Use it in a ``with`` statement, in one thread.
 
     Args:
-        size: width and height, px.
-        line_px: width of edges, px.
+        size: width and height of a picture, px.
+        line_px: width of boxes' edges, px.
         most_geoms: largest number of geoms in a picture.
 
     Raises:
@@ -89,7 +89,7 @@ class Canvas:
         self._gl.free()
 
     def begin(self, camera: Camera) -> None:
-        """Begin an empty picture for this camera."""
+        """Begin an empty picture as seen by a camera."""
         self._scene.ngeom = 0
         near, far = camera.depth_m
         for eye in self._scene.camera:
@@ -99,11 +99,11 @@ class Canvas:
             eye.frustum_bottom, eye.frustum_center, eye.frustum_width = -eye.frustum_top, 0.0, 0.0
 
     def box(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray, rgb: Rgb, alpha: float = 1.0) -> Any:
-        """Add a box. ``half_size`` is (3,) m, ``pos`` is (3,) m, ``turned`` is (3, 3) and usually a rotation."""
+        """Add a box with half extents (3,), m, a centre (3,), m, and a (3, 3) matrix ``turned``, usually a rotation."""
         return self._geom(mujoco.mjtGeom.mjGEOM_BOX, half_size, pos, turned, (*rgb, alpha))
 
     def edges(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray, rgb: Rgb) -> None:
-        """Add the twelve edges of a box."""
+        """Add the twelve edges of a box, which is given as in ``box``."""
         self._geom(mujoco.mjtGeom.mjGEOM_LINEBOX, half_size, pos, turned, (*rgb, 1.0)).emission = 1.0
 
     def arrow(self, start: FloatArray, end: FloatArray, width_m: float, rgb: Rgb) -> None:
@@ -134,7 +134,7 @@ class Canvas:
 
 
 def why_no_pictures() -> str:
-    """Why this machine cannot draw; "" if it can."""
+    """Why this machine cannot draw pictures; "" if it can."""
     try:
         with Canvas((16, 16), 1.0, 1):
             return ""
@@ -149,7 +149,7 @@ def _gl_context(size: tuple[int, int]) -> Any:
         raise InputError(f"MUJOCO_GL={name}: pictures are drawn with one of {', '.join(CONTEXTS)}; unset it for egl")
     try:
         with _same_environment("PYOPENGL_PLATFORM"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # hides GLFW's warnings: the same problems raise an error below
+            warnings.simplefilter("ignore")  # GLFW warns of problems that also raise an error
             context = importlib.import_module(f"mujoco.{name}").GLContext(*size)
         context.make_current()
     except Exception as error:  # PyOpenGL and drivers may raise almost any exception
@@ -171,7 +171,7 @@ def _same_environment(name: str) -> Iterator[None]:
 
 
 def _studio(size: tuple[int, int], line_px: float) -> Any:
-    """A model without bodies. The model has only the values that the renderer reads: sizes, and a white sky."""
+    """A MuJoCo model without bodies. It only has what the renderer needs: sizes, and a white sky."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.global_.linewidth = line_px

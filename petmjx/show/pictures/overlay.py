@@ -28,19 +28,19 @@ INK: Final = (30, 30, 30)
 FAINT: Final = (95, 95, 95)
 
 LINE: Final = 1.6
-"""Height of a line in the legend, as a multiple of its text size."""
+"""Height of a line in the legend, as a multiple of the text size."""
 
 _LEAST_FONT_PX: Final = 10
 
 
 class Overlay:
-    """Draws texts and outlines onto pictures of one size.
+    """Draws texts, and an outline around the first box to fail, onto pictures of one size.
 
     Args:
         colours: colours of the boxes, which the legend explains.
-        size: width and height, px.
-        speed: speed of a film, as a multiple of real time; None: a single picture.
-        arrows: the line that explains arrows; "" if there are none.
+        size: width and height of a picture, px.
+        speed: speed of a film, as a multiple of real time; None for a single picture.
+        arrows: the line of text that explains the arrows; "" if there are no arrows.
     """
 
     def __init__(self, colours: Colouring, size: tuple[int, int], speed: float | None = None, arrows: str = "") -> None:
@@ -51,7 +51,7 @@ class Overlay:
 
     @property
     def margins(self) -> Margins:
-        """The strips of the picture that texts need, and small margins at the sides."""
+        """The strips at the top and the bottom of the picture that texts need, and small margins at the sides."""
         lines = (1 if self.arrows else 0) + (len(self._lines_of_names()) if self.colours.names else 1)
         em = self.text_px / self.height
         return Margins(left=0.05, right=0.05, top=min(5.6 * em, 0.45), bottom=min((1.5 + LINE * lines) * em, 0.45))
@@ -80,8 +80,8 @@ class Overlay:
         pen.text((em, 3.6 * em), now, fill=INK, font=plain)
 
     def _outline(self, image: Image, poses: Poses, camera: Camera) -> None:
-        """Outline the first box to fail, even if other boxes hide it. The outline is drawn larger and then reduced,
-        because lines drawn by Pillow are jagged."""
+        """Draw an outline around the first box to fail, even if other boxes hide this box. The outline is drawn larger
+        and then reduced, because Pillow draws jagged lines."""
         from PIL import Image, ImageDraw
 
         outline = first_outline(self.story, poses, camera)
@@ -127,7 +127,7 @@ class Overlay:
         pen.text((after, top), fitted_text(f"{high}   {scale.label}", plain, self.width - after), fill=INK, font=plain)
 
     def _swatches(self, pen: ImageDraw, bottom: float) -> None:
-        """Draw names with their colours. The last line is at ``bottom``."""
+        """Draw the names in the legend with their colours. The lower edge of the last line is at ``bottom``, px."""
         em, plain = self.text_px, font(self.text_px)
         lines = self._lines_of_names()
         for row, entries in enumerate(lines):
@@ -139,7 +139,7 @@ class Overlay:
                 pen.text((left + 1.4 * em, top), text, fill=INK, font=plain)
 
     def _lines_of_names(self) -> list[list[tuple[str, Rgb, float]]]:
-        """The names in the legend with their colours and left ends, px, wrapped into lines."""
+        """(name, colour, left end in px) of each name in the legend, for each line of the legend."""
         em, plain = self.text_px, font(self.text_px)
         lines: list[list[tuple[str, Rgb, float]]] = [[]]
         left = float(em)
@@ -155,7 +155,7 @@ class Overlay:
 
 
 def shaking_in_words(story: Story, poses: Poses) -> str:
-    """ ", shaken by 0.50 g", or "" while nothing shakes the carrier."""
+    """Text such as ", shaken by 0.50 g"; "" while nothing shakes the carrier."""
     level = float(np.linalg.norm(shaking_g(story, poses)))
     return f", shaken by {level:.2f} g" if level > LEAST_LEVEL_G else ""
 
@@ -166,7 +166,8 @@ def scale_ends(scale: Scale) -> tuple[str, str]:
 
 
 def first_outline(story: Story, poses: Poses, camera: Camera) -> FloatArray | None:
-    """(k, 2) outline of the first box to fail, px; None if no box failed, or if that box is not placed yet."""
+    """(k, 2) corners of the outline of the first box to fail, px. None if no box failed, or if this box is not yet
+    placed."""
     box = story.outcome.culprit
     if not 0 <= box < poses.n_placed:
         return None
@@ -188,7 +189,7 @@ def font(size_px: int, bold: bool = False) -> Any:
 
 
 def fitted_text(text: str, face: Any, room_px: float) -> str:
-    """The text, shortened in its middle if it is too wide."""
+    """A text that is at most ``room_px`` wide. A wider text is shortened in its middle."""
     if face.getlength(text) <= room_px:
         return text
     for n_characters in range(len(text) - 1, 0, -1):

@@ -1,4 +1,4 @@
-"""Draws one story into files of any kind, which the suffixes of their names determine: ``petmjx.draw``."""
+"""``petmjx.draw``: draws a story (the simulation of one plan) into files. The suffix of a file determines its kind."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from petmjx.show.pictures.picture_options import GIF_SIZE, MP4_SIZE, PANEL_SIZE,
 from petmjx.show.pictures.story_poses import moments
 
 Progress = Callable[[int, int], None]
-"""Function that is called with the number of finished frames of a film and the number of all frames."""
+"""A function that is called with the number of finished frames of a film, and the number of all its frames."""
 
 KINDS: Final = ("png", "pdf", "svg", "gif", "mp4", "html", "rrd")
 """Suffixes of the files into which a story can be drawn."""
@@ -31,7 +31,8 @@ _NEEDS: Final = {
     "html": ("show", ()),
     "rrd": ("rerun", ("rerun",)),
 }
-"""Kind of file → the extra that must be installed, and the modules that it needs."""
+"""Kind of file → petmjx's extra that must be installed (``pip install 'petmjx[show]'``), and modules of this extra that
+are needed."""
 
 
 def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None = None, **options: Any) -> list[Path]:
@@ -41,9 +42,10 @@ def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None
     ``petmjx.draw(petmjx.tell("s0-000016"), "collapse.png", "collapse.mp4", colour="shift", view="front")``
 
     Args:
-        files: paths to write. The suffix determines the format. A file never appears half-written, and replaces an
-            existing one.
-        progress: function that is called while films are drawn.
+        story: the story, from ``petmjx.tell``.
+        files: paths to write. The suffix determines the format. Existing files are replaced. A file appears only when
+            it is complete.
+        progress: function that is called while films are drawn, with the number of finished frames and of all frames.
         options: fields of ``PictureOptions``: at, view, size, colour, arrows, speed, fps.
 
     Returns:
@@ -77,7 +79,7 @@ def kind_of(path: Path) -> str:
 
 
 def check_files(paths: Sequence[Path]) -> None:
-    """Check that files can be drawn and written, before the simulation.
+    """Check that files can be drawn and written. Called before the simulation.
 
     Raises:
         InputError: a path cannot be written, or libraries for a kind of file are missing.
@@ -102,17 +104,18 @@ def why_nothing_is_drawn() -> str:
 
 
 def _missing(kind: str) -> str:
-    """A line about missing modules for a kind of file, and how to install them; empty if none is missing."""
+    """A line about modules that are missing for a kind of file, and how to install them; "" if none is missing."""
     extra, modules = _NEEDS[kind]
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     return f"needs {', '.join(missing)}, not installed: pip install 'petmjx[{extra}]'" if missing else ""
 
 
 def check_drawing(paths: Sequence[Path]) -> None:
-    """Make all checks of ``check_files``. For pictures and films, also check that OpenGL works.
+    """Check that files can be drawn and written, as ``check_files``. For pictures and films, also check that OpenGL
+    works.
 
     Raises:
-        InputError: as for ``check_files``, or there is no OpenGL that can draw without a display.
+        InputError: a check of ``check_files`` fails, or there is no OpenGL that can draw without a display.
     """
     check_files(paths)
     drawn = [path for path in paths if "OpenGL" in _NEEDS[kind_of(path)][1]]
@@ -121,7 +124,7 @@ def check_drawing(paths: Sequence[Path]) -> None:
 
 
 def _write_pictures(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
-    """Write a single picture, or several pictures in a row. PDF and SVG are always written as a figure."""
+    """Write a single picture, or a figure with several pictures in a row. PDF and SVG files are always figures."""
     from petmjx.show.pictures.figure_row import write_figure
     from petmjx.show.pictures.still_pictures import write_still
 

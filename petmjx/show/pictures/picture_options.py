@@ -1,4 +1,4 @@
-"""Options for drawing pictures and films, with defaults, checks and descriptions, for Python and the command line."""
+"""Options for drawing pictures and films, for Python and the command line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ BEFORE: Final = "before"
 FIRST_SIGN: Final = "first-sign"
 END: Final = "end"
 MOMENTS: Final = (START, BEFORE, FIRST_SIGN, END)
-"""Names of moments: the first frame, the last placement before the first sign, the first sign, and the last frame."""
+"""Names of moments: the first frame, the last placement before the first sign, the first sign (when a box first crosses
+a threshold), and the last frame."""
 
 LEAST_PX: Final = 64
 MOST_PX: Final = 4096
@@ -30,7 +31,7 @@ STILL_SIZE: Final = (1200, 900)
 PANEL_SIZE: Final = (675, 810)
 GIF_SIZE: Final = (480, 480)
 MP4_SIZE: Final = (960, 720)
-"""Default sizes, px: of a single picture, of each picture in a row, and of films."""
+"""Default sizes, px: of a single picture, of each picture in a row, of films in GIF, and of films in MP4."""
 
 FILM_FPS: Final = 20.0
 
@@ -51,10 +52,10 @@ class Colour(StrEnum):
 
 
 def moment_of(text: str) -> str | float:
-    """A moment, given as a name of ``MOMENTS`` or as a time, s.
+    """The moment that a text states: a name in ``MOMENTS``, or a time, s.
 
     Raises:
-        InputError: the text is neither.
+        InputError: the text is neither a name nor a number.
     """
     name = text.strip()
     if name in MOMENTS:
@@ -82,7 +83,8 @@ def size_of(text: str) -> tuple[int, int]:
 
 
 def _checked_by(read: Callable[[str], Any]) -> BeforeValidator:
-    """A validator that accepts text if ``read`` accepts it. An error of ``read`` becomes the error of the field."""
+    """A validator that accepts text if ``read`` accepts the text. An error of ``read`` becomes the error of the
+    field."""
 
     def check(value: Any) -> Any:
         if value is None:
@@ -98,7 +100,8 @@ def _checked_by(read: Callable[[str], Any]) -> BeforeValidator:
 
 
 def _text(value: Any) -> str:
-    """A Python value as text of the command line: (1200, 900) becomes 1200x900, ["start", 2.5] becomes start,2.5."""
+    """A Python value as text in the form of the command line: (1200, 900) becomes "1200x900", and ["start", 2.5]
+    becomes "start,2.5"."""
     if isinstance(value, list | tuple):
         between = "," if isinstance(value, list) else "x"
         return between.join(str(part) for part in value)

@@ -20,8 +20,8 @@ TIMELINE: Final = "time"
 
 
 def write_recording(story: Story, colours: Colouring, path: Path) -> None:
-    """Write all frames of a story. The label of a box is its article. The label of the first box to fail also states
-    that it failed."""
+    """Write all frames of a story. A box is labelled with its name; the label of the first box to fail also states
+    this."""
     import rerun as rr
 
     recording = rr.RecordingStream("petmjx", recording_id=f"{printable(story.plan.plan_id)} {story.variant}")
@@ -61,7 +61,7 @@ def _boxes(rr: Any, story: Story, colours: Colouring, poses: Poses) -> Any:
 
 
 def _carrier(rr: Any, story: Story, poses: Poses) -> Iterator[tuple[str, Any]]:
-    """The boards of the carrier, and its walls, which are drawn as frames because solid walls would hide boxes."""
+    """The boards of the carrier, and its walls. Walls are drawn as wire frames, since solid walls would hide boxes."""
     carrier = story.scene.carrier
     centers, _, half_sizes = carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
     boards, walls = slice(carrier.n_boards), slice(carrier.n_boards, None)
@@ -87,7 +87,7 @@ def _forces(rr: Any, history: History, poses: Poses, scale: float) -> Any:
 
 
 def _curves(story: Story, poses: Poses) -> dict[str, float]:
-    """The curves over time: the largest values over all placed boxes."""
+    """The present values of the curves over time: name → largest value over all placed boxes."""
     forces = np.nan_to_num(story.history.top_force_n[poses.frame, : poses.n_placed])
     return {
         "largest_shift_mm": float(shift_mm(story, poses).max(initial=0.0)),
@@ -97,5 +97,5 @@ def _curves(story: Story, poses: Poses) -> dict[str, float]:
 
 
 def _as_xyzw(quat: Any) -> Any:
-    """(k, 4) quaternions, converted from MuJoCo's order to rerun's."""
+    """(k, 4) quaternions (x, y, z, w), as rerun needs them, given quaternions (w, x, y, z)."""
     return np.roll(quat, -1, axis=1)

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 FINER: Final = 2
-"""Factor by which single pictures are drawn larger before they are reduced, unless they are already large."""
+"""Factor by which single pictures are drawn larger and then reduced, which makes edges smooth. Large pictures are not
+drawn larger."""
 
 _LARGE_PX: Final = 3_000_000
 
@@ -27,8 +28,10 @@ class PictureStyle:
     """How the pictures of a story look.
 
     Attributes:
-        size: width and height, px.
-        newtons_per_m: scale of the arrows for contact forces; None: no arrows.
+        colours: colours of the boxes.
+        view: direction from the pallet to the camera.
+        size: width and height of a picture, px.
+        newtons_per_m: force per length of the arrows for contact forces. If None, no arrows are drawn.
     """
 
     colours: Colouring
@@ -38,16 +41,16 @@ class PictureStyle:
 
     @property
     def arrows(self) -> str:
-        """The line that explains arrows; "" if there are none."""
+        """The line of text that explains the arrows; "" if there are no arrows."""
         return "" if self.newtons_per_m is None else f"arrows: contact forces, 0.1 m for {self.newtons_per_m / 10:g} N"
 
     def line_px(self, finer: int = 1) -> float:
-        """Width of the edges of boxes, px."""
+        """Width of boxes' edges, px, in a picture that is drawn larger by the factor ``finer``."""
         return finer * max(1.0, min(self.size) / 600)
 
 
 def draw_frames(story: Story, look: PictureStyle, frames: list[int], camera: Camera) -> list[Image]:
-    """Pictures of some frames, all from one camera, without any text."""
+    """Pictures of the given frames, as seen by a camera, without any text."""
     from PIL import Image
 
     width, height = look.size
@@ -62,12 +65,12 @@ def draw_frames(story: Story, look: PictureStyle, frames: list[int], camera: Cam
 
 
 def frame_camera(story: Story, look: PictureStyle, frames: list[int], margins: Margins) -> Camera:
-    """A camera that frames some frames of a story."""
+    """The camera that shows the boxes of the given frames as large as possible."""
     return framing(framed_points(story, frames), look.view, look.size, margins)
 
 
 def write_still(story: Story, look: PictureStyle, frame: int, path: Path) -> None:
-    """Write one frame as a PNG file, with its texts."""
+    """Write the picture of one frame, with its texts, as a PNG file."""
     import numpy as np
 
     overlay = Overlay(look.colours, look.size, arrows=look.arrows)

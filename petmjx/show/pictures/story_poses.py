@@ -1,4 +1,5 @@
-"""The poses of a story at any time, and the named moments at which pictures are taken."""
+"""The poses of carrier and boxes at any time of a story (the simulation of one plan), and the moments at which pictures
+are taken."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ from petmjx.world.job import FORCE
 LOST_M: Final = 1000.0
 
 _ROUNDED_S: Final = 0.01
-"""A requested time may be later than the end of the story by this much, s, because times are printed with two
-digits."""
+"""Time after the end of the story that may still be requested, s. It is needed because times are printed with two
+decimals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +31,11 @@ class Poses:
 
     Attributes:
         time_s: the time, s.
-        frame: the frame of the history that is nearest to this time.
-        pos: (k, 3) positions, m; NaN if the position of the box is unknown.
-        quat: (k, 4) orientations (w, x, y, z).
-        carrier_pos: (3,) m.
-        carrier_quat: (4,).
+        frame: number of the frame of the history that is nearest to this time.
+        pos: (k, 3) positions of the boxes, m; NaN if the position is unknown.
+        quat: (k, 4) orientations of the boxes as quaternions (w, x, y, z).
+        carrier_pos: (3,) position of the carrier, m.
+        carrier_quat: (4,) orientation of the carrier as a quaternion.
     """
 
     time_s: float
@@ -50,15 +51,16 @@ class Poses:
 
 
 class Moment(NamedTuple):
-    """A frame of a story, and its name; the name is "" if the moment was requested by its time."""
+    """The number of a frame of a story, and the name of this moment. The name is "" if the moment was requested by its
+    time."""
 
     frame: int
     name: str
 
 
 def poses_of_frame(history: History, frame: int) -> Poses:
-    """The recorded poses of a frame. In an invalid world, boxes are NaN if their position is not finite or beyond
-    ``LOST_M``."""
+    """The recorded poses of a frame. The pose of a box is NaN if it is not finite, or farther away than ``LOST_M``,
+    which occurs in invalid worlds."""
     placed = slice(int(history.n_placed[frame]))
     pos, quat = history.pos[frame, placed], history.quat[frame, placed]
     is_near = (np.abs(pos) < LOST_M).all(axis=1, keepdims=True) & np.isfinite(quat).all(axis=1, keepdims=True)
@@ -92,20 +94,21 @@ def poses_at(history: History, time_s: float) -> Poses:
 
 
 def nearest_frame(history: History, time_s: float) -> int:
-    """The frame nearest to a time. If several frames have the same time, the last of them."""
+    """The number of the frame nearest to a time. If several frames have this time, it is the last of them."""
     distance = np.abs(history.time_s - time_s)
     return int(np.flatnonzero(distance == distance.min())[-1])
 
 
 def moments(story: Story, names: str | None) -> list[Moment]:
-    """The requested moments, in the order in which they were requested.
+    """The requested moments, in the order of the request.
 
     Args:
-        names: moments, separated by commas. None: before the first sign, at the first sign, and at the end; or only at
-            the end if no box failed.
+        story: the story.
+        names: moments, separated by commas. If None, the moments are before the first sign (the first crossing of a
+            threshold by a box), at the first sign, and at the end; or only the end if no box failed.
 
     Raises:
-        InputError: a name is unknown, or this story does not have such a moment.
+        InputError: a name is unknown, or the story has no such moment.
     """
     if names is None:
         names = ",".join((BEFORE, FIRST_SIGN, END) if math.isfinite(story.outcome.first_sign_s) else (END,))
@@ -133,20 +136,20 @@ def _moment(story: Story, which: str | float) -> Moment:
 
 
 def shift_mm(story: Story, poses: Poses) -> FloatArray:
-    """(k,) the largest component of each placed box's shift from its planned place, mm. The verdict uses the same
+    """(k,) largest component of each placed box's shift from its planned place, mm. The verdict depends on the same
     value."""
     moved = shift(poses.pos, story.scene.target[: poses.n_placed], 0.0)
     return np.asarray(1000.0 * np.abs(moved).max(axis=1, initial=0.0))
 
 
 def tilts_deg(poses: Poses) -> FloatArray:
-    """(k,) tilt of each placed box, degrees."""
+    """(k,) tilt of each placed box against the vertical, degrees."""
     return np.asarray(tilt_deg(poses.quat), dtype=np.float64)
 
 
 def shaking_g(story: Story, poses: Poses) -> FloatArray:
-    """(3,) shaking of the carrier, in g: its acceleration, or the force on it divided by the total weight. Zero if
-    there is no drive."""
+    """(3,) what shakes the carrier, in g: the carrier's acceleration, or the force on the carrier divided by the total
+    weight. Zero if nothing shakes it."""
     if story.drive is None:
         return np.zeros(3)
     of_force = story.drive.excitation.kind == FORCE
@@ -155,8 +158,8 @@ def shaking_g(story: Story, poses: Poses) -> FloatArray:
 
 
 def _interpolated_quats(first: FloatArray, second: FloatArray, share: float) -> FloatArray:
-    """Orientations between those of two frames, interpolated along the chord. For the small angles between two frames,
-    this is as good as the arc."""
+    """Orientations between the orientations in two frames. Quaternions are interpolated linearly and normalised,
+    which is accurate enough for the small angles between two frames."""
     same_side = np.where((first * second).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
     mixed = first + share * (same_side * second - first)
     return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))

@@ -1,8 +1,7 @@
-"""Encodes films in H.264: writes their frames into the ffmpeg of imageio-ffmpeg.
+"""Encodes films in H.264 with the ffmpeg of imageio-ffmpeg.
 
-The writer of imageio-ffmpeg runs a Python function between fork and exec when it starts ffmpeg. Such a function is
-unsafe if the process has threads: after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg itself,
-without such a function.
+When imageio-ffmpeg starts ffmpeg, it runs a Python function between fork and exec. This is unsafe if the process has
+threads: after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg itself, without such a function.
 """
 
 from __future__ import annotations
@@ -16,19 +15,19 @@ from tempfile import TemporaryFile
 
 @contextmanager
 def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[bytes], None]]:
-    """A context with a function that accepts the frames of a film, in order. When the context ends, the file is
-    complete.
+    """A context that yields a function, which writes the frames of a film, one after another. When the context ends,
+    the file is complete.
 
     Args:
         path: the file to write. An existing file is replaced.
-        size: width and height, px. Both must be even.
+        size: width and height of the frames, px. Both must be even.
         fps: frames per second.
 
     Yields:
         A function that accepts the bytes of one frame: rows from the top, with red, green and blue for each pixel.
 
     Raises:
-        RuntimeError: ffmpeg is missing or failed. The message is the last line of its output.
+        RuntimeError: ffmpeg is missing or failed. The message is the last line of ffmpeg's output.
         OSError: ffmpeg cannot be started.
     """
     import imageio_ffmpeg
@@ -40,7 +39,7 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         f"file:{path}",  # otherwise "a:b.mp4" would be read as a protocol
     ]  # fmt: skip
     with TemporaryFile() as error_output:
-        # ffmpeg gets a new session, so that Ctrl-C reaches only petmjx, which then ends ffmpeg.
+        # ffmpeg runs in a new session, so that Ctrl-C reaches only petmjx, which then ends ffmpeg
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=error_output, start_new_session=True
         )
@@ -56,7 +55,7 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         try:
             yield add
         except _EncoderExit:
-            pass  # ffmpeg itself reports the reason
+            pass  # ffmpeg's output contains the reason
         except BaseException:
             process.kill()
             raise

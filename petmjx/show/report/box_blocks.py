@@ -1,4 +1,5 @@
-"""The final poses of the boxes in worlds, in blocks. The page unpacks a block when the user opens one of its worlds."""
+"""The final poses of the boxes in worlds, stored in blocks (compact arrays). The page unpacks a block when the user
+opens a world in this block."""
 
 from __future__ import annotations
 
@@ -25,14 +26,15 @@ from petmjx.world.body_shapes import Body
 from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 600_000
-"""Largest number of boxes on a page. A box takes about 17 bytes, so the limit is 10 MB. Worlds that do not stand have
-priority."""
+"""Largest number of boxes on a page. A box takes about 17 bytes, so all boxes take at most 10 MB. If there are more
+boxes, worlds that stand are left out first."""
 
 WORLDS_PER_BLOCK: Final = 64
-"""Number of worlds in a block. Such a block is unpacked in some milliseconds, and deflates as well as a larger one."""
+"""Number of worlds in a block. Such a block is unpacked in some milliseconds, and deflates as well as a larger
+block."""
 
 TENTHS_PER_M: Final = 10_000
-"""Number of units per metre. Planned places are stored as whole tenths of a millimetre."""
+"""Number of tenths of a millimetre in a metre. Planned places are stored as whole tenths of a millimetre."""
 
 _POSITION: Final = ("pos_x_m", "pos_y_m", "pos_z_m")
 _QUATERNION: Final = ("quat_w", "quat_x", "quat_y", "quat_z")
@@ -45,9 +47,10 @@ class BoxBlocks:
     """The boxes on a page.
 
     Attributes:
-        blocks: name → block. The drawn world with number k is world k % ``WORLDS_PER_BLOCK`` of block "boxes-N".
-        drawn: (rows of the table,) the number of the row's world among the drawn worlds; −1: the world is not drawn.
-        without_boxes: number of worlds left out because there are too many.
+        blocks: name → block. The blocks "boxes-0", "boxes-1", … contain ``WORLDS_PER_BLOCK`` worlds each.
+        drawn: (rows of the table,) the number of each row's world among the worlds in the blocks; −1 if the world is
+            not in a block.
+        without_boxes: number of worlds that are left out because there are too many boxes.
     """
 
     blocks: dict[str, str]
@@ -56,10 +59,12 @@ class BoxBlocks:
 
 
 def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_BOXES) -> BoxBlocks:
-    """Pack the boxes of the worlds in a table. Worlds whose plans were not found are left out.
+    """Store the boxes of the worlds in a table in blocks. Worlds whose plans were not found are left out.
 
     Args:
+        runs: the runs of the report.
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
+        most: largest number of boxes.
     """
     chosen, left = _drawn_rows(runs, table, most)
     drawn = np.full(len(table), -1)
@@ -73,7 +78,8 @@ def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_
 
 
 def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tuple[NDArray[np.int64], int]:
-    """The rows of the table whose worlds are drawn, and the number of worlds left out because there are too many."""
+    """The numbers of the rows of the table whose worlds are stored in blocks, and the number of worlds that are left
+    out because there are too many boxes."""
     has_plan = np.zeros(len(table), dtype=bool)
     for at, run in enumerate(runs):
         if not run.results.keeps_boxes:
@@ -89,12 +95,14 @@ def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tu
 
 @dataclass(frozen=True, eq=False)
 class _World:
-    """The boxes of one world in packing order, with their data from the plan.
+    """The boxes of one world in packing order, with data from the plan.
 
     Attributes:
-        numbers: (n, columns) values of ``_NUMBERS``.
-        names: n pairs of item and article.
-        target: (n, 3) planned centres, m.
+        numbers: (n, columns) values of the columns ``_NUMBERS``.
+        names: (item, article) of each box.
+        plan: the plan.
+        target: (n, 3) planned centres of the boxes, m.
+        carrier: the carrier.
     """
 
     numbers: FloatArray
@@ -125,8 +133,8 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
 
 
 def simulation_of(info: Mapping[str, Any]) -> Simulation:
-    """The simulation options of a run; the defaults if the run does not state its options, or states them in the form
-    of an older petmjx."""
+    """The simulation options of a run. They are the defaults if the run does not state its options, or states options
+    that this version of petmjx cannot read."""
     settings = info.get("config", {}).get("simulation")
     try:
         return Simulation.read(settings) if isinstance(settings, Mapping) else Simulation()
@@ -135,8 +143,8 @@ def simulation_of(info: Mapping[str, Any]) -> Simulation:
 
 
 def _block_columns_of_boxes(worlds: Sequence[_World]) -> dict[str, NDArray[Any] | PackedArray]:
-    """The columns of a block. ``items`` is JSON in UTF-8, with an entry for each kind of box: [item, article, three
-    sides in mm, kg]."""
+    """The arrays of a block. The array ``items`` is JSON in UTF-8, with an entry for each kind of box: [item, article,
+    length, width and height in mm, mass in kg]."""
     numbers = np.concatenate([world.numbers for world in worlds])
     pos, quat, (tilt, force, rest_force, drop) = numbers[:, :3], numbers[:, 3:7], numbers[:, 7:].T
     target = np.concatenate([world.target for world in worlds])

@@ -1,4 +1,4 @@
-"""The kinds of charts in a report. Other modules determine what the charts show."""
+"""Functions that draw each kind of chart in a report: histograms, curves, bars and so on."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ BINS: Final = 24
 
 GROUPS: Final = 8
 FEWEST: Final = 12
-"""Number of groups of equal size into which worlds are divided along an axis, and the smallest size of a group."""
+"""Largest number of groups of about equal size into which worlds are divided along an axis, and the smallest number of
+worlds in a group."""
 
 MOST_POINTS: Final = 400
-"""Largest number of worlds that are drawn as points. For more worlds, quantiles are drawn."""
+"""Largest number of worlds that are drawn as points. If there are more worlds, quantiles are drawn."""
 
 QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 ROW_HEIGHT: Final = 24
 TALL_ROW: Final = 42
-"""Height of a row whose name is above its drawing, pixels."""
+"""Height of a row with the name above the drawing, pixels."""
 
 MOST_LETTERS: Final = 28
 LETTER: Final = 6
@@ -48,7 +49,7 @@ def interval_text(low: float, high: float) -> str:
 
 
 def _span(low: float, high: float, counts: bool) -> str:
-    """The range of a bin as text: "0.5 to 1"; if the values are counts, "3" or "3 to 5"."""
+    """The range of a histogram's bin as text, such as "0.5 to 1". If the values are counts, such as "3" or "3 to 5"."""
     if not counts:
         return f"{three_digits(low)} to {three_digits(high)}"
     first, last = math.ceil(low), math.floor(high)
@@ -58,15 +59,19 @@ def _span(low: float, high: float, counts: bool) -> str:
 def histogram(
     frame: Frame, values: pd.Series, classes: pd.Series, order: Sequence[str], threshold: float | None = None
 ) -> None:
-    """Draw bars with the number of worlds by value, with the classes stacked. Sets the frame's y scale.
+    """Draw a histogram of values into a frame, and set the frame's y scale. In each bar, the parts for different
+    classes of worlds are stacked.
 
     Args:
-        classes: class of each world, such as its verdict. The style sheet has a class of the same name.
-        order: the classes, from the lowest bar upwards.
+        frame: the frame of the chart.
+        values: the value of each world.
+        classes: class of each world, such as its verdict. The style sheet gives each class a colour.
+        order: the classes, from the lowest part of a bar upwards.
+        threshold: a value at which two bins must meet, if any.
     """
     edges = frame.x.edges(BINS)
     if threshold is not None and edges[0] < threshold < edges[-1] and len(edges) > 2:
-        # move an edge to the threshold, so that values below and above the threshold are in different bars
+        # move an edge between bins to the threshold, so that no bar contains values on both sides of the threshold
         edges[1 + int(np.abs(edges[1:-1] - threshold).argmin())] = threshold
     has_value = values.notna()
     clipped = np.clip(values[has_value].to_numpy(np.float64), frame.x.low, frame.x.high)
@@ -97,7 +102,7 @@ def histogram(
 
 
 def points(frame: Frame, x: pd.Series, y: pd.Series, classes: pd.Series) -> None:
-    """Draw one point per world."""
+    """Draw a point for each world into a frame."""
     has_values = (x.notna() & y.notna()).to_numpy()
     px, py = frame.at(x[has_values].to_numpy(np.float64), y[has_values].to_numpy(np.float64))
     for at_x, at_y, name in zip(px.tolist(), py.tolist(), classes[has_values], strict=True):
@@ -105,8 +110,8 @@ def points(frame: Frame, x: pd.Series, y: pd.Series, classes: pd.Series) -> None
 
 
 def quantile_bands(frame: Frame, x: pd.Series, y: pd.Series) -> None:
-    """Draw quantiles of y along x: the median as a line, a band with half of the worlds, and a band with nine tenths of
-    them."""
+    """Draw quantiles of y along x into a frame: the median as a line, a band with half of the worlds, and a band with
+    nine tenths of the worlds."""
     has_values = x.notna() & y.notna()
     groups = equal_groups(x[has_values].to_numpy(np.float64))
     values = y[has_values].to_numpy(np.float64)
@@ -118,8 +123,8 @@ def quantile_bands(frame: Frame, x: pd.Series, y: pd.Series) -> None:
 
 
 def equal_groups(x: FloatArray) -> list[NDArray[np.int64]]:
-    """Rows in up to ``GROUPS`` groups of about equal size, by ascending x. Rows with equal x are always in the same
-    group."""
+    """Indices of the values ``x``, sorted by value and divided into up to ``GROUPS`` groups of about equal size. Equal
+    values are always in the same group."""
     if not len(x):
         return []
     order = np.argsort(x, kind="stable")
@@ -129,7 +134,7 @@ def equal_groups(x: FloatArray) -> list[NDArray[np.int64]]:
 
 
 def share_curve(frame: Frame, x: FloatArray, share: FloatArray, low: FloatArray, high: FloatArray) -> None:
-    """Draw shares with their intervals along an axis."""
+    """Draw shares and their intervals along an axis into a frame. NaN is a missing value."""
     frame.band(x, low, high, "band inner")
     frame.line(x, share, "curve")
     px, py = frame.at(x, share)
@@ -141,7 +146,16 @@ def share_curve(frame: Frame, x: FloatArray, share: FloatArray, low: FloatArray,
 
 @dataclass(frozen=True)
 class Bar:
-    """A row of a bar chart: its name, its length, and the text to its right. ``link`` filters the table of plans."""
+    """A row of a bar chart.
+
+    Attributes:
+        name: name to the left of the bar.
+        length: length of the bar, in any unit.
+        text: text to the right of the bar.
+        class_: class of the style sheet that gives the bar its colour.
+        link: part of the page's address after #, with which a click on the bar filters the table of plans. If None, a
+            click has no effect.
+    """
 
     name: str
     length: float
@@ -151,11 +165,14 @@ class Bar:
 
 
 def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 130) -> Markup:
-    """A bar chart with the names on the left. Long names are cut; the whole name appears when the mouse is over the cut
-    name.
+    """A bar chart with the names on the left. A long name is shortened; the whole name appears when the mouse is over
+    the bar.
 
     Args:
-        names: width of the names, pixels.
+        title: description of the chart for screen readers.
+        rows: the bars.
+        width: width of the chart, pixels.
+        names: largest width of the names, pixels.
     """
     longest = max((row.length for row in rows), default=0.0) or 1.0
     letters = min(names // LETTER, max((len(row.name) for row in rows), default=0))
@@ -179,8 +196,11 @@ def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 13
 
 
 def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]]) -> Markup:
-    """A chart between 0 and 100 % with one dot and its interval per row. A row is (name, share, low, high, text); the
-    name and the text are above the dot."""
+    """A chart of shares between 0 and 100 %, with a dot and an interval in each row.
+
+    A row is given as (name, share, low end of the interval, high end of the interval, text). The name and the text are
+    above the dot.
+    """
     left, right = 12.0, WIDTH - 16.0
     height = len(rows) * TALL_ROW + 22
     marks: list[Content] = []
@@ -201,8 +221,11 @@ def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]]) 
 
 
 def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]]]) -> Markup:
-    """A chart with one bar of several parts per row. A row is (name, [(class, count, meaning), …]); the name is above
-    the bar. All bars have the same length."""
+    """A chart with a bar of several parts in each row. All bars have the same length.
+
+    A row is given as (name, parts), and a part as (class of the style sheet, count, meaning). The name is above the
+    bar.
+    """
     marks: list[Content] = []
     for at, (name, parts) in enumerate(rows):
         y = at * TALL_ROW
@@ -223,14 +246,14 @@ def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, 
 
 
 def _row_name(name: str, y: float) -> Markup:
-    """The name of a row. If the name is cut, the whole text appears when the mouse is over the name."""
+    """The name of a row. A long name is shortened; the whole name appears when the mouse is over the name."""
     letters = MOST_LETTERS
     short = name if len(name) <= letters else name[: letters - 1] + "…"
     return element("text", element("title", name), short, x=0, y=y, class_="halo")
 
 
 ROSE: Final = 300
-"""Side length of a rose, pixels."""
+"""Width and height of a rose (a chart of values by direction), pixels."""
 
 ROSE_RINGS: Final = 4
 
@@ -239,9 +262,11 @@ def rose(title: str, directions_deg: FloatArray, quantiles: Mapping[str, FloatAr
     """A chart of values by direction: 0° is to the right and 90° up, like x and y of the carrier.
 
     Args:
-        directions_deg: (d,) directions in ascending order.
-        quantiles: ``low``, ``middle`` and ``high``: (d,) values. Missing values are drawn at 0.
-        top: the value of the outer ring.
+        title: description of the chart for screen readers.
+        directions_deg: (d,) directions, rising.
+        quantiles: (d,) values under each of the names ``low``, ``middle`` and ``high``. Missing values are drawn at 0.
+        top: the value at the outer ring.
+        unit: unit of the values.
     """
     centre, reach = ROSE / 2, ROSE / 2 - 34
     turn = np.radians(directions_deg)

@@ -19,14 +19,15 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.show.report.verdict_shares import plan_link
 
 MOST_FLIPS: Final = 50
-"""Largest number of flipped verdicts that are listed. The table of plans contains all of them."""
+"""Largest number of flipped verdicts (different in the two runs) that are listed. The table of plans contains all
+flipped verdicts."""
 
 MOST_PAIRS: Final = 28
 """Largest number of pairs of runs that are drawn. Eight runs have this many pairs."""
 
 
 def comparison_section(runs: Sequence[ReportRun]) -> Markup:
-    """The section that compares several runs by the plans that they have in common."""
+    """The section that compares several runs, using the worlds that all runs have."""
     if len(runs) < 2:
         return NOTHING
     common = common_verdicts(runs)
@@ -46,14 +47,14 @@ def _word(runs: Sequence[ReportRun]) -> str:
 
 
 def common_verdicts(runs: Sequence[ReportRun]) -> pd.DataFrame:
-    """The verdicts of the worlds that all runs have: one row per world, by plan and variant, and one column per run, by
-    the number of the run."""
+    """The verdicts of the worlds that all runs have. There is a row for each world, with plan and variant as index, and
+    a column for each run, with the number of the run as name."""
     columns = [run.worlds.set_index(KEY)["verdict"].rename(at) for at, run in enumerate(runs)]
     return pd.concat(columns, axis=1, join="inner").sort_index()
 
 
 def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
-    """The share of worlds that stand in each run, with Wilson's interval."""
+    """A chart of the share of worlds that stand in each run, with Wilson's interval."""
     rows = []
     for at, run in enumerate(runs):
         judged = common[at] != Verdict.INVALID.value
@@ -71,12 +72,8 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
 
 
 def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Markup, Markup]:
-    """For each pair of runs, the worlds that stand in only one of the two runs. Only worlds with a verdict in both runs
-    are compared.
-
-    Returns:
-        A chart, and a table with the differences of the shares.
-    """
+    """A chart of the numbers of worlds that stand in both, one or neither run of each pair of runs, and a table of the
+    differences of the shares that stand. Only worlds with a valid verdict in both runs are compared."""
     rows, differences = [], []
     pairs = list(itertools.combinations(range(len(runs)), 2))
     for a, b in pairs[:MOST_PAIRS]:
@@ -109,11 +106,11 @@ def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Mark
 
 
 def paired_counts(a: pd.Series, b: pd.Series) -> PairedCounts:
-    """Numbers of worlds that stand in both runs, in one, or in neither, among the worlds that have a valid verdict in
-    both.
+    """Numbers of worlds that stand in both of two runs, in only one of them, or in neither. Only worlds with a valid
+    verdict in both runs are counted.
 
     Args:
-        a, b: verdicts of the same worlds.
+        a, b: verdicts of the same worlds in the two runs.
     """
     judged = (a != Verdict.INVALID.value) & (b != Verdict.INVALID.value)
     stands_a, stands_b = (verdicts[judged] == Verdict.STABLE.value for verdicts in (a, b))
@@ -122,8 +119,8 @@ def paired_counts(a: pd.Series, b: pd.Series) -> PairedCounts:
 
 
 def _two(runs: Sequence[ReportRun], pair: Comparison, n_plans: int) -> Markup:
-    """The confusion matrix of two runs' verdicts, and the flips. ``n_plans`` is the number of plan ids that both runs
-    have; the plans may have different boxes."""
+    """The confusion matrix of the verdicts of two runs, and a list of flipped verdicts. ``n_plans`` is the number of
+    plan ids that both runs have; plans with the same id may have different boxes."""
     a, b = (run.name for run in runs)
     rows = [[str(verdict), *(f"{count:,}" for count in counts)] for verdict, counts in pair.confusion.iterrows()]
     agree = percent(pair.agreement) if pair.agreement is not None else "–"
@@ -178,7 +175,7 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
     a, b = (run.name for run in runs)
     caption = f"Flipped verdicts ({len(flips):,})"
     caption += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
-    within = None if pair.other_plans else pair.flips_within  # ``flips_within`` has a meaning only for equal plans
+    within = None if pair.other_plans else pair.flips_within  # meaningful only if both runs have the same plans
     note = (
         "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
     )

@@ -1,4 +1,5 @@
-"""Charts of shift, tilt, force and the time of the first sign, both alone and against the size of plans."""
+"""Charts of shift, tilt, force and the time of the first sign (when a box first crosses a threshold): histograms, and
+charts against the size of plans."""
 
 from __future__ import annotations
 
@@ -23,14 +24,15 @@ from petmjx.show.report.verdict_shares import ORDER
 
 @dataclass(frozen=True)
 class Quantity:
-    """A metric of worlds in the form in which charts show it.
+    """A metric of worlds, and how charts show it.
 
     Attributes:
-        column: column of ``worlds``.
+        column: column of the table ``worlds``.
+        title: name of the metric.
+        label: name and unit of the metric, for an axis.
         factor: factor that converts values to the unit of the label.
-        label: name and unit, for the axis.
-        log_from: lower end of a logarithmic axis; None: the axis is linear and begins at 0.
-        lowest: label at the lower end of the axis. Smaller values are drawn at this end, too.
+        log_from: lower end of a logarithmic axis. If None, the axis is linear and begins at 0.
+        lowest: label at the lower end of the axis, if smaller values are also drawn there.
         counts: whether values are whole numbers.
     """
 
@@ -43,27 +45,26 @@ class Quantity:
     counts: bool = False
 
     def of(self, worlds: pd.DataFrame) -> pd.Series:
-        """The values in the unit of the label. NaN for missing and infinite values."""
+        """The value of each world in the unit of the label. Missing and infinite values are NaN."""
         values = worlds[self.column].astype("float64") * self.factor
         return values.where(np.isfinite(values))
 
     def scale(self, values: pd.Series) -> Scale:
-        """An axis for these values. The axis contains all values. Its lower end is the lower end that this metric
-        defines."""
+        """The axis for histograms of this metric. It extends from the metric's lower end to the largest value."""
         return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
 
     def across(self, values: pd.Series) -> Scale:
-        """An axis that extends from the smallest to the largest of these values."""
+        """An axis that extends from the smallest to the largest value."""
         return replace(Scale.over(values.to_numpy()), counts=self.counts)
 
     def limit(self, thresholds: Thresholds) -> float | None:
-        """The threshold of this metric, in the unit of the label."""
+        """The threshold of this metric, in the unit of the label; None if the metric has no threshold."""
         limits = {"max_shift_m": thresholds.shift_m * MM_PER_M, "max_tilt_deg": thresholds.tilt_deg}
         return limits.get(self.column)
 
 
 SHIFT: Final = Quantity("max_shift_m", "Shift", "largest shift, mm", MM_PER_M, 0.5, "< 1")
-"""Components of the shift below ``shift_floor_m``, by default 1 mm, count as 0."""
+"""The largest shift. Shifts below ``shift_floor_m``, by default 1 mm, count as 0."""
 
 METRICS: Final = (
     SHIFT,
@@ -80,7 +81,8 @@ SIZES: Final = (
 
 
 def distributions(run: ReportRun) -> Markup:
-    """Histograms of all metrics; then each metric, and the share that stands, against the size of plans."""
+    """Histograms of all metrics; then charts of the share that stands, and of each metric, against the size of
+    plans."""
     worlds = run.worlds
     if worlds.empty:
         return NOTHING
@@ -137,11 +139,8 @@ def _against(size: Quantity, metric: Quantity, worlds: pd.DataFrame, limits: Thr
 
 
 def _share(size: Quantity, worlds: pd.DataFrame, one_each: bool) -> Markup:
-    """The share that stands, for groups of plans of about equal size.
-
-    Args:
-        one_each: whether every plan has one world. Shares then have Wilson's interval.
-    """
+    """A chart of the share of worlds that stand against a size of plans. Worlds are divided into groups of about equal
+    size. If every plan has one world (``one_each``), shares have Wilson's interval."""
     judged = worlds[(worlds["verdict"] != Verdict.INVALID.value) & size.of(worlds).notna()]
     x = size.of(judged).to_numpy(np.float64)
     stands = (judged["verdict"] == Verdict.STABLE.value).to_numpy()

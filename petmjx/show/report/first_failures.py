@@ -1,4 +1,4 @@
-"""Charts of which articles, and which positions in the packing order, fail first."""
+"""Charts about the boxes that fail first: their articles, and their places in the packing order."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_FAILING_ARTICLES: Final = 12
 
 
 def first_boxes(run: ReportRun) -> Markup:
-    """Charts of the boxes that were the first to cross a threshold."""
+    """Charts about the boxes that were the first in their world to cross a threshold."""
     falls = run.worlds[run.worlds["culprit"].notna()]
     if falls.empty:
         unknown = (run.worlds["verdict"] == Verdict.INVALID.value).all()
@@ -52,8 +52,8 @@ def first_boxes(run: ReportRun) -> Markup:
 
 
 def _articles(run: ReportRun, falls: pd.DataFrame) -> Markup:
-    """Two counts for each article: its boxes that fail first, and all its boxes in the same run. Articles with the most
-    failures come first."""
+    """A chart with two counts for each article: the number of its boxes that fail first, and the number of all its
+    boxes in the run. Articles with the most failures come first."""
     first = falls.loc[falls["first_article"] != "", "first_article"].value_counts()
     of_article: Counter[str] = Counter()
     worlds = run.worlds["plan_id"].value_counts()

@@ -1,4 +1,4 @@
-"""HTML and SVG as text. Text that is not markup is escaped, so text from a plan or a file can never become markup."""
+"""Makes HTML and SVG. Text that is not markup is escaped, so text from a plan or a file can never become markup."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from petmjx.show.pages.page import escaped_html as escaped_text
 
 
 class Markup(str):
-    """Text that is markup, and so goes into the page unchanged."""
+    """Text that is markup, and is therefore not escaped."""
 
     __slots__ = ()
 
@@ -24,12 +24,12 @@ _EMPTY: Final = frozenset({"br", "col", "hr", "img", "input", "meta"})
 
 
 def escaped_markup(text: str) -> Markup:
-    """Turn text into markup: it is escaped, and invisible characters are made visible."""
+    """Text as markup: it is escaped, and invisible characters are made visible. Markup is returned unchanged."""
     return text if isinstance(text, Markup) else Markup(escaped_text(text))
 
 
 def joined_markup(*parts: Content) -> Markup:
-    """Join parts, in order."""
+    """Parts, joined in order. Parts that are not markup are escaped."""
     return Markup("".join(escaped_markup(part) for part in parts if part is not None))
 
 
@@ -37,8 +37,10 @@ def element(name: str, *children: Content, **attributes: str | float | bool | No
     """An element with children.
 
     Args:
-        attributes: ``class_`` becomes class, ``aria_label`` becomes aria-label. None and False are left out; True gives
-            an attribute without a value.
+        name: name of the element, such as "p".
+        children: the children.
+        attributes: attributes of the element. ``class_`` becomes class, and ``aria_label`` becomes aria-label. An
+            attribute with the value None or False is left out. With True, it is written without a value.
     """
     written = "".join(_attribute(key, value) for key, value in attributes.items())
     end = "" if name in _EMPTY else f"</{name}>"
@@ -66,9 +68,12 @@ def table(
     """A small table.
 
     Args:
-        texts: number of columns, from the left, that contain text. The other columns contain numbers, aligned to the
-            right.
-        caption: title of the table, and its name for screen readers.
+        head: the headings.
+        rows: the rows of cells.
+        caption: title of the table, which screen readers also read.
+        texts: number of columns, from the left, that contain text. The other columns contain numbers, which are aligned
+            to the right.
+        class_: class of the style sheet.
     """
     heads = [element("th", cell, scope="col", class_=_side(at, texts)) for at, cell in enumerate(head)]
     lines = []

@@ -1,4 +1,5 @@
-"""The table of all plans: its columns, and its values as compact arrays. ``static/table.js`` displays it."""
+"""The table of all plans in a report: its columns, and its values as compact arrays. The script ``static/table.js``
+displays the table."""
 
 from __future__ import annotations
 
@@ -25,23 +26,25 @@ MOST_ROWS: Final = 200_000
 that stand are left out first."""
 
 MOST_OF_SWEEP: Final = 100_000
-"""Largest number of worlds of a sweep for which each world gets a row. If there are more, each plan gets one row."""
+"""Largest number of worlds of a sweep for which each world gets a row. If there are more worlds, each plan gets a
+row."""
 
 PLAN: Final = "plan"
 OTHER: Final = "other"
-"""Columns that the page knows by their names, besides ``run``, ``variant``, ``verdict`` and ``reason``."""
+"""Names of two columns in the page: id of the plan, and verdict of the same world in the other run."""
 
 
 @dataclass(frozen=True)
 class NumberColumn:
-    """A column with numbers.
+    """A column with numbers in the table of plans.
 
     Attributes:
-        column: column of ``ReportRun.worlds``.
+        column: name of the column in ``ReportRun.worlds``.
         key: name of the column in the page, and in the page's address.
-        label, unit: its heading and its unit.
+        label, unit: heading of the column, and unit of its values.
+        digits: number of decimals that are shown.
+        factor: factor that converts values to the unit.
         meaning: text that appears when the mouse is over the heading.
-        digits: number of decimals.
     """
 
     column: str
@@ -76,21 +79,21 @@ NUMBERS: Final = (
     NumberColumn("height_m", "height", "height", "m", 2),
     NumberColumn("mass_kg", "weight", "weight", "kg", 0),
 )
-"""The columns with numbers of runs. A column without any value is left out."""
+"""The columns with numbers. A column is left out if no world has a value."""
 
 
 @dataclass
 class Rows:
-    """The table in the form that the page uses.
+    """The table of plans in the form that the page uses.
 
     Attributes:
-        columns: in order, the key, label, unit, kind (``text``, ``choice`` or ``number``), digits and meaning of each
-            column.
-        texts: key → the texts of a column of kind ``text`` or ``choice``. The column's array has indices of these
-            texts; −1 means no text.
-        arrays: key → one value per row.
-        left_out: number of worlds that are missing in the table.
-        summed_up: the runs for which the table has one row per plan.
+        columns: key, label, unit, kind (``text``, ``choice`` or ``number``), digits and meaning of each column, in
+            order.
+        texts: key of a column of kind ``text`` or ``choice`` → its texts. The column's array has indices of these
+            texts, or −1 if there is no text.
+        arrays: key of a column → one value per row.
+        left_out: number of worlds that are not in the table.
+        summed_up: the runs for which the table has one row per plan instead of one row per world.
     """
 
     columns: list[dict[str, Any]] = field(default_factory=list)
@@ -101,7 +104,8 @@ class Rows:
 
 
 def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, pd.DataFrame]:
-    """Two results: the table, and a data frame with the same worlds in the same order, in which ``run`` is a number."""
+    """The table of plans, and a data frame with the same rows in the same order. In the data frame, the column ``run``
+    has the number of the run."""
     summed_up = [run for run in runs if run.kind is Kind.GRID and len(run.worlds) > MOST_OF_SWEEP]
     frames = [_of_run(at, run, run in summed_up) for at, run in enumerate(runs)]
     frames = _with_other_verdicts(frames, runs) if len(frames) == 2 else frames
@@ -144,14 +148,14 @@ def _of_run(at: int, run: ReportRun, summed_up: bool) -> pd.DataFrame:
 
 
 def _worst(worlds: pd.DataFrame) -> pd.DataFrame:
-    """For each plan, the world with the smallest margin."""
+    """The world with the smallest margin of each plan."""
     margin = worlds["margin"].fillna(np.inf)
     return worlds.loc[margin.groupby(worlds["plan_id"], sort=False).idxmin()].reset_index(drop=True)
 
 
 def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRun]) -> list[pd.DataFrame]:
-    """Add the column ``OTHER`` to the worlds of two runs: the verdict of the same world in the other run, or "" if the
-    other run does not have this world."""
+    """The worlds of two runs with an additional column ``OTHER``: the verdict of the same world in the other run, or ""
+    if the other run does not have this world."""
     tables = []
     for one, two in zip(frames, runs[::-1], strict=True):
         other = one[KEY].merge(two.worlds[[*KEY, "verdict"]], on=KEY, how="left")["verdict"].fillna("")
@@ -162,7 +166,7 @@ def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRu
 def _add_parameters(
     rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame, condition: Callable[[str], bool]
 ) -> None:
-    """Add the columns of sweeps whose names fulfil a condition: parameters of variants, or outcomes of variants."""
+    """Add those columns that only sweeps have and whose names fulfil a condition, such as the values of axes."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
     column_names = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):
@@ -178,7 +182,7 @@ def _add_parameters(
 
 
 def _key(name: str) -> str:
-    """The name of a parameter in the page. The name differs from all of the page's own names."""
+    """The key of a parameter's column in the page. It differs from the keys of all other columns."""
     return f"x-{name}"
 
 
@@ -208,6 +212,6 @@ def _add_texts(rows: Rows, key: str, label: str, values: pd.Series, kind: str = 
 
 
 def _add_choice(rows: Rows, key: str, label: str, values: pd.Series, is_shown: bool, meaning: str = "") -> None:
-    """Add a column whose values are chosen from a list. An empty text means no value."""
+    """Add a column with few different texts, from which the user of the page can choose. "" means no value."""
     if is_shown and (values.fillna("") != "").any():
         _add_texts(rows, key, label, values.where(values != ""), "choice", meaning)

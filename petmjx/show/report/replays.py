@@ -1,4 +1,4 @@
-"""Histories of recorded worlds, which the page can play."""
+"""Histories of those worlds that were recorded during the run. The page of a report can play these worlds."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from petmjx.show.report.report_runs import ReportRun
 from petmjx.world.history import History
 
 MOST_POSES: Final = 500_000
-"""Largest number of poses (boxes × frames) on a page. A pose takes about 7 bytes. Worlds that do not stand have
-priority."""
+"""Largest number of poses (boxes × frames) on a page. A pose takes about 7 bytes. If there are more poses, worlds that
+stand are left out first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +27,9 @@ class Replays:
     """The histories on a page.
 
     Attributes:
-        blocks: name → block.
-        number: (rows of the table,) number N of the row's block "replay-N"; −1 if there is none.
-        left_out: number of recorded worlds that were left out because they would make the page too large.
+        blocks: name → block (compact arrays), one block per history: "replay-0", "replay-1", …
+        number: (rows of the table,) number of the block with the history of each row's world; −1 if there is no block.
+        left_out: number of recorded worlds that were left out because the page would be too large.
     """
 
     blocks: dict[str, str]
@@ -40,12 +40,13 @@ class Replays:
 def replays(
     runs: Sequence[ReportRun], table: pd.DataFrame, drawn: NDArray[np.int64], most: int = MOST_POSES
 ) -> Replays:
-    """Pack the histories of the worlds in a table. Worlds without a 3D picture are left out.
+    """Store the histories of the worlds in a table in blocks. Worlds without a 3D picture are left out.
 
     Args:
+        runs: the runs of the report.
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
-        drawn: for each row of the table, the number of its world among the worlds with a picture; negative: the world
-            has no picture.
+        drawn: (rows of the table,) negative if the row's world has no 3D picture; see ``BoxBlocks.drawn``.
+        most: largest number of poses.
     """
     poses = _poses(runs, table)
     recorded = np.flatnonzero((poses > 0) & (drawn >= 0))
@@ -65,7 +66,7 @@ def replays(
 
 
 def _poses(runs: Sequence[ReportRun], table: pd.DataFrame) -> NDArray[np.int64]:
-    """(rows of the table,) the number of recorded poses of each world."""
+    """(rows of the table,) number of recorded poses of each row's world."""
     counts = np.zeros(len(table), dtype=np.int64)
     for at, run in enumerate(runs):
         if not run.results.parts.files("frames"):
@@ -77,7 +78,7 @@ def _poses(runs: Sequence[ReportRun], table: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def _frames(history: History) -> dict[str, NDArray[Any] | PackedArray]:
-    """The arrays of a history that ``static/frames.js`` plays."""
+    """The arrays of a history, which the script ``static/frames.js`` plays."""
     return {
         "time": history.time_s.astype(np.float64),
         "placed": integer_column(history.n_placed, steps=True),

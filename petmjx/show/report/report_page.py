@@ -32,7 +32,7 @@ from petmjx.show.report.verdict_shares import headline, verdict_table
 from petmjx.world.carrier_boards import floor_z_m
 
 N_CATEGORIES: Final = 21
-"""Number of colours for articles. Further articles repeat these colours."""
+"""Number of different colours for articles. If there are more articles, colours repeat."""
 
 Source = str | Path | RunResults
 
@@ -48,21 +48,21 @@ def report(
 
     Args:
         runs: folders of runs, or results of ``petmjx.score``, ``petmjx.sweep`` or ``petmjx.load_run``.
-        out: the HTML file.
-        plans: files or folders with the plans of the runs. If none are given, the plans in the runs' tables are used,
-            else the files that the runs name.
+        out: the HTML file to write.
+        plans: files or folders with the plans of the runs. If none are given, plans are read from the runs' tables or,
+            if the tables do not have them, from the files that the runs name.
         overwrite: whether to replace an existing file.
 
     Returns:
         The path of the file.
 
     Raises:
-        InputError: a folder has no run, a run is damaged, or plans are unreadable; or ``out`` already exists, cannot be
-            written, or is in a folder that does not exist.
+        InputError: a folder has no run, a run is damaged, plans are unreadable, or ``out`` already exists, cannot be
+            written or is in a folder that does not exist.
     """
     path = path_of(out, "out")
     check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
-    check_writable(path)  # checked first, because a large report takes long
+    check_writable(path)  # before the report is made, which may take long
     sources: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
     )
@@ -74,7 +74,7 @@ def report(
 
 
 def report_page(runs: Sequence[ReportRun]) -> str:
-    """The text of the page."""
+    """The HTML text of the page."""
     rows, table = table_rows(runs)
     boxes = box_blocks(runs, table)
     played = replays(runs, table, boxes.drawn)
@@ -98,7 +98,7 @@ def report_page(runs: Sequence[ReportRun]) -> str:
 
 
 def _of_run(run: ReportRun) -> dict[str, Any]:
-    """The values of a run that the scripts of the page need."""
+    """The values of a run that the page's scripts need."""
     limits = thresholds_of(run.info)
     return {
         "name": run.name,
@@ -112,13 +112,13 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
 
 
 def _summed_up(runs: Sequence[ReportRun]) -> list[str]:
-    """A line for each run that has too many worlds for a table with one row per world."""
+    """A note for each run that has too many worlds for a table with one row per world."""
     row = "one row per plan: its world with the smallest margin, and the share of its worlds that stand"
     return [f"{run.name} has {len(run.worlds):,} worlds, too many for a table. It has {row}." for run in runs]
 
 
 def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_played: int) -> list[str]:
-    """Lines about worlds that the page does not show."""
+    """Notes about worlds that the page does not show."""
     notes = [f"{run.name}: {run.plan_files.note}. These have no 3D picture." for run in runs if run.plan_files.note]
     notes += [
         f"{run.name} kept no boxes: its worlds have no 3D picture." for run in runs if not run.results.keeps_boxes
@@ -164,7 +164,7 @@ def _worlds(runs: Sequence[ReportRun]) -> bool:
 
 
 def _outcome_section(run: ReportRun) -> Markup:
-    """The headline, the verdicts and the settings of the run."""
+    """The section with the most important numbers, the verdicts and the settings of a run."""
     empty = element("p", "No world was simulated: there is nothing to show.") if run.worlds.empty else NOTHING
     return joined_markup(
         headline(run),
@@ -179,18 +179,18 @@ def _outcome_section(run: ReportRun) -> Markup:
 
 
 def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
-    """Yield (name, title, content) for each section that only some runs have."""
+    """(name, title, content) of each section that only some runs have."""
     titles = {Kind.CONFIDENCE: "How sure are the verdicts?", Kind.CHAIN: "How likely do pallets arrive?"}
     title = titles.get(run.kind, "Answers of the sweep")
     sections = [("answers", title, sweep_answers(run))]
-    if run.kind is not Kind.SEARCH:  # worlds of a search show how the search went, not how pallets behave
+    if run.kind is not Kind.SEARCH:  # the worlds of a search depend on which levels the search tried
         sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))
         sections.append(("first", "What fails first", first_boxes(run)))
     return [section for section in sections if section[2]]
 
 
 def _table_section(notes: Sequence[str]) -> Markup:
-    """The place in which the scripts build the table and show the selected plan."""
+    """The section in which the page's scripts build the table of plans and show the selected plan."""
     lines = [element("p", note, class_="note") for note in notes]
     return joined_markup(
         *lines,

@@ -1,4 +1,4 @@
-"""Finds the plans of a run for its report, which uses them for pictures and weights."""
+"""Finds the plans of a run again. A report needs them for 3D pictures and for the weights of loads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_FILES_NAMED: Final = 2
 
 @dataclass(frozen=True, eq=False)
 class ReportPlans:
-    """The plans of a run, by id; and a line about plans that were not found, or "" if all were found."""
+    """The plans of a run by their ids, and a note about plans that were not found; "" if all plans were found."""
 
     plans: Mapping[str, Plan]
     note: str = ""
@@ -29,7 +29,8 @@ def find_report_plans(run: RunResults, paths: Sequence[Path] = ()) -> ReportPlan
     """Find the plans of a run. A report can also be made without plans.
 
     Args:
-        paths: files or folders to read instead of the files that the run names.
+        run: the run.
+        paths: files or folders with the plans. If none are given, the files that the run names are read.
 
     Raises:
         InputError: one of ``paths`` is unusable.

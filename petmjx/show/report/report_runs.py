@@ -1,4 +1,4 @@
-"""The runs of a report: their tables, with additional columns from their plans."""
+"""The runs of a report: their tables, with additional columns that are computed from the plans."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from petmjx.show.report.report_plans import ReportPlans, find_report_plans
 
 
 class Kind(StrEnum):
-    """The kind of a run: a score, a sweep, a search, and so on."""
+    """The kind of a run: a score of plans, a sweep over variants of plans, a search for the largest level survived, and
+    so on."""
 
     SCORE = "score"
     CONFIDENCE = "confidence"
@@ -36,7 +37,7 @@ class Kind(StrEnum):
 
     @property
     def sweeps(self) -> bool:
-        """Whether several worlds of each plan are shown."""
+        """Whether the report shows several worlds of each plan."""
         return self in (Kind.GRID, Kind.SEARCH, Kind.CHAIN)
 
 
@@ -45,9 +46,9 @@ class ReportRun:
     """A run in a report.
 
     Attributes:
-        name: its name in the report.
-        results: its results.
-        plan_files: the plans that were found.
+        name: name of the run in the report.
+        results: results of the run.
+        plan_files: plans of the run that were found.
     """
 
     name: str
@@ -56,7 +57,7 @@ class ReportRun:
 
     @property
     def info(self) -> dict[str, Any]:
-        """The entries of ``run.json``."""
+        """The content of ``run.json``."""
         return self.results.info
 
     @cached_property
@@ -71,17 +72,18 @@ class ReportRun:
 
     @property
     def what(self) -> str:
-        """The noun for a row in texts for users: "plan" for scores, "world" for sweeps and chains."""
+        """The word for a world in texts for users: "plan" for scores, "world" for sweeps and chains."""
         return "plan" if self.kind in (Kind.SCORE, Kind.CONFIDENCE) else "world"
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """The worlds that are shown, one row each, sorted by plan and variant. Usually all worlds of the run are shown.
-        For a score with confidence, only the nominal worlds are shown; for a chain, only the worlds that have errors
-        and no remedy.
+        """The worlds that the report shows, with a row for each world, sorted by plan and variant.
 
-        Additional columns: ``height_m`` and ``mass_kg`` of the plan (NaN if the plan was not found), and
-        ``first_article``, the article of the first box to fail ("" if none failed).
+        Usually, these are all worlds of the run. For a score with confidence, they are the nominal worlds (without
+        errors). For a chain, they are the worlds without a remedy.
+
+        There are three additional columns: ``height_m`` and ``mass_kg`` of the plan's load (NaN if the plan was not
+        found), and ``first_article``, the article of the first box to fail ("" if no box failed).
         """
         worlds = self.results.worlds
         if self.kind is Kind.CONFIDENCE:
@@ -98,7 +100,13 @@ class ReportRun:
         return worlds.assign(height_m=height_m, mass_kg=mass_kg, first_article=first)
 
     def _first_articles(self, culprit: pd.Series, codes: NDArray[np.int64], plan_ids: list[str]) -> NDArray[np.object_]:
-        """(worlds,) the article of the first box to fail. ``codes`` are indices of the plans in ``plan_ids``."""
+        """(worlds,) the article of the first box to fail in each world; "" if no box failed.
+
+        Args:
+            culprit: number of the first box to fail in each world.
+            codes: index in ``plan_ids`` of each world's plan.
+            plan_ids: ids of the plans.
+        """
         first_articles = np.full(len(codes), "", dtype=object)
         falls = np.flatnonzero(culprit.notna().to_numpy())
         of_plan = self.articles({plan_ids[code] for code in np.unique(codes[falls]).tolist()})
@@ -111,8 +119,8 @@ class ReportRun:
         return first_articles
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
-        """Plan id → articles of the plan's boxes, in packing order. Articles come from the plan, else from the table
-        ``boxes``. If there is neither, the column is empty."""
+        """Id of a plan → articles of the plan's boxes, in packing order. Articles come from the plan or, if the plan
+        was not found, from the table ``boxes``. A plan is missing if the run has neither."""
         articles_by_plan: dict[str, Sequence[str]] = {
             plan_id: plan.articles for plan_id, plan in self.plan_files.plans.items() if plan_id in plan_ids
         }
@@ -126,7 +134,7 @@ class ReportRun:
 
     @cached_property
     def axes(self) -> list[str]:
-        """Columns of ``worlds`` with the parameters that the sweep varies."""
+        """Names of the columns of ``worlds`` with those axes that have several values in the sweep."""
         if self.shares is None:
             return []
         overall = self.shares[self.shares["scope"] == ALL_PLANS]
@@ -135,7 +143,8 @@ class ReportRun:
 
     @cached_property
     def shares(self) -> pd.DataFrame | None:
-        """The shares of a grid or of a sample, from the run's ``summary``. None for any other run."""
+        """The shares of worlds that stand in a sweep, from the run's table ``summary``. None for any other kind of
+        run."""
         summary = self.results.summary
         if self.kind is not Kind.GRID or summary is None or "scope" in summary:
             return summary if self.kind is Kind.GRID else None
@@ -144,7 +153,7 @@ class ReportRun:
 
     @property
     def parameters(self) -> list[str]:
-        """Columns that the variants of this run add to ``worlds``."""
+        """Names of the columns that ``worlds`` has because of the variants of this run."""
         return [str(param["name"]) for param in self.info.get("params", [])]
 
 
@@ -157,7 +166,8 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
     """Open the runs of a report.
 
     Args:
-        plans: files with the plans of the runs; if none are given, the files that the runs name.
+        folders: folders of runs, or results.
+        plans: files with the plans of the runs. If none are given, the files that the runs name are read.
 
     Raises:
         InputError: there is no folder, a folder has no run, the same run is given twice, or a run is damaged.
@@ -179,8 +189,8 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
 
 
 def distinct_path_ends(paths: Sequence[Path]) -> list[str]:
-    """For each path, its last parts. The number of parts is the smallest that makes all names different, as in
-    "fast/run" and "slow/run"."""
+    """The last parts of each path, such as "fast/run" and "slow/run". There are as few parts as needed to make all
+    names different."""
     depth = 1
     deepest = max(len(path.parts) for path in paths)
     while depth < deepest:

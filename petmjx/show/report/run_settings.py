@@ -12,7 +12,7 @@ from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_LINES: Final = 20
-"""Largest number of skipped plans, warnings or files that are listed. Further entries are only counted."""
+"""Largest number of skipped plans, of warnings and of files that are listed. Further entries are only counted."""
 
 
 def about(run: ReportRun) -> Markup:
@@ -67,7 +67,7 @@ def _command(run: ReportRun) -> str:
 
 
 def _options(config: Mapping[str, Any]) -> Content:
-    """The options that do not have their defaults."""
+    """A list of the options whose values differ from their defaults."""
     simulation = config.get("simulation")
     if not isinstance(simulation, Mapping):
         return "unknown"
@@ -83,7 +83,7 @@ def _options(config: Mapping[str, Any]) -> Content:
 def changed_options(
     values: Mapping[str, Any], defaults: Mapping[str, Any], path: str = ""
 ) -> Iterator[tuple[str, str]]:
-    """Yield (option, "its value instead of the default") for every option that does not have its default."""
+    """Yield (option, text such as "0.4 instead of 0.5") for every option whose value differs from its default."""
     for name, value in values.items():
         at = f"{path}.{name}" if path else str(name)
         default = defaults.get(name)
@@ -96,7 +96,7 @@ def changed_options(
 def _option_text(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(_option_text, value))
-    if isinstance(value, Mapping):  # the value is a user-defined carrier
+    if isinstance(value, Mapping):  # a carrier that the user has defined
         return printable_name(str(value.get("name")))
     return "none" if value is None else str(value)
 
@@ -115,7 +115,7 @@ def _files(run: ReportRun) -> Content:
 
 
 def _lines(lines: list[str], title: str) -> Markup:
-    """A list that can be opened, under a title with the number of its lines."""
+    """A list that the reader can open by a click on its title."""
     if not lines:
         return NOTHING
     items = [element("li", line) for line in lines[:MOST_LINES]]

@@ -1,6 +1,6 @@
 """The frame of a small chart in SVG: scales, axes and ticks.
 
-Colours are classes in ``static/report.css``, so charts follow the light or dark mode of the page. Charts need no
+Colours are defined by classes in ``static/report.css``, so charts are light or dark like the page. Charts need no
 script.
 """
 
@@ -19,13 +19,13 @@ from petmjx.show.report.markup import Content, Markup, element
 
 WIDTH: Final = 300
 HEIGHT: Final = 190
-"""Height of a chart, CSS pixels. A wide screen shows four charts side by side, a phone one."""
+"""Width and height of a chart, CSS pixels. A wide screen shows four charts side by side. A phone shows one."""
 
 LEFT: Final = 54
 RIGHT: Final = 12
 TOP: Final = 12
 BOTTOM: Final = 40
-"""Margins around the area in which data are drawn."""
+"""Margins around the area in which data are drawn, CSS pixels."""
 
 MOST_TICKS: Final = 6
 
@@ -36,9 +36,9 @@ class Scale:
 
     Attributes:
         low, high: ends of the range of values. Values outside are drawn at the nearest end.
-        log: whether the scale is logarithmic: equal lengths are equal factors, and ``low`` must be above 0.
-        counts: whether values are counts, so that there is nothing between two whole numbers.
-        lowest: label at the lower end if smaller values are also drawn there, such as "≤ 1".
+        log: whether the scale is logarithmic. Then ``low`` must be above 0.
+        lowest: label at the lower end, such as "≤ 1", if smaller values are also drawn there.
+        counts: whether values are counts, that is, whole numbers.
     """
 
     low: float
@@ -52,7 +52,9 @@ class Scale:
         """A scale that contains all finite values.
 
         Args:
-            log_from: lower end of a logarithmic scale; None: the scale is linear.
+            values: the values.
+            log_from: lower end of a logarithmic scale. If None, the scale is linear.
+            lowest: as in ``Scale``.
             zero: whether a linear scale begins at 0.
         """
         numbers = np.asarray(values, dtype=np.float64)
@@ -67,18 +69,18 @@ class Scale:
         return cls(low, high)
 
     def place(self, values: ArrayLike) -> FloatArray:
-        """The positions of values between ``low`` and ``high``, as shares in [0, 1]."""
+        """The position of each value on the scale: 0 at ``low``, 1 at ``high``."""
         clipped = np.clip(np.asarray(values, dtype=np.float64), self.low, self.high)
         if self.log:
             return np.asarray(np.log(clipped / self.low) / math.log(self.high / self.low))
         return np.asarray((clipped - self.low) / (self.high - self.low))
 
     def edges(self, bins: int) -> FloatArray:
-        """(bins + 1,) edges of bins that appear equally wide. For counts there may be fewer bins, each with the same
-        number of counts.
+        """(bins + 1,) edges of the bins of a histogram. All bins appear equally wide.
 
-        A scale of counts begins half a unit below a count, so that each count lies inside a bin. The last bin may
-        extend beyond the scale.
+        For counts, there may be fewer bins. Each bin then contains the same number of whole numbers. A scale of counts
+        begins half a unit below a whole number, so that no whole number is on an edge. The last bin may extend beyond
+        the scale.
         """
         if self.counts:
             wide = math.ceil((self.high - self.low) / bins)
@@ -88,7 +90,7 @@ class Scale:
         return np.linspace(self.low, self.high, bins + 1)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """(value, label) of round values, about ``MOST_TICKS`` at most."""
+        """(value, label) of each tick. Ticks are at round values. There are about ``MOST_TICKS`` at most."""
         if not self.log:
             step = max(round_step((self.high - self.low) / (MOST_TICKS - 1)), 1.0 if self.counts else 0.0)
             first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
@@ -104,7 +106,7 @@ class Scale:
 
 
 def round_step(step: float) -> float:
-    """The smallest number of the form 1, 2 or 5 times a power of ten that is not below ``step``."""
+    """The smallest number that is 1, 2 or 5 × a power of ten, and not below ``step``."""
     power = 10.0 ** math.floor(math.log10(step))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= step * (1 - 1e-9))
 
@@ -118,13 +120,16 @@ def _label(value: float, step: float) -> str:
 
 @dataclass
 class Frame:
-    """A chart that is being built: two axes, and marks between them.
+    """A chart that is being built: two axes, and marks (lines, points and so on) between them.
 
     Attributes:
-        title: title of the chart, and its name for screen readers.
+        title: title of the chart, which screen readers also read.
         x, y: scales of the axes.
         x_label, y_label: labels of the axes, with units.
-        x_ticks: (value, label) of ticks that replace the ticks of the scale.
+        x_ticks: (value, label) of each tick of the x axis. If None, they are those of the scale.
+        y_percent: whether the labels of the y axis are in per cent.
+        width, height: size of the chart, CSS pixels.
+        marks: the marks drawn so far.
     """
 
     title: str
@@ -139,18 +144,18 @@ class Frame:
     marks: list[Content] = field(default_factory=list)
 
     def at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Convert values to pixels."""
+        """The positions of values in the chart, pixels to the right and downwards."""
         return (
             LEFT + self.x.place(x) * (self.width - LEFT - RIGHT),
             self.height - BOTTOM - self.y.place(y) * (self.height - TOP - BOTTOM),
         )
 
     def add(self, *marks: Content) -> None:
-        """Draw marks on top of the earlier marks."""
+        """Draw marks in front of the earlier marks."""
         self.marks += marks
 
     def line(self, x: ArrayLike, y: ArrayLike, class_: str) -> None:
-        """Draw a line through points. A missing value interrupts the line."""
+        """Draw a line through points. The line is interrupted where a value is missing."""
         self.add(element("path", d=path(*self.at(x, y)), class_=class_))
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, class_: str) -> None:
@@ -165,7 +170,8 @@ class Frame:
         self.add(element("path", d=outline, class_=class_))
 
     def limit(self, value: float, text: str, *, across: bool = False) -> None:
-        """Draw a dashed line at a threshold: vertical at an x or, with ``across``, horizontal at a y."""
+        """Draw a dashed line at a threshold. It is vertical if the threshold is a value of x, and horizontal if it is a
+        value of y (``across``)."""
         scale = self.y if across else self.x
         if not scale.low <= value <= scale.high:
             return
@@ -179,7 +185,7 @@ class Frame:
         self.add(element("text", text, x=float(x), y=float(y), text_anchor=anchor, class_="hint"))
 
     def svg(self) -> Markup:
-        """The whole chart."""
+        """The chart as SVG."""
         return drawing(self.title, self.width, self.height, *self._axes(), *self.marks)
 
     def _axes(self) -> Iterable[Markup]:
@@ -210,7 +216,8 @@ class Frame:
 
 
 def path(x: FloatArray, y: FloatArray) -> str:
-    """The attribute ``d`` of a line through points in pixels. A point that is not finite interrupts the line."""
+    """The attribute ``d`` of an SVG path through points, pixels. The path is interrupted where a point is not
+    finite."""
     written, pen = [], "M"
     for px, py in zip(x.tolist(), y.tolist(), strict=True):
         if not (math.isfinite(px) and math.isfinite(py)):
@@ -222,7 +229,7 @@ def path(x: FloatArray, y: FloatArray) -> str:
 
 
 def drawing(title: str, width: float, height: float, *marks: Content) -> Markup:
-    """An SVG picture that becomes smaller if the page is narrow."""
+    """An SVG picture with the given marks. It becomes smaller if the page is narrow."""
     return element(
         "svg",
         *marks,
@@ -235,6 +242,6 @@ def drawing(title: str, width: float, height: float, *marks: Content) -> Markup:
 
 
 def figure(title: str, picture: Markup, note: str = "") -> Markup:
-    """A chart with its title above it and a line of text below it."""
+    """A chart with a title above and a line of text below."""
     below = element("p", note, class_="hint") if note else None
     return element("figure", element("figcaption", title), picture, below)

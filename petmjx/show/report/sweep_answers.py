@@ -32,13 +32,13 @@ from petmjx.show.report.verdict_shares import link, plan_link
 
 DIRECTION: Final = "direction_deg"
 STRENGTHS: Final = {"level_g": ("level", "g"), "scale": ("scale", "")}
-"""Columns of ``worlds`` that contain the strength of the shaking → name and unit."""
+"""Name of a column of ``worlds`` with the strength of the shaking → (name, unit) in texts."""
 
 FEWEST_DIRECTIONS: Final = 3
-"""Smallest number of directions for which a rose is drawn."""
+"""Smallest number of directions for which a rose (a chart of values by direction) is drawn."""
 
 MOST_VALUES: Final = 60
-"""Largest number of values of an axis that are drawn."""
+"""Largest number of values of an axis that are drawn, and of rows in a table."""
 
 MOST_NAMED: Final = 12
 
@@ -55,8 +55,7 @@ WEAKEST: Final = "The leg in which most worlds of a plan failed first."
 
 
 def sweep_answers(run: ReportRun) -> Markup:
-    """The section with the answers of a sweep, or of a score with confidence. For other scores, the section is
-    empty."""
+    """The section with the answers of a sweep, or of a score with confidence. The section of another score is empty."""
     summary = run.results.summary
     if summary is None or summary.empty or run.worlds.empty:
         return NOTHING
@@ -69,7 +68,7 @@ def sweep_answers(run: ReportRun) -> Markup:
     return _confidence(run, summary)
 
 
-# Grids and samples.
+# sweeps over a grid, or over random samples
 
 
 def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
@@ -89,15 +88,15 @@ def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
 
 
 def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
-    """Whether the values of an axis are numbers in a summary. For an axis with random values, they are texts, because
-    the summary divides the range of such an axis into named parts."""
+    """Whether the values of an axis are numbers in a summary. If an axis has random values, the summary divides its
+    range into parts with names, so its values are texts."""
     values = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "value"]
     return bool(pd.to_numeric(values, errors="coerce").notna().all())
 
 
 def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
-    """Shares along a numeric axis. The interval is the run's interval over random draws; if the run has none, it is an
-    interval over plans."""
+    """A chart of the share that stands along an axis with numbers. Intervals are those over the random draws of the run
+    or, if nothing is random, over plans."""
     draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
     drawn = bool(draws["low"].notna().all())
     rows = draws if drawn else plans
@@ -147,10 +146,11 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
     first.
 
     Returns:
-        ``axis``, ``spread`` (the largest minus the smallest share over its values) and ``correlation_ratio``. The
-        correlation ratio is η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)), in which the share pᵥ of the nᵥ worlds with value v
-        stands. The ratio is NaN if all worlds stand, or none. Sources: Pearson 1905; Fisher's one-way analysis of
-        variance.
+        A table with the columns ``axis``, ``spread`` and ``explained``. The spread is the difference between the
+        largest and the smallest share over the values of the axis. ``explained`` is the correlation ratio η² =
+        Σ nᵥ (pᵥ − p)² / (n p (1 − p)), where pᵥ is the share that stands of the nᵥ worlds with value v, and p that of
+        all n worlds. The ratio is NaN if all worlds stand, or if no world stands. Sources: Pearson 1905; Fisher's
+        one-way analysis of variance.
     """
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     stands = (judged["verdict"] == Verdict.STABLE.value).astype("float64")
@@ -170,8 +170,13 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
 
 
 def correlation_ratio(values: pd.Series, keys: pd.Series) -> float:
-    """The correlation ratio η² of values in groups: the variance between groups divided by the total variance. NaN if
-    there is no variance."""
+    """The correlation ratio η² of values in groups: variance between groups / total variance. It is NaN if all values
+    are equal.
+
+    Args:
+        values: the values.
+        keys: the group of each value.
+    """
     total = float(((values - values.mean()) ** 2).sum())
     if total <= 0:
         return float("nan")
@@ -192,7 +197,8 @@ def _importance_chart(matters: pd.DataFrame) -> Markup:
 
 
 def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]]:
-    """Yield for each profile: title, unit, largest level for each plan and direction, and the highest level tested."""
+    """The arguments of ``_rose_figure`` for each profile: title, unit, table of the largest level survived for each
+    plan and direction, and the highest level tested."""
     worlds = run.worlds
     for column, (name, unit) in STRENGTHS.items():
         if column not in worlds or DIRECTION not in worlds:
@@ -206,14 +212,15 @@ def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]
 
 
 def largest_survived(worlds: pd.DataFrame, column: str) -> pd.DataFrame:
-    """The largest level survived for each plan and direction: the largest tested level that is below all levels at
-    which any world failed. 0 if there is none.
+    """The largest level that each plan survives in each direction: the largest tested level below all levels at which
+    any world failed, or 0 if there is no such level.
 
     Args:
-        worlds: the worlds of one profile. ``column`` contains the level.
+        worlds: the worlds of one profile.
+        column: name of the column with the level.
 
     Returns:
-        Columns plan_id, direction_deg, largest.
+        A table with the columns plan_id, direction_deg and largest.
     """
     stands = worlds["verdict"] == Verdict.STABLE.value
     at_level = stands.groupby([worlds["plan_id"], worlds[DIRECTION], worlds[column]]).all()
@@ -238,7 +245,7 @@ def _rose_figure(title: str, unit: str, largest: pd.DataFrame, top: float) -> Ma
     return figure(f"{title} by direction", picture, f"{ROSE} {n}; tested up to {top:g} {unit}.")
 
 
-# Searches.
+# searches for the largest level survived
 
 
 def _search(run: ReportRun, summary: pd.DataFrame) -> Markup:
@@ -275,7 +282,7 @@ def _level_histogram(levels: pd.DataFrame, name: str, unit: str) -> Markup:
 
 
 def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -> Iterator[Markup]:
-    """Which axis explains the largest part of the variance of the largest level."""
+    """A chart of the part of the variance of the largest level that each axis explains."""
     first, last = list(summary).index("placement"), list(summary).index("stands_at_rest")
     axes = {str(axis): levels[axis] for axis in list(summary)[first + 1 : last] if levels[axis].nunique() > 1}
     axes |= {"plan": levels["plan_id"]} if levels["plan_id"].nunique() > 1 else {}
@@ -291,7 +298,7 @@ def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -
 
 
 def _first_at_failure(run: ReportRun, answers: pd.DataFrame) -> Markup:
-    """The articles of the boxes that fail first at the smallest level that failed."""
+    """A chart of the articles of the boxes that fail first, at the smallest level at which a plan failed."""
     failed = answers[answers["article"].fillna("") != ""]
     counts = failed["article"].value_counts().head(MOST_NAMED)
     rows = [
@@ -316,11 +323,12 @@ def _levels_table(levels: pd.DataFrame, name: str, unit: str) -> Markup:
     return table(head, rows[:MOST_VALUES], caption=caption)
 
 
-# Chains.
+# chains (journeys of a pallet in parts, called legs)
 
 
 def _chain(summary: pd.DataFrame) -> Markup:
-    """The chance of plans to arrive: over all plans, leg by leg, and for each plan; and the gain from remedies."""
+    """Charts and tables of the share of worlds in which plans arrive: over all plans, leg by leg, and for each plan;
+    and of the gain from remedies."""
     overall, of_plans = summary[summary["scope"] == ALL_PLANS], arrivals(summary)
     legs = overall[overall["remedy"] == AS_IS]
     leg_rows = [(str(row["leg"]) or "whole way", row) for row in legs.to_dict("records")]
@@ -345,7 +353,7 @@ def _chain(summary: pd.DataFrame) -> Markup:
 
 
 def _share_row(name: str, row: Mapping[Any, Any]) -> tuple[str, float, float, float, str]:
-    """A row of a chart of intervals. Without random draws, the interval is the share itself."""
+    """A row of the chart ``intervals``. If nothing is random, the interval is the share itself."""
     share = float(row["share"])
     low, high = (share if pd.isna(row[end]) else float(row[end]) for end in ("low", "high"))
     text = f"{percent(share)} of {row['n_worlds'] - row['n_invalid']:,}"
@@ -372,7 +380,7 @@ def _plans_by_leg(summary: pd.DataFrame) -> Markup:
     return table(["plan", "arrives", "95 %", *shares, "weakest leg"], rows, caption="By plan")
 
 
-# Scores with confidence.
+# scores with confidence
 
 
 def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:

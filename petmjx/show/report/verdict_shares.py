@@ -1,4 +1,4 @@
-"""Verdicts and reasons, with their shares."""
+"""The numbers and shares of verdicts and reasons, and links to the table of plans."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ _NOTES: Final = {
 
 
 def link(run: ReportRun, **filters: str) -> str:
-    """The fragment (the part of the address after #) that makes the page show some rows of the table."""
+    """The fragment (the part of the address after #) with which the table of plans shows only some rows of a run."""
     return urlencode({"run": run.name, **{name: printable(value) for name, value in filters.items()}})
 
 
 def plan_link(run: ReportRun, plan_id: str, variant: int = 0) -> str:
-    """The fragment that makes the page show a plan, without filters."""
+    """The fragment (the part of the address after #) with which the page shows a plan."""
     return urlencode({"plan": printable(plan_id), "variant": variant, "of": run.name})
 
 
 def verdict_table(run: ReportRun) -> Markup:
-    """Counts and shares of verdicts and reasons. For scores, the shares have Wilson's interval, which assumes that
-    plans were drawn at random."""
+    """A table of the numbers and shares of verdicts and reasons. For scores, the shares have Wilson's interval, which
+    assumes that plans are a random sample."""
     worlds = run.worlds
     drawn = run.kind in (Kind.SCORE, Kind.CONFIDENCE)
     rows = []
@@ -66,7 +66,7 @@ def _row(run: ReportRun, name: str, count: int, filters: dict[str, str], drawn: 
 
 
 def headline(run: ReportRun) -> Markup:
-    """The most important numbers, in large type."""
+    """The most important numbers of a run, in large type."""
     worlds, summary = run.worlds, run.results.summary
     if run.kind is Kind.SEARCH and summary is not None and len(summary):
         return element("div", *_of_search(summary), class_="cards")
@@ -83,8 +83,8 @@ def headline(run: ReportRun) -> Markup:
 
 
 def _of_search(summary: pd.DataFrame) -> Iterator[Markup]:
-    """Cards about a search: the number of placements, how many of them stand, the number of answers, and their
-    median."""
+    """The most important numbers of a search: number of placements, share of them that stands at rest, number of
+    answers, and median answer."""
     placements = summary.drop_duplicates(["plan_id", "placement"])
     stand = placements["stands_at_rest"].astype(bool)
     answers = summary[summary["stands_at_rest"].astype(bool)]

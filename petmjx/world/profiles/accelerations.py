@@ -1,7 +1,8 @@
-"""Acceleration profiles of the carrier, simulated as gravity − a with the carrier clamped.
+"""Profiles of the carrier's acceleration. They are simulated with a clamped carrier: an acceleration a is subtracted
+from gravity.
 
-Kinds: ramps, tilts, shocks, and random vibration with a power spectral density (PSD) given by the user, in g²/Hz over
-Hz. Direction 0 means that the carrier accelerates along +x, so that the load is thrown towards −x.
+There are four kinds: ramps, tilts, shocks, and random vibration. The user gives the power spectral density (PSD) of a
+random vibration in g²/Hz over Hz. In direction 0, the carrier accelerates along +x, so the load is thrown towards −x.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from petmjx.world.profiles.profile import Profile, Strength, step_averages, step
 from petmjx.world.random_streams import WorldKey
 
 EUMOS_RAMP_S = 0.05
-"""EUMOS 40509: the time within which the acceleration level must be reached is 50 ms."""
+"""Longest time within which EUMOS 40509 lets the acceleration reach its level, s."""
 EUMOS_HOLD_S = 0.3
-"""EUMOS 40509: the level must then be held for at least 0.3 s."""
+"""Shortest time for which EUMOS 40509 holds that level, s."""
 EUMOS_SOURCE = "EUMOS 40509:2020, test method for load unit rigidity (ramp at most 50 ms, hold at least 0.3 s)"
 
 EN_12195_FORWARD_G = 0.8
@@ -32,18 +33,19 @@ EN_12195_SOURCE = "EN 12195-1:2010, coefficients for road transport (0.8 forward
 
 
 def _horizontal_unit(yaw_deg: float) -> FloatArray:
-    """(3,) horizontal unit vector; along the axes, its components are exactly zero and one."""
+    """(3,) horizontal unit vector. Its components are rounded, so that they are exactly 0 and 1 along the axes."""
     yaw = math.radians(yaw_deg)
     return np.round(np.array([math.cos(yaw), math.sin(yaw), 0.0]), 15)
 
 
 @dataclass(frozen=True)
 class Trapezoid:
-    """Horizontal acceleration that ramps up linearly, holds, and ramps down.
+    """A horizontal acceleration that rises linearly to a plateau, stays there, and falls linearly to 0.
 
     Attributes:
         level_g: acceleration of the plateau, g.
-        ramp_s, hold_s: duration of each ramp and of the plateau, s.
+        ramp_s: duration of the rise, and of the fall, s.
+        hold_s: duration of the plateau, s.
         yaw_deg: direction in which the carrier accelerates, degrees from +x towards +y.
     """
 
@@ -68,16 +70,17 @@ class Trapezoid:
         return Excitation(self.name, self.kind, magnitude[:, None] * _horizontal_unit(self.yaw_deg))
 
     def _ramp_integral(self, time_s: FloatArray) -> FloatArray:
-        """Integral of a unit ramp that begins at 0 and stays at 1 after ``ramp_s``."""
+        """Integral over time of a ramp that rises from 0 at time 0 to 1 at ``ramp_s``, and then stays at 1."""
         rising = np.clip(time_s, 0.0, self.ramp_s) ** 2 / (2 * self.ramp_s)
         return rising + np.maximum(time_s - self.ramp_s, 0.0)
 
 
 def eumos_40509() -> Trapezoid:
-    """One acceleration test of EUMOS 40509:2020, at 1 g. So the factor of a drive is the level in g (0.5 is usual).
+    """One acceleration test of EUMOS 40509:2020, with a level of 1 g. A sweep's axis ``level`` multiplies the samples,
+    so its values are levels in g; 0.5 g is usual.
 
-    The standard requires a level that is reached within 50 ms and held for at least 0.3 s, and a gradual end. Here both
-    ramps take 50 ms, and the level is held for 0.3 s.
+    The standard requires that the level is reached within 50 ms and held for at least 0.3 s, and that it ends
+    gradually. In this profile, rise and fall take 50 ms each, and the level is held for 0.3 s.
     """
     return Trapezoid("eumos-40509", EUMOS_SOURCE, 1.0, EUMOS_RAMP_S, EUMOS_HOLD_S)
 
@@ -85,10 +88,10 @@ def eumos_40509() -> Trapezoid:
 def en_12195_1() -> tuple[Trapezoid, ...]:
     """The four load cases of EN 12195-1:2010 for road transport. The vehicle's front is along +x.
 
-    The standard gives quasi-static coefficients, but no curve over time. petmjx takes 0.5 s to reach them, holds them
-    for 1 s, and takes 0.5 s to return. When the vehicle brakes, the load is thrown forward: the carrier accelerates
-    backward. The vertical coefficient is always 1.0. For goods that may tip, the standard requires 0.6 g sideways,
-    which is a scale of 1.2.
+    The standard gives quasi-static coefficients, but no curve over time. In these profiles, the acceleration rises to
+    the coefficient within 0.5 s, stays there for 1 s, and returns to 0 within 0.5 s. When the vehicle brakes, the load
+    is thrown forward: the carrier accelerates backward. The vertical coefficient is always 1.0. For goods that may tip,
+    the standard requires 0.6 g sideways: simulate this with a scale of 1.2.
     """
     cases = (
         ("en-12195-1-forward", EN_12195_FORWARD_G, 180.0),
@@ -106,14 +109,14 @@ def en_12195_1() -> tuple[Trapezoid, ...]:
 class Tilt:
     """The carrier is slowly tilted about a horizontal axis. Seen from the carrier, gravity turns.
 
-    Direction 0 pulls the load towards −x, as an acceleration along +x does. The angle grows at ``rate_deg_s`` to
-    ``max_deg``, stays there for ``hold_s`` and returns to 0 within ``return_s``. The return is slow enough that a
-    pallet that survived does not fall during it. Centrifugal and Euler forces are neglected: at 5°/s they are below
-    0.1 % of gravity.
+    In direction 0, the load is pulled towards −x, as by an acceleration along +x. The angle grows at ``rate_deg_s`` to
+    ``max_deg``, stays there for ``hold_s``, and returns to 0 within ``return_s``. The return is so slow that no pallet
+    falls during it that stood before. Centrifugal and Euler forces are neglected: at 5°/s they are below 0.1 % of
+    gravity.
 
-    Source: definition. The test can be checked in closed form: a rigid box begins to slide at atan μ, and to topple at
-    atan(width / height). The first sign comes later, since a box needs time to slide as far as the threshold, or to
-    tip. docs/profiles.md has the delays.
+    petmjx defines this test itself. Its results can be checked in closed form: a rigid box begins to slide at the angle
+    atan μ, and to topple at atan(width / height). A failure is recognised later, since a box needs time to slide as far
+    as the threshold, or to tip. docs/profiles.md lists these delays.
     """
 
     name: str = "tilt"
@@ -139,8 +142,8 @@ class Tilt:
         return np.interp(time_s, corners_s, [0.0, self.max_deg, self.max_deg, 0.0])
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """The samples are a = g − g_tilted. The samples include the vertical part, so that gravity − a has the length
-        9.81 at every angle."""
+        """The samples are a = g − g_tilted, including the vertical component. So gravity − a has a length of 9.81 m/s²
+        at every angle."""
         ends_s: FloatArray = np.arange(1, self.n_steps(timestep_s) + 1, dtype=np.float64) * timestep_s
         angle = np.radians(self._angles_deg(ends_s))
         samples = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle) - 1.0], axis=1)
@@ -149,7 +152,7 @@ class Tilt:
 
 @dataclass(frozen=True)
 class HalfSine:
-    """A shock: half a period of a sine, with a peak of 1 g × level, along ``axis``.
+    """A shock along ``axis``: half a period of a sine. The peak is 1 g; a sweep's axis ``level`` multiplies the peak.
 
     Source: pulse shape of IEC 60068-2-27; 11 ms is one of its standard durations.
 
@@ -170,7 +173,7 @@ class HalfSine:
         return steps_to_cover(self.duration_ms / 1000, timestep_s)
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """Each sample is the mean of the pulse over its step. So the change of velocity, 2/π × peak × duration, is
+        """Each sample is the mean of the pulse over one timestep. So the change of velocity, 2/π × peak × duration, is
         exact for any timestep."""
         duration_s = self.duration_ms / 1000
         edges_s = np.minimum(np.arange(self.n_steps(timestep_s) + 1) * timestep_s, duration_s)
@@ -180,7 +183,7 @@ class HalfSine:
 
 
 def _unit(axis: tuple[float, float, float]) -> FloatArray:
-    """(3,) unit vector along an axis of any length. The axis is scaled first if its square would not fit a float64."""
+    """(3,) unit vector along an axis of any length. An axis whose square would not fit a float64 is scaled first."""
     vector: FloatArray = np.asarray(axis, dtype=np.float64)
     longest = float(np.abs(vector).max())
     if not 0 < longest < math.inf:
@@ -192,12 +195,13 @@ def _unit(axis: tuple[float, float, float]) -> FloatArray:
 
 
 QUASI_STATIC_DEG_S: Final = 0.5
-"""Rate of the quasi-static tilt, °/s. Measured at this rate, boxes fail 0.4 to 0.6° late (docs/profiles.md); at 5°/s
-they fail 2.5 to 2.7° late."""
+"""Rate of the quasi-static tilt, °/s. In measurements at this rate, boxes failed at an angle 0.4 to 0.6° larger than in
+theory (docs/profiles.md). At 5°/s, the angle was 2.5 to 2.7° larger."""
 
 
 def quasi_static_tilt() -> Tilt:
-    """The tilt test at the rate ``QUASI_STATIC_DEG_S``. This test takes ten times as many steps as ``Tilt``."""
+    """The tilt test at the rate ``QUASI_STATIC_DEG_S``. While the angle grows, it takes ten times as many steps as
+    ``Tilt``."""
     return Tilt("tilt-quasi-static", rate_deg_s=QUASI_STATIC_DEG_S, source="definition: quasi-static tilt test")
 
 
@@ -212,14 +216,14 @@ BUILT_IN_ACCELERATIONS: tuple[Profile, ...] = (
 
 
 PsdTable = tuple[tuple[float, float], ...]
-"""Rows of (Hz, g²/Hz); frequencies rise."""
+"""A PSD as rows of (frequency in Hz, density in g²/Hz), with rising frequencies."""
 
 
 def psd_integral(table: PsdTable, up_to_hz: FloatArray) -> FloatArray:
-    """(n,) integral of the PSD from its first frequency to each of these frequencies, g².
+    """(n,) integral of the PSD from its lowest frequency to each frequency in ``up_to_hz``, g².
 
-    Between rows the PSD is a straight line in log–log, as in test standards: G = G₁ (f/f₁)^m. The integral of this
-    power law is computed in closed form for each segment. Outside the table the PSD is 0.
+    Between rows, the PSD is a straight line in a log–log plot, as in test standards: G = G₁ (f/f₁)^m. The integral of
+    this power law is computed in closed form for each segment. Outside the table, the PSD is 0.
     """
     total = np.zeros_like(up_to_hz)
     for (f1, g1), (f2, g2) in itertools.pairwise(table):
@@ -240,14 +244,15 @@ def psd_rms_g(table: PsdTable) -> float:
 class RandomVibration:
     """Nearly Gaussian vibration: a sum of sine waves with the power of a PSD and with random phases.
 
-    The frequencies of the sine waves are 1 / duration apart, and each wave has exactly the power of the PSD in its
-    band. So the RMS over the duration equals the square root of the PSD's integral, whatever the phases. Only the
-    phases are random. Source: the user's PSD; method: spectral representation (Shinozuka and Deodatis, 1991).
+    The frequencies of the sine waves are 1 / duration apart, and each wave has exactly the power that the PSD has in
+    the frequency band around the wave. So the RMS over the duration equals the square root of the PSD's integral,
+    whatever the phases. Only the phases are random. The method is spectral representation (Shinozuka and Deodatis,
+    1991).
 
     Attributes:
-        psd: rows of (Hz, g²/Hz).
-        duration_s: duration, s; also the period of the signal.
-        axes: the axes that vibrate, among "x", "y" and "z". Each has its own phases.
+        psd: the user's PSD, as rows of (Hz, g²/Hz).
+        duration_s: duration of the vibration, s; also the period of the signal.
+        axes: the axes that vibrate, such as "z" or "xy". Each axis has its own phases.
     """
 
     name: str
@@ -265,7 +270,7 @@ class RandomVibration:
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
         """
         Raises:
-            InputError: the PSD has frequencies too high for the timestep, or too low for the duration.
+            InputError: the PSD has frequencies that are too high for the timestep, or too low for the duration.
         """
         n_steps = self.n_steps(timestep_s)
         top_hz = self.psd[-1][0]

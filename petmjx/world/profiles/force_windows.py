@@ -1,4 +1,4 @@
-"""Force profiles made of windows. In each window, a constant force vector acts on the carrier for a time.
+"""Force profiles made of windows. A window is a span of time during which a constant force acts on the carrier.
 
 Vectors are in units of scale × total mass × 9.81 m/s² (``petmjx.world.job.Drive.unit``). So a vector of length 1 is the
 force that accelerates carrier and boxes together by 1 g.
@@ -28,8 +28,8 @@ class Window:
     """One push: ``vector`` acts from ``start_s`` for ``duration_s``.
 
     ``offset_s`` is the time in a chain at which the window's profile begins. The window stores a duration instead of an
-    end, because the reference implementation adds the profile's start and the offset first, and the window's start
-    last. Another order can change the last digit, and so the step to which a time is truncated.
+    end, because sums must be computed in the order of the reference implementation: profile's start + offset + window's
+    start + duration. Another order can change the last digit of the sum, and so the step to which it is truncated.
     """
 
     start_s: float
@@ -38,7 +38,7 @@ class Window:
     offset_s: float = 0.0
 
     def absolute_s(self, profile_start_s: float) -> tuple[float, float]:
-        """(begin, end) of the window in absolute time, s."""
+        """Beginning and end of the window, s, on the clock on which the profile begins at ``profile_start_s``."""
         begin_s = (profile_start_s + self.offset_s) + self.start_s
         return begin_s, begin_s + self.duration_s
 
@@ -47,10 +47,10 @@ class Window:
 class WindowProfile:
     """A force profile.
 
-    ``replaces`` states what happens when windows overlap. False: their forces add up. True: as in the reference
-    implementation, the beginning of a window ends the previous window, and the first end of any window sets the force
-    to zero. Of windows that begin in the same step, only the last one acts. The chain of the reference's demo needs
-    this.
+    ``replaces`` states what happens when windows overlap. If False, their forces add up. If True, windows act as in the
+    reference implementation: the beginning of a window ends the previous window, and the first end of any window sets
+    the force to zero. If several windows begin in the same step, only the last of them acts. The profile
+    ``radial-chain``, from the demo of the reference implementation, needs ``replaces``.
     """
 
     name: str
@@ -70,9 +70,10 @@ class WindowProfile:
         return max(seconds_to_steps(self.end_s, timestep_s), 1)
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """Each window acts from step int(begin/dt) to step int(end/dt) of absolute time.
+        """The forces of all windows. A window acts from step int(begin / dt) to step int(end / dt), where step 0 is at
+        time 0.
 
-        Row 0 belongs to the step after int(start_s/dt). A window shorter than a step may vanish.
+        Row 0 of the samples belongs to the step after int(start_s / dt). A window shorter than a step may have no row.
         """
         first_step = seconds_to_steps(start_s, timestep_s)
         spans = []
@@ -90,10 +91,11 @@ class WindowProfile:
 
 
 def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, int, Vector]]:
-    """Overlapping windows as the reference implementation treats them: the returned spans do not overlap.
+    """Spans (first step, end step, force) that do not overlap, made from overlapping spans as the reference
+    implementation does it.
 
-    The force changes once at every beginning and at every end, in order of time. At each change, the old force is
-    removed first. Then the force of the next window is set, if that window has begun.
+    The force changes at the beginning and at the end of every given span, in order of time. At each change, the old
+    force is removed first. Then the force of the next span is set, if that span has begun.
     """
     waiting = deque(sorted(spans, key=lambda span: span[0]))
     looks = sorted(step for begin, end, _ in spans for step in (begin, end))
@@ -110,8 +112,8 @@ def chain(
     """A profile made of several force profiles, one after another or overlapping.
 
     Args:
-        links: (profile, offset in s, scale) for each profile.
-        replaces: see ``WindowProfile``.
+        links: (profile, its offset from the beginning of the chain in s, factor on its forces) for each profile.
+        replaces: what happens when windows overlap; see ``WindowProfile``.
     """
     windows = [
         replace(
@@ -126,7 +128,7 @@ def chain(
 
 
 def _pushes(duration_s: float, *pushes: tuple[float, Vector]) -> tuple[Window, ...]:
-    """Windows of equal duration. Each push is given as (beginning in s, vector)."""
+    """Windows of equal duration. Each push is given as (beginning in s, force vector)."""
     return tuple(Window(start_s, duration_s, vector) for start_s, vector in pushes)
 
 
@@ -149,7 +151,7 @@ RADIAL = WindowProfile(
     ),
     f"{PET_PHYSICS}, profile 'radial'",
 )
-"""Eight horizontal pushes in all directions, then two that also lift. Source: PET-Physics."""
+"""Eight pushes in all horizontal directions, then two pushes that also lift the carrier. Source: PET-Physics."""
 
 JOLTS = WindowProfile(
     "jolts",
@@ -167,14 +169,14 @@ JOLTS = WindowProfile(
     ),
     f"{PET_PHYSICS}, profile 'dummy'",
 )
-"""Nine long jolts, mainly along x; the last one throws the pallet up. Source: PET-Physics (its "dummy" profile)."""
+"""Nine long jolts, mainly along x. The last jolt throws the pallet up. Source: profile "dummy" of PET-Physics."""
 
 SINE = WindowProfile(
     "sine",
     tuple(Window(i / 10, 0.1, (math.sin(i / 10), 0.0, math.sin(3 * (i / 10)))) for i in range(1, 100)),
     f"{PET_PHYSICS}, profile 'sin dummy'",
 )
-"""Steps of 0.1 s along sin t in x and sin 3t in z. Source: PET-Physics (its "sin dummy" profile)."""
+"""Windows of 0.1 s, with the forces sin t along x and sin 3t along z. Source: profile "sin dummy" of PET-Physics."""
 
 RADIAL_CHAIN = chain(
     "radial-chain",
@@ -185,10 +187,11 @@ RADIAL_CHAIN = chain(
     f"{PET_PHYSICS}, dynamic stability demo",
     replaces=True,
 )
-"""Seven radial profiles of growing strength: the dynamic check of PET-Physics' demo. In the reference, the chain begins
-2 s (``settle_s``) after the nominal end of placement, n × interval, and its first push comes 2 s later. From the third
-profile on, the last two pushes of each profile act at the same time as two pushes of the next profile (first at 10.1
-and 10.4 s). The reference implementation then applies only one of them, and so does this profile."""
+"""Seven profiles ``radial`` of growing strength: the dynamic check in the demo of PET-Physics, the reference
+implementation. There, the chain begins 2 s (``settle_s``) after the nominal end of the placement, n × interval, and the
+first push comes 2 s later. From the third profile on, the last two pushes of a profile act at the same time as two
+pushes of the next profile (the first time at 10.1 and 10.4 s). The reference implementation then applies only one of
+the two pushes, and so does this profile."""
 
 BUILT_IN_FORCES: tuple[Profile, ...] = (RADIAL, JOLTS, SINE, RADIAL_CHAIN)
 """To add a built-in force profile: define it above, list it here, and describe it in docs/profiles.md."""

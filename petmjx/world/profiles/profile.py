@@ -13,29 +13,29 @@ from petmjx.world.job import Excitation
 from petmjx.world.random_streams import WorldKey
 
 MAX_PROFILE_S = 3600.0
-"""Longest duration of a profile, s. The samples of a profile are held in memory: 24 bytes per step."""
+"""Longest duration of a profile, s. All samples of a profile are in memory at once, with 24 bytes per step."""
 
 
 class Strength(StrEnum):
     """The axis of a sweep that makes a profile weaker or stronger."""
 
     SCALE = "scale"
-    """The strength is a factor on the unscaled profile. For forces, the unit is total mass × 9.81 m/s²."""
+    """The axis ``scale``: its values multiply the profile. The unit of force profiles is total mass × 9.81 m/s²."""
     LEVEL = "level"
-    """The unscaled profile has a peak of 1 g, so the factor is the level in g."""
+    """The axis ``level``: its values multiply a profile with a peak of 1 g, so they are levels in g."""
     ANGLE = "angle"
-    """No axis scales the profile: it passes through all its angles anyway (``tilt``)."""
+    """No axis changes the profile's strength: a tilt passes through all angles up to its largest angle anyway."""
 
 
 class Profile(Protocol):
     """A force on the carrier, or an acceleration of the carrier, as a function of time since the profile began.
 
     Attributes:
-        name: name used in sweep files and results.
+        name: name of the profile in sweep files and results.
         kind: "force" or "acceleration".
-        strength: the axis that scales the profile.
-        source: source of the profile's numbers.
-        random: whether replicates have different samples.
+        strength: the axis of a sweep that multiplies the profile.
+        source: where the profile's numbers come from, such as a standard.
+        random: whether each repetition of a world gets different samples.
     """
 
     @property
@@ -50,37 +50,37 @@ class Profile(Protocol):
     def random(self) -> bool: ...
 
     def n_steps(self, timestep_s: float) -> int:
-        """Number of steps from the profile's beginning to its last sample, for ``start_s`` = 0."""
+        """Number of steps from the profile's beginning to its last sample, if the profile begins at time 0."""
         ...
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """Dense samples; row i acts during step i + 1 of the profile.
+        """The profile as one sample per step. Row i of the samples acts during step i + 1 of the profile.
 
         Args:
             timestep_s: timestep of the simulation, s.
-            start_s: absolute time at which the profile begins, s. Force windows are rounded to steps in absolute time,
-                as in the reference implementation. Other profiles begin on a step and ignore this value.
-            world: the world whose random numbers are used; only random profiles need it.
+            start_s: simulated time at which the profile begins, s. The ends of force windows, in simulated time, are
+                rounded to whole steps, as in the reference implementation. Other profiles ignore ``start_s``.
+            world: the world whose random numbers are used. Only random profiles need it.
         """
         ...
 
 
 def allowed_sway_m(profile: Profile) -> float:
-    """``Drive.allowed_sway_m`` of a profile, m. While the carrier is tilted, no box counts as lost: a box that slides
-    to the edge tips there, although tipping was not the first failure."""
+    """``Drive.allowed_sway_m`` of a profile, m. The value is infinite if the profile tilts the carrier, so that no box
+    counts as lost: a box that slides to the edge tips there, although its first failure was to slide."""
     return math.inf if profile.strength is Strength.ANGLE else 0.0
 
 
 def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> FloatArray:
-    """(n,) mean of a function over each step, given its antiderivative at the n + 1 edges of the steps.
+    """(n,) mean of a function over each of n steps, given the function's antiderivative at the n + 1 ends of the steps.
 
-    A step applies one constant value. If this value is the mean, the integral (the change of velocity) is exact for any
-    timestep.
+    A step applies a constant acceleration. If this acceleration is the mean over the step, the change of velocity is
+    exact for any timestep.
     """
     return np.diff(antiderivative_at_edges) / timestep_s
 
 
 def steps_to_cover(duration_s: float, timestep_s: float) -> int:
-    """Number of steps that cover a duration, at least 1. An excess of up to a billionth of a step counts as rounding
-    and adds no step."""
+    """Smallest number of steps, at least 1, that last at least ``duration_s``. An excess of the duration by up to a
+    billionth of a step counts as rounding, and adds no step."""
     return max(int(np.ceil(duration_s / timestep_s - 1e-9)), 1)

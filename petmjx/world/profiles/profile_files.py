@@ -23,18 +23,19 @@ MAX_WINDOWS = 100_000
 MAX_FORCE = 10_000.0
 """Largest component of a force, in units of total mass × 9.81 m/s². A larger component must be a typing error."""
 MIN_DENSITY = 1e-30
-"""Smallest PSD, g²/Hz. With this limit, ratios of densities do not overflow."""
+"""Smallest density of a PSD, g²/Hz. With this limit, ratios of densities do not overflow."""
 MAX_RMS_G = 1000.0
 """Largest RMS acceleration of a random vibration, g."""
 MIN_HZ, MAX_HZ = 0.0001, 1e6
 MAX_DENSITY = 1e6
 MAX_PSD_ROWS = 1000
-"""Largest number of rows of a PSD. Test standards have up to 30 breakpoints; each adds work to every step."""
+"""Largest number of rows of a PSD. The PSDs of test standards have up to 30 rows."""
 MAX_CSV_BYTES = 1 << 20
 MAX_PARQUET_BYTES = 64 << 20
 
 MAX_PUSH_S = 100 * MAX_PROFILE_S
-"""Largest total duration of all windows of a profile, s: each window is added to the samples separately."""
+"""Largest sum of the durations of all windows of a profile, s. Every window is added to the samples separately, so the
+sum limits the work."""
 
 Seconds = Annotated[StrictFloat, Field(ge=0), within(0, MAX_PROFILE_S)]
 LongerThanNothing = Annotated[StrictFloat, Field(gt=0), within(0, MAX_PROFILE_S)]
@@ -83,11 +84,12 @@ class _WindowFile(CheckedRecord):
 def read_windows(path: Path) -> tuple[WindowRow, ...]:
     """The force windows in a file.
 
-    Parquet: the columns start_s, duration_s, x, y, z; other columns are ignored. TOML: an array of tables
-    ``[[window]]`` with these five keys.
+    A Parquet file needs the columns start_s, duration_s, x, y and z; other columns are ignored. A TOML file needs an
+    array of tables ``[[window]]`` with these five keys.
 
     Raises:
-        InputError: one line with file, row and field, such as "push.toml: window[3].duration_s must be > 0, got 0".
+        InputError: the file is wrong. The message is one line with the file, the row and the field, such as
+            "push.toml: window[3].duration_s must be > 0, got 0".
     """
     content = read_toml(path) if path.suffix == ".toml" else {"window": _parquet_rows(path)}
     try:
@@ -103,7 +105,7 @@ def _parquet_rows(path: Path) -> list[dict[str, Any]]:
 
     name = printable(str(path))
     try:
-        # Limits are needed, since the footer of a damaged file may claim millions of columns or gigabytes of names.
+        # Limits are needed, since the footer of a damaged file may announce millions of columns or gigabytes of names.
         file = pyarrow.parquet.ParquetFile(
             pyarrow.BufferReader(bytes(read_regular(path, MAX_PARQUET_BYTES))),
             thrift_string_size_limit=MAX_PARQUET_BYTES,
@@ -142,7 +144,7 @@ def _is_psd(rows: PsdTable) -> PsdTable:
     lowest = min(density for _, density in rows)
     if lowest < MIN_DENSITY:
         raise ValueError(f"must have densities of at least {MIN_DENSITY:g} g²/Hz, got {lowest:g}")
-    with np.errstate(all="ignore"):  # an overflow is refused below
+    with np.errstate(all="ignore"):  # a result that overflows is refused below
         rms_g = psd_rms_g(rows)
     if not rms_g <= MAX_RMS_G:
         raise ValueError(f"must have an RMS of at most {MAX_RMS_G:g} g, got {rms_g:g} g")
@@ -152,7 +154,7 @@ def _is_psd(rows: PsdTable) -> PsdTable:
 PsdRows = Annotated[
     tuple[tuple[Hertz, Density], ...], Field(min_length=2, max_length=MAX_PSD_ROWS), AfterValidator(_is_psd)
 ]
-"""Rows of [Hz, g²/Hz], checked."""
+"""The rows [Hz, g²/Hz] of a PSD, which pydantic checks."""
 
 
 class _PsdFile(CheckedRecord):
@@ -160,11 +162,12 @@ class _PsdFile(CheckedRecord):
 
 
 def read_psd(path: Path) -> PsdTable:
-    """The PSD in a CSV file with two columns, Hz and g²/Hz. A header line is allowed; # begins a comment.
+    """The PSD in a CSV file with two columns, Hz and g²/Hz. A header line is allowed. Lines that begin with # are
+    comments.
 
     Raises:
-        InputError: one line with file and row (counted from 0, without header and comments), such as
-            "truck.csv: row[3][1] must be > 0, got -1.0".
+        InputError: the file is wrong. The message is one line with the file and the row, such as "truck.csv: row[3][1]
+            must be > 0, got -1.0". Rows are counted from 0, without the header and comments.
     """
     try:
         text = read_regular(path, MAX_CSV_BYTES).decode()

@@ -14,7 +14,7 @@ BUILT_IN: dict[str, Profile] = {profile.name: profile for profile in (*BUILT_IN_
 """Profiles that need no parameters, by name."""
 
 FAMILIES: dict[str, tuple[str, ...]] = {"en-12195-1": tuple(profile.name for profile in en_12195_1())}
-"""Names that each stand for several profiles."""
+"""Families of profiles: name of a family → names of its profiles."""
 
 
 def resolve(name: str, defined: Mapping[str, Profile] | None = None) -> tuple[Profile, ...]:

@@ -1,4 +1,4 @@
-"""The ``[profiles.NAME]`` tables of sweep files: the fields of each kind, and the profile that a table makes."""
+"""The tables ``[profiles.NAME]`` of sweep files, in which users define profiles: a class for each kind of table."""
 
 from __future__ import annotations
 
@@ -40,19 +40,20 @@ FileName = Annotated[str, Field(max_length=4096)]
 
 
 class _Table(CheckedRecord):
-    """A table that defines a profile."""
+    """A table of a sweep file that defines a profile."""
 
     @abstractmethod
     def profile(self, name: str, folder: Path, known: Mapping[str, Profile]) -> Profile:
-        """Make the profile.
+        """The profile that this table defines.
 
         Args:
-            folder: folder of the sweep file; file names are relative to it.
-            known: profiles defined earlier in the file. A chain may use them.
+            name: name of the profile.
+            folder: folder of the sweep file. File names in the table are relative to this folder.
+            known: profiles that are defined earlier in the sweep file. A chain may contain these profiles.
 
         Raises:
-            ValidationError: a field is wrong; the path of the field begins with ``name``.
-            InputError: a file cannot be used.
+            ValidationError: a field is wrong. The path of the field begins with ``name``.
+            InputError: a file that the table names cannot be used.
         """
 
 
@@ -103,7 +104,7 @@ class ChainTable(_Table):
                 text = f": only force profiles can be chained, but {link.profile!r} is not one"
                 raise complaint(text, name, "of", number, "profile")
             links.append((member, link.offset_s, link.scale))
-        # chains of chains grow fast, so their windows are counted before they are made
+        # chains of chains can have very many windows, so the windows are counted before they are made
         if sum(len(member.windows) for member, _, _ in links) > MAX_WINDOWS:
             raise complaint(f"must have at most {MAX_WINDOWS:,} windows", name, "of")
         chained = chain(name, links, _USERS, replaces=self.overlap == "replace")
@@ -213,15 +214,15 @@ _TABLES: Final = TypeAdapter(dict[Name, ProfileTable])
 
 
 def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:
-    """The profiles that a sweep file defines, by name. Called by a validator.
+    """The profiles that a sweep file defines, by name. A validator of pydantic calls this function.
 
     Args:
-        tables: the file's table ``profiles``.
-        folder: folder of the sweep file; file names are relative to it.
+        tables: the table ``profiles`` of the sweep file.
+        folder: folder of the sweep file. File names in the tables are relative to this folder.
 
     Raises:
-        ValidationError: a field of a table is wrong; the message states which one, and what it should be.
-        InputError: a file that a table names is wrong; the message has the same form.
+        ValidationError: a field of a table is wrong. The message names the field and states what is allowed.
+        InputError: a file that a table names is wrong. The message has the same form.
     """
     profiles: dict[str, Profile] = {}
     for name, table in _TABLES.validate_python(tables).items():

@@ -1,0 +1,84 @@
+"""``petmjx warm-up``."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated
+
+import typer
+
+from petmjx.cli.console import results_console
+from petmjx.common.errors import EngineUnavailable, InputError
+from petmjx.common.text import count_text
+
+
+def warm_up(
+    arch: Annotated[
+        str | None,
+        typer.Option(
+            "--arch",
+            metavar="NN,…",
+            help="GPUs, as compute capability times ten: 80 A100, 86 A10, 89 L4, 90 H100, 100 B200, 120 RTX 50. "
+            "The machine itself needs no GPU.",
+            show_default="the GPU of this machine",
+        ),
+    ] = None,
+) -> None:
+    """Compile all kernels now, so that no run waits for them: after an installation, or when an image for containers
+    is built.
+
+    The kernels are for exact placing and for placing by hand. Runs with film or with boxes that give compile kernels
+    of their own when they need them.
+
+    Compiled kernels are kept in ~/.cache/petmjx, or in the folder that PETMJX_CACHE_DIR names.
+    """
+    from petmjx.common.compile_caches import cache_folder
+    from petmjx.common.machine import why_no_warp_on_cpu
+    from petmjx.engines.subprocess.kernel_builds import KernelBuilds, all_builds, gpu_here, gpu_of, note_kept
+    from petmjx.options.simulation import Simulation
+
+    if problem := why_no_warp_on_cpu():
+        raise EngineUnavailable(problem)
+    here = gpu_here()
+    gpus = [gpu_of(number) for number in _numbers(arch)] if arch is not None else [here] if here is not None else []
+    builds, begin, console, faults = all_builds(gpus), time.perf_counter(), results_console(), []
+    if not gpus:
+        console.print("no GPU here: name the GPUs for which to compile with --arch; the kernels for CPUs are compiled")
+    console.print(f"{count_text(len(builds), 'kernel')} to compile; each takes some 10 to 60 s of a CPU thread")
+    for number, answer in enumerate(KernelBuilds(builds).answers(), start=1):
+        build = answer.build
+        device = "CPU" if build.gpu is None else f"GPU sm_{build.gpu.arch}"
+        placing = "placing by hand" if build.hands else "exact placing"
+        of_size = "" if build.gpu is None else f", {_SIZES[build.size]}"
+        state = answer.fault or f"{answer.seconds:.1f} s"
+        console.print(f"{number} of {len(builds)}  {device}, {placing}{of_size}: {state}", highlight=False)
+        faults += [answer.fault] * bool(answer.fault)
+    if faults:
+        raise EngineUnavailable(f"{count_text(len(faults), 'kernel')} could not be compiled: {faults[0]}")
+    for gpu in gpus:
+        note_kept(Simulation(), gpu)
+    console.print(
+        f"{count_text(len(builds), 'kernel')} in {cache_folder('warp')}, after {time.perf_counter() - begin:.0f} s",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+_SIZES = {
+    "usual": "up to 96 boxes",
+    "large": "more boxes",
+    "few": "few boxes, many worlds",
+    "last": "the last worlds of a run",
+}
+
+
+def _numbers(text: str) -> list[int]:
+    """The numbers of a list with commas.
+
+    Raises:
+        InputError: a part of the text is no number.
+    """
+    try:
+        return list(dict.fromkeys(int(part) for part in text.split(",")))
+    except ValueError:
+        raise InputError(f"--arch must be numbers with commas, such as 90,120; got {text!r}") from None

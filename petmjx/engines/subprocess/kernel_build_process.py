@@ -1,0 +1,101 @@
+"""The code of a process that compiles kernels of mjx-warp. The process needs no GPU, and ends with the run."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import time
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from petmjx.common.text import one_line
+from petmjx.engines.subprocess.task_pipe import next_of, own_pipes
+
+NICE: Final = 0
+"""Niceness of the process. A run waits for its kernels, so they are as urgent as the run itself."""
+
+
+@dataclass(frozen=True)
+class GpuLimits:
+    """What determines the kernels for a GPU.
+
+    Attributes:
+        arch: compute capability times ten: 90 is an H100.
+        max_shared_memory_per_block: largest shared memory of a thread block, bytes.
+        sm_count: number of multiprocessors. Kernels do not depend on it.
+    """
+
+    arch: int
+    max_shared_memory_per_block: int
+    sm_count: int = 1
+    is_cuda = True
+
+
+class KernelBuild(NamedTuple):
+    """A kernel to compile.
+
+    Attributes:
+        gpu: the GPU; None: the CPU of this machine.
+        size: name of a block size: ``usual``, ``large``, ``few`` or ``last``. On a CPU, all sizes share one kernel.
+        hands, lands: as in ``petmjx.engines.warp.block_launch.Launch``.
+    """
+
+    gpu: GpuLimits | None
+    size: str
+    hands: bool
+    lands: bool
+
+
+class BuildAnswer(NamedTuple):
+    """A kernel that was compiled.
+
+    Attributes:
+        seconds: time that it took; nearly 0 for a kernel that was kept from earlier.
+        fault: why the kernel could not be compiled; "" if it was.
+    """
+
+    build: KernelBuild
+    seconds: float
+    fault: str = ""
+
+
+def compile_kernel(build: KernelBuild) -> None:
+    """Compile a kernel into Warp's cache, where runs find it.
+
+    Raises:
+        Exception: an error of Warp or of its compiler.
+    """
+    import warp as wp
+
+    from petmjx.common.warp_setup import set_up_warp
+
+    set_up_warp()
+    from petmjx.engines.warp.block_launch import FEW_BOXES, LAST, SIZES, Launch, kernel
+    from petmjx.engines.warp.kernels.pause import pause
+
+    usual, large = SIZES
+    size = {"usual": usual, "large": large, "few": FEW_BOXES, "last": LAST}[build.size]
+    if build.gpu is None:
+        launch = Launch.of(size, build.hands, lands=build.lands, device=wp.get_device("cpu"))
+        wp.compile_aot_module(kernel(launch).module, device="cpu")
+        return
+    launch = Launch.of(size, build.hands, lands=build.lands, device=build.gpu)
+    for module in (kernel(launch).module, pause.module):
+        wp.compile_aot_module(module, arch=build.gpu.arch)
+
+
+def main() -> None:
+    """Compile kernels one after another."""
+    builds, answers = own_pipes(NICE)
+    while (build := next_of(builds)) is not None:
+        begin, fault = time.perf_counter(), ""
+        try:
+            compile_kernel(build)
+        except Exception as error:
+            fault = one_line(error)
+        try:
+            pickle.dump(BuildAnswer(build, time.perf_counter() - begin, fault), answers)
+            answers.flush()
+        except BrokenPipeError:
+            break
+    os._exit(0)

@@ -1,0 +1,143 @@
+"""Compiles kernels of mjx-warp before they are needed, each in a process of its own.
+
+NVRTC compiles a kernel in some 15 s. In the process of a run, this work would begin only when JAX and Warp have
+started, and it would share the interpreter's lock with the reading of plans. Processes begin at once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import queue
+import threading
+from collections import deque
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+from petmjx.common.compile_caches import cache_folder
+from petmjx.common.errors import InputError
+from petmjx.common.machine import cpu_threads, cuda_limits, package_versions
+from petmjx.engines.subprocess.kernel_build_process import BuildAnswer, GpuLimits, KernelBuild
+from petmjx.engines.subprocess.task_pipe import Child
+from petmjx.options.simulation import Simulation
+
+USUAL: Final = ("usual", "few", "last")
+"""Block sizes of most runs, as in ``petmjx.engines.warp.block_launch.USUAL``. The kernel that takes longest is the
+first."""
+
+SHARED_KB: Final = {75: 64, 80: 163, 86: 99, 87: 163, 89: 99, 90: 227, 100: 227, 103: 227, 110: 227, 120: 99, 121: 99}
+"""Compute capability times ten → largest shared memory of a thread block, kB (CUDA C++ Programming Guide, "Technical
+Specifications per Compute Capability")."""
+
+MOST_PROCESSES: Final = 8
+"""Largest number of kernels that are compiled at the same time. Each takes up to 1 GB of memory."""
+
+LOOK_S: Final = 0.25
+"""Longest wait for an answer, s. After each wait, the end of the program is noticed."""
+
+
+def gpu_here() -> GpuLimits | None:
+    """The limits of this machine's first GPU; None if there is none."""
+    limits = cuda_limits()
+    return GpuLimits(*limits) if limits is not None else None
+
+
+def gpu_of(arch: int) -> GpuLimits:
+    """The limits of GPUs of a compute capability, times ten. The machine itself needs no GPU.
+
+    Raises:
+        InputError: the compute capability is unknown.
+    """
+    if arch not in SHARED_KB:
+        known = ", ".join(map(str, SHARED_KB))
+        raise InputError(f"arch must be a compute capability times ten, one of {known}; got {arch}")
+    return GpuLimits(arch, SHARED_KB[arch] << 10)
+
+
+def usual_builds(sim: Simulation, gpu: GpuLimits) -> list[KernelBuild]:
+    """The kernels that most runs with these options need on a GPU."""
+    hands, lands = not sim.placing.appears, sim.physics.has_landings
+    return [KernelBuild(gpu, size, hands, lands) for size in USUAL]
+
+
+def all_builds(gpus: Sequence[GpuLimits]) -> list[KernelBuild]:
+    """The kernels for exact placing and placing by hand, for plans of all sizes: on these GPUs, and on this CPU."""
+    lands = Simulation().physics.has_landings
+    on_gpus = [
+        KernelBuild(gpu, size, hands, lands) for gpu in gpus for hands in (False, True) for size in (*USUAL, "large")
+    ]
+    return [*(KernelBuild(None, "large", hands, lands) for hands in (False, True)), *on_gpus]
+
+
+class KernelBuilds:
+    """Processes that compile kernels.
+
+    Args:
+        builds: the kernels. With ``MOST_PROCESSES`` kernels or fewer, and as many CPU threads, all begin at once.
+    """
+
+    def __init__(self, builds: Sequence[KernelBuild]) -> None:
+        self._waiting = deque(builds)
+        self._children: dict[Child, KernelBuild] = {}
+        for _ in range(min(MOST_PROCESSES, max(cpu_threads(), len(USUAL)), len(builds))):
+            self._begin_next(None)
+
+    def answers(self) -> Iterator[BuildAnswer]:
+        """Yield each kernel when it is compiled, or has failed. Ends early, without the missing kernels, if the
+        program ends. Closing the iterator ends the processes."""
+        try:
+            while self._children and threading.main_thread().is_alive():
+                first = next(iter(self._children))
+                child = next((child for child in self._children if not child.answers.empty()), first)
+                try:
+                    answer = child.answers.get(timeout=LOOK_S)
+                except queue.Empty:
+                    continue
+                build = self._children.pop(child)
+                if answer is None:
+                    child.end()
+                self._begin_next(child if answer is not None else None)
+                yield answer or BuildAnswer(build, 0.0, "the process that compiled it died")
+        finally:
+            for child in self._children:
+                child.end()
+            self._children.clear()
+
+    def _begin_next(self, idle: Child | None) -> None:
+        """Begin the next kernel, in an idle process or in a new one. If no kernel is left, the idle process ends."""
+        if self._waiting:
+            child = idle or Child("petmjx.engines.subprocess.kernel_build_process")
+            self._children[child] = self._waiting.popleft()
+            child.tasks.put(pickle.dumps(self._children[child]))
+        elif idle is not None:
+            idle.end()
+
+
+def builds_if_missing(sim: Simulation) -> KernelBuilds | None:
+    """Begin to compile the usual kernels for this machine's GPU. None if an earlier run left a note that they are kept,
+    or if there is no GPU."""
+    gpu = gpu_here()
+    if gpu is None or _note_of(sim, gpu).exists():
+        return None
+    return KernelBuilds(usual_builds(sim, gpu))
+
+
+def note_kept(sim: Simulation, gpu: GpuLimits | None = None) -> None:
+    """Leave a note that the usual kernels are in the cache."""
+    gpu = gpu or gpu_here()
+    if gpu is not None:
+        _note_of(sim, gpu).touch()
+
+
+def _note_of(sim: Simulation, gpu: GpuLimits) -> Path:
+    """The path of the note. Its name has a digest of what determines the kernels: their sources, the versions of
+    packages, and the GPU. The kernels themselves have names that only Warp can find, after a second or two."""
+    digest = hashlib.sha256(repr((usual_builds(sim, gpu), sorted(package_versions().items()))).encode())
+    for file in sorted((Path(__file__).parents[1] / "warp").rglob("*")):
+        if file.suffix in _SOURCES:
+            digest.update(file.read_bytes())
+    return cache_folder("warp") / f"usual-kernels-{digest.hexdigest()[:16]}"
+
+
+_SOURCES: Final = (".py", ".cu", ".cuh")
