@@ -440,8 +440,8 @@ class Search(Candidates):
 
         A world with errors has five times as many steps as one without errors, in which no hand lowers the boxes. So
         few worlds are simulated that a candidate does not need. Candidates that stand without errors are judged in
-        worlds in which ``weak`` falls, one world after the other, until enough of them hold better. The best of these
-        are judged in all worlds, one after the other, until one stands in ``wanted`` of them.
+        worlds in which ``weak`` falls, one world after the other, until enough of them stand. The best are judged in
+        all worlds, one after the other, until one stands in ``wanted`` of them.
         """
         judged = yield from self._judged(batch)
         standing = [state for state in judged if state.trial.stands]
@@ -449,12 +449,12 @@ class Search(Candidates):
         worlds, good = _different_falls(weak), list[State]()
         for world in worlds:
             states = yield from self._judged_in(falling, worlds if self.is_wide else [world])
-            least = weak.strength([world])
-            good += [state for state in states if state.strength([world]) > least]
-            falling = [state for state in states if state.strength([world]) <= least]
+            good += [state for state in states if state.errors[world].stands]
+            falling = [state for state in states if not state.errors[world].stands]
             if len(good) >= MOST_FINALISTS:
                 break
-        good.sort(key=lambda state: -state.n_good)
+        else:  # all others are judged in all of these worlds
+            good += [state for state in falling if state.strength(worlds) > weak.strength(worlds)]
         good = yield from self._judged_in(good[: self._scale * 2 * MOST_FINALISTS], worlds)
         good.sort(key=lambda state: -state.strength(worlds))
         better: list[State] = []
