@@ -69,8 +69,8 @@ MOST_LOST: Final = 3
 """The changes of a plan are first judged in at most this many of the worlds with errors in which the plan falls."""
 
 BETTER: Final = 0.25
-"""A changed plan is changed further if it holds better with errors than before by this much (``State.strength``). 1 is
-a whole world."""
+"""A changed plan is changed further if it holds better with errors than before by this much (``State.strength``), where
+1 is a whole world."""
 
 WIDE: Final = 2
 """A GPU judges many plans as fast as a few. So there a search judges this many times as many plans at once, and goes on
@@ -229,7 +229,9 @@ class Search(Candidates):
                 last = min(last, self.n_trials + int(SHORTER * most_trials))
             standing = shortest([*standing, *shortened])
             self.repairs = tuple(standing)
-            states = [replace(state, faults=count) for state, count in zip(states, faults, strict=True)]
+            # a plan that stands only when judged has a fault
+            least = [0.0 if state.trial.stands else 1.0 for state in states]
+            states = [replace(state, faults=max(two)) for state, *two in zip(states, faults, least, strict=True)]
             for state in sorted(states, key=lambda state: Node(state).key):
                 if self._is_short(state) and not state.trial.stands and (way := way_of(state)) not in ways:
                     ways.add(way)

@@ -106,7 +106,8 @@ class Trial(NamedTuple):
         n_held: number of boxes that were placed before the first box crossed a limit, as far as that is known.
         margin: as in the table ``worlds``; NaN: no margin.
         is_score: whether a score on the same engine has this trial, too. A judged draft that stands and did not move
-            when a wait was over is simulated in the same way when it is scored.
+            when a wait was over is simulated in the same way when it is scored (waits are shorter only for a draft of
+            which a box crossed a threshold at a sample, and came back).
     """
 
     verdict: str
