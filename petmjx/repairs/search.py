@@ -68,10 +68,6 @@ COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
 MOST_LOST: Final = 3
 """The changes of a plan are first judged in at most this many of the worlds with errors in which the plan falls."""
 
-BETTER: Final = 0.25
-"""A changed plan is changed further if it holds better with errors than before by this much (``State.strength``), where
-1 is a whole world."""
-
 WIDE: Final = 2
 """A GPU judges many plans as fast as a few. So there a search judges this many times as many plans at once, and goes on
 in fewer rounds."""
@@ -259,7 +255,7 @@ class Search(Candidates):
             counted += yield from self._judged_in(chosen[begin : begin + at_once], COMPARED_IN)
             if sum(state.n_good == len(COMPARED_IN) for state in counted) >= _n_finalists(counted):
                 break  # no other repair stands more often
-        counted.sort(key=lambda state: -state.strength(COMPARED_IN))
+        counted.sort(key=lambda state: -state.n_good)
         best, sure = counted[: 2 * MOST_FINALISTS], {key_of(state.draft) for state in scored}
         unsure = [k for k, state in enumerate(best) if key_of(state.draft) not in sure]
         for k, state in zip(unsure, (yield from self._scored([best[k] for k in unsure])), strict=True):
@@ -407,7 +403,7 @@ class Search(Candidates):
             compared += yield from self._judged_in(self.repairs[begin : begin + at_once], ALL_WORLDS)
             if compared[-1].n_good == ERROR_WORLDS:
                 break
-        compared.sort(key=lambda state: -state.strength(ALL_WORLDS))
+        compared.sort(key=lambda state: -state.n_good)
         self.repairs = tuple(compared)
         kinds = options.kinds - {Kind.FILM, Kind.LEAVE_OUT}
         if options.profile is not None or not kinds:
@@ -417,9 +413,7 @@ class Search(Candidates):
         nodes, best = [Node(state) for state in compared], compared[0]
         last = self.n_trials + int(STRENGTHENED * options.trials)
         while nodes and best.n_good < wanted and self.n_trials < last:
-            node = min(
-                nodes, key=lambda node: (node.n_judged // AT_ONCE - node.state.strength(ALL_WORLDS), node.state.cost)
-            )
+            node = min(nodes, key=lambda node: (node.n_judged // AT_ONCE - node.state.n_good, node.state.cost))
             if node.queue is None:
                 node.queue = self._ranked(node.state, limits)
             if not node.queue:
@@ -436,9 +430,8 @@ class Search(Candidates):
             self.repairs = (best, *compared)
 
     def _stronger(self, weak: State, batch: Sequence[Candidate], wanted: int) -> Steps[list[State]]:
-        """The candidates that stand, and hold better with errors than the plan ``weak`` from which they were made: by
-        ``BETTER`` worlds at least. A candidate that falls later than ``weak`` counts, too, since a plan may have
-        several weak places.
+        """The candidates that stand, and stand in more worlds with errors than the plan ``weak`` from which they were
+        made.
 
         A world with errors has five times as many steps as one without errors, in which no hand lowers the boxes. So
         few worlds are simulated that a candidate does not need. Candidates that stand without errors are judged in
@@ -455,15 +448,13 @@ class Search(Candidates):
             falling = [state for state in states if not state.errors[world].stands]
             if len(good) >= MOST_FINALISTS:
                 break
-        else:  # all others are judged in all of these worlds
-            good += [state for state in falling if state.strength(worlds) > weak.strength(worlds)]
         good = yield from self._judged_in(good[: self._scale * 2 * MOST_FINALISTS], worlds)
-        good.sort(key=lambda state: -state.strength(worlds))
+        good.sort(key=lambda state: -state.n_good)
         better: list[State] = []
         at_once = WIDE * MOST_FINALISTS if self.is_wide else 1
         for begin in range(0, self._scale * MOST_FINALISTS, at_once):
             states = yield from self._judged_in(good[begin : begin + at_once], ALL_WORLDS)
-            better += [one for one in states if one.strength(ALL_WORLDS) >= weak.strength(ALL_WORLDS) + BETTER]
+            better += [state for state in states if state.n_good > weak.n_good]
             if any(state.n_good >= wanted for state in better):
                 break
         return better

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -47,12 +47,6 @@ class State:
     def n_good(self) -> int:
         """Number of worlds with errors in which the plan stands."""
         return sum(trial.stands for trial in self.errors.values())
-
-    def strength(self, worlds: Iterable[int]) -> float:
-        """How well the plan holds in worlds with errors in which it was judged: the sum over these worlds of 1 if it
-        stands, else of half the share of its boxes that were placed before the first one fell."""
-        trials = [self.errors[world] for world in worlds]
-        return sum(1.0 if trial.stands else trial.n_held / len(self.draft.order) / 2 for trial in trials)
 
     @property
     def lost(self) -> dict[int, Trial]:

@@ -539,10 +539,10 @@ def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
     assert balance.weakness < 0.5
 
 
-@pytest.mark.parametrize(("is_wide", "rounds"), [(False, [6, 6, 5, 4, 3, 5, 5, 5]), (True, [6, 18, 15])])
+@pytest.mark.parametrize(("is_wide", "rounds"), [(False, [6, 6, 5, 4, 3, 5, 5]), (True, [6, 18, 10])])
 def test_few_worlds_with_errors_are_simulated_for_changes_that_do_not_help(is_wide: bool, rounds: list[int]) -> None:
-    """Of six moves, the first two hold longer in world 2 than the weak plan, and the third one stands in world 5. The
-    plan falls elsewhere in world 5 than in worlds 2 and 7. A GPU has fewer rounds, with more worlds."""
+    """Of six moves, the first one stands in worlds 2 and 7, and the third one in world 5. The weak plan falls elsewhere
+    in world 5 than in worlds 2 and 7. A GPU has fewer rounds, with more worlds."""
     plan = make_plan(boxes=stack(2))
     search, start = Search(plan, Simulation(), RepairOptions(), is_wide=is_wide), Draft.of(plan)
     stands = Trial("stable", "", None, (), 2, 2, 0.5)
@@ -558,14 +558,13 @@ def test_few_worlds_with_errors_are_simulated_for_changes_that_do_not_help(is_wi
         trials = []
         for one in requests:
             number = next(k for k, draft in enumerate(drafts.values()) if key_of(draft) == key_of(one.draft))
-            helps = {2: number < 2, 5: number == 2, 7: number == 0}.get(one.world, True)
-            longer = falls[2]._replace(n_held=2)
-            trials.append(stands if helps and (one.world, number) != (2, 1) else longer if helps else falls[one.world])
+            helps = {2: number == 0, 5: number == 2, 7: number == 0}.get(one.world, True)
+            trials.append(stands if helps else falls[one.world])
         return trials
 
     better = result_of(search._stronger(weak, batch, 8), ask)
-    assert [state.changes for state in better] == [(moves[0],), (moves[2],), (moves[1],)]
-    assert [state.n_good for state in better] == [7, 6, 5]
+    assert [state.changes for state in better] == [(moves[0],), (moves[2],)]
+    assert [state.n_good for state in better] == [7, 6]
     assert sizes == rounds
 
 
