@@ -15,7 +15,6 @@ simulated plans depend only on the plan, the options and the kind of engine, not
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -81,7 +80,7 @@ MORE_TO_COMPARE: Final = 24
 MOST_UNDONE: Final = 8
 """Limit of the total number of changes in all repairs that are compared. Each change is taken back for a trial, and the
 trial is scored. So fewer repairs are compared if repairs are long. If one repair alone has more changes, its trials are
-only judged."""
+only judged. On a GPU, all such trials are only judged: scores of plans that fall would keep all searches waiting."""
 
 PER_DRIVE: Final = 6
 """A plan that is scored with a drive counts as this many trials. With a drive, every plan is scored, because no short
@@ -386,7 +385,7 @@ class Search(Candidates):
         fewest = min(len(state.changes) for state in standing)
         finalists = shortest(standing)[: _n_finalists(standing)]
         reduced: list[State] = yield Together([self._reduced(state) for state in finalists])
-        pruned = shortest((yield from self._pruned(reduced, judged=fewest > MOST_UNDONE)))
+        pruned = shortest((yield from self._pruned(reduced, judged=self.is_wide or fewest > MOST_UNDONE)))
         different = [*{key_of(state.draft): state for state in pruned}.values()]
         ranks = [(-state.n_good, *risk) for state, risk in zip(different, self._risks(different), strict=True)]
         self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
@@ -441,7 +440,7 @@ class Search(Candidates):
         judged = yield from self._judged(batch)
         standing = [state for state in judged if state.trial.stands]
         falling = [standing[k] for k in self._safest(standing)[: self._scale * MOST_COMPARED]]
-        worlds, good = _different_falls(weak), list[State]()
+        worlds, good = [*weak.lost][:MOST_LOST], list[State]()
         for world in worlds:
             states = yield from self._judged_in(falling, worlds if self.is_wide else [world])
             good += [state for state in states if state.errors[world].stands]
@@ -464,7 +463,7 @@ class Search(Candidates):
         ``n_good`` of the worlds with errors, too."""
         while len(state.changes) > 1:
             lists = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
-            shorter = yield from self._trials_of(lists, judged=len(lists) > MOST_UNDONE)
+            shorter = yield from self._trials_of(lists, judged=self.is_wide or len(lists) > MOST_UNDONE)
             shorter = [one for one in shorter if one.trial.stands]
             for n_worlds in (ERROR_WORLDS // 2, ERROR_WORLDS):
                 shorter = yield from self._judged_in(shorter, ALL_WORLDS[:n_worlds])
@@ -532,15 +531,3 @@ def _lost(draft: Draft, trial: Trial) -> int:
 def _n_finalists(states: Sequence[State]) -> int:
     """Of repairs, the number of those whose changes are taken back one by one."""
     return min(MOST_FINALISTS, max(MOST_UNDONE // min(len(state.changes) for state in states), 1))
-
-
-def _different_falls(state: State) -> list[int]:
-    """Numbers of ``MOST_LOST`` worlds with errors in which the plan falls. Worlds in which different boxes fall first
-    come first; of these, those whose box falls most often."""
-    often = Counter(trial.culprit for trial in state.lost.values())
-    turns: Counter[int | None] = Counter()
-    ranks = []
-    for world, trial in sorted(state.lost.items()):
-        ranks.append((turns[trial.culprit], -often[trial.culprit], world))
-        turns[trial.culprit] += 1
-    return [world for *_, world in sorted(ranks)[:MOST_LOST]]
