@@ -1,4 +1,4 @@
-"""Estimates of time against real times: scores, scores with errors, static checks, drives, searches.
+"""Estimates of time against real times: scores, scores with errors, static checks, drives, searches, chains.
 
 A line has the slowness of the machine during the run (petmjx/engines/machine_speed.py), and the estimate for it.
 """
@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.record import environment, timed
+from petmjx.common.checked_records import read_toml
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.engines.machine_speed import REFERENCE_S, block_s
 from petmjx.options.run_options import RunOptions
@@ -23,7 +24,7 @@ from petmjx.plans.plan_validation import parse_plan
 from petmjx.runs.confidence import confidence_sweep
 from petmjx.runs.simulate import simulate
 from petmjx.runs.study import Nominal, Study
-from petmjx.runs.sweep_file import find_sweep, load_sweep
+from petmjx.runs.sweep_file import find_sweep, sweep_of_tables
 from petmjx.runs.sweep_study import SweepStudy
 
 SEED: Final = 21
@@ -32,58 +33,89 @@ Ask = Callable[[Sequence[Plan], RunOptions], Study]
 """A function that makes a study of plans and options."""
 
 
+SCORES: Final[tuple[tuple[str, dict[str, Any], tuple[str, ...]], ...]] = (
+    ("score", {}, ("stack", "tiny", "small", "middle", "large", "mixed", "loose", "falling", "columns", "given")),
+    ("score fixed", {"schedule": "fixed"}, ("tiny",)),
+    ("score reference", {"physics": "reference"}, ("small",)),
+    ("score epal-1", {"carrier": "epal-1"}, ("small", "mixed")),
+    ("score gitterbox", {"carrier": "gitterbox"}, ("small",)),
+    ("score trailer", {"carrier": "trailer"}, ("small",)),
+    ("score hand", {"placing": "hand"}, ("tiny", "middle", "falling")),
+    ("score tines", {"placing": "tines"}, ("tiny",)),
+    ("score drop", {"placing": "drop"}, ("small",)),
+    ("score giving", {}, ("giving",)),
+    ("static", {"check": "static"}, ("middle", "mixed", "falling", "columns", "given")),
+)
+"""Kind of run, its options, and its plans (``sizes``)."""
+
+SWEEPS: Final[tuple[tuple[str, dict[str, Any], tuple[str, ...]], ...]] = (
+    ("eumos", {}, ("stack", "giving")),
+    ("eumos-search", {}, ("few",)),
+    ("wrap-search", {}, ("stack",)),
+    ("tilt", {}, ("few",)),
+    ("friction", {}, ("few",)),
+    ("placement-error", {}, ("stack",)),
+    ("en-12195-1", {}, ("tiny",)),
+    ("radial-force", {}, ("tiny",)),
+    ("placement-and-transport", {"sample": 20}, ("few",)),
+    ("chain-to-wrapper", {"replicates": 4}, ("few",)),
+    ("chain-film-truck", {"replicates": 2}, ("stack",)),
+    ("chain-film-road", {"replicates": 1}, ("stack",)),
+)
+"""Ready-made sweep, its tables that are replaced, and the plans that it takes."""
+
+
 def cases() -> Iterator[tuple[str, str, Simulation, Ask]]:
     """Kind of run, plans, simulation, and the function that makes the study."""
-    usual, static = Simulation(), Simulation(check="static")
-    for name in ("stack", "tiny", "small", "middle", "large", "given"):
-        yield "score", name, usual, partial(Nominal, usual)
+    for kind, options, names in SCORES:
+        sim = Simulation(**options)
+        for name in names:
+            yield kind, name, sim, partial(Nominal, sim)
     for kind, chosen in (("confidence 4", {}), ("confidence 4 exact", {"placing": "exact"})):
         sure = confidence_sweep(4, None, chosen)
-        for name in ("tiny", "small", "few", "first given"):
+        for name in ("few", "falling", "first given"):
             yield kind, name, sure.simulation, partial(SweepStudy, sure, confidence=4)
-    yield "score", "falling", usual, partial(Nominal, usual)
-    for name in ("middle", "falling", "given"):
-        yield "static", name, static, partial(Nominal, static)
-    for kind, chosen in (("score epal-1", {"carrier": "epal-1"}), ("score hand", {"placing": "hand"})):
-        sim = Simulation(**chosen)
-        yield kind, "small", sim, partial(Nominal, sim)
-    for sweep_name, name in SWEEPS:
-        sweep = load_sweep(find_sweep(sweep_name), plans_given=True)
-        yield sweep_name, name, sweep.simulation, partial(SweepStudy, sweep)
-
-
-SWEEPS: Final = (
-    ("eumos", "stack"),
-    ("eumos", "few"),
-    ("eumos-search", "few"),
-    ("wrap-search", "stack"),
-    ("tilt", "few"),
-    ("placement-error", "stack"),
-    ("placement-error", "one"),
-)
-"""Ready-made sweeps, and the plans that each takes."""
+    for kind, replaced, names in SWEEPS:
+        path = find_sweep(kind)
+        sweep = sweep_of_tables({**read_toml(path), **replaced}, path, plans_given=True)
+        for name in names:
+            yield kind, name, sweep.simulation, partial(SweepStudy, sweep)
 
 
 def sizes(given: Sequence[Plan] = ()) -> dict[str, list[Plan]]:
-    """Generated plans by size, and the ones ``given``."""
-    drawn = [plan_of(index) for index in range(200)]
+    """Generated plans by size and kind, and the ones ``given``."""
+    drawn = [plan_of(index) for index in range(60)]
     by_size = sorted(drawn, key=lambda plan: plan.n_boxes)
+    columns = grid((3, 2, 6), (400.0, 400.0, 200.0))
     return {
         "stack": [cut(by_size[-1], 5)],
-        "tiny": [cut(plan, 8) for plan in drawn[:40]],
+        "tiny": [cut(plan, 8) for plan in drawn[:10]],
         "small": by_size[:12],
         "middle": drawn[:8],
         "large": by_size[-4:],
+        "mixed": [plan_of(index, loose_share=0.5) for index in range(20)],
+        "loose": [plan_of(index, loose_share=1.0) for index in range(20, 32)],
         "falling": [shelf_plan(number) for number in range(20, 30)],
-        "few": drawn[12:14],
-        "one": by_size[1:2],
+        "columns": [columns, grid((8, 5, 3), (60.0, 60.0, 40.0))],
+        "giving": [cut(columns, 18, stiffness_n_mm=[50.0] * 18)],
+        "few": [cut(plan, 12) for plan in drawn[12:14]],
         **({"given": list(given), "first given": list(given[:1])} if given else {}),
     }
 
 
-def plan_of(index: int) -> Plan:
-    """A plan of the packer ``balanced``."""
-    plan_id, placements = generate_one(index, SEED, packer="balanced")
+def grid(counts: tuple[int, int, int], size_mm: tuple[float, float, float]) -> Plan:
+    """Columns of equal boxes, placed layer by layer."""
+    along_x, along_y, layers = counts
+    places = [(x, y, z) for z in range(layers) for y in range(along_y) for x in range(along_x)]
+    mass_kg = [2e-7 * float(np.prod(size_mm))] * len(places)
+    corner_mm = np.asarray(places) * size_mm
+    return Plan.from_boxes(f"grid-{counts}", size_mm=[size_mm] * len(places), corner_mm=corner_mm, mass_kg=mass_kg)
+
+
+def plan_of(index: int, loose_share: float | None = None) -> Plan:
+    """A plan of the packer ``balanced``; with ``loose_share``, of a mixed set."""
+    how: dict[str, Any] = {"packer": "balanced"} if loose_share is None else {"loose_share": loose_share}
+    plan_id, placements = generate_one(index, SEED, **how)
     return parse_plan(plan_id, "estimates", placements, len(placements), {})
 
 
@@ -104,17 +136,18 @@ def shelf_plan(number: int) -> Plan:
     return Plan.from_boxes(f"shelf-{number}", size_mm=size_mm, corner_mm=corner_mm, mass_kg=mass_kg)
 
 
-def cut(plan: Plan, n: int) -> Plan:
-    """The first boxes of a plan."""
+def cut(plan: Plan, n: int, **columns: Any) -> Plan:
+    """The first boxes of a plan. ``columns``: further fields of the boxes."""
     return Plan.from_boxes(
-        plan.plan_id, size_mm=plan.size_mm[:n], corner_mm=plan.corner_mm[:n], mass_kg=plan.mass_kg[:n]
+        plan.plan_id, size_mm=plan.size_mm[:n], corner_mm=plan.corner_mm[:n], mass_kg=plan.mass_kg[:n], **columns
     )
 
 
 def compared(
     engine: str, threads: int, given: Sequence[Plan] = (), only: Collection[str] = ()
 ) -> Iterator[dict[str, Any]]:
-    """A line of results for each case: estimate and real time, without compilation.
+    """A line of results for each case: estimate and real time, without compilation. On all engines but ``mujoco``,
+    cases run twice, and the second run counts.
 
     Args:
         given: further plans, which are scored.
@@ -126,11 +159,12 @@ def compared(
             continue
         options = RunOptions(engine=engine, threads=threads)
         study: Study = ask(some, options)
+        if engine != "mujoco":
+            simulate(ask, sim, some, options)  # compiles
         slow = block_s()
         with timed() as clock:
             results = simulate(ask, sim, some, options)
         slow = (slow + block_s()) / 2 / REFERENCE_S
-        compile_s = float(results.info["timings"].get("compile_s", 0.0))
         yield {
             "case": "estimates",
             "group": "estimates",
@@ -140,11 +174,11 @@ def compared(
             "threads": threads,
             "slowness": round(slow, 2),
             "estimate_s": round(slow * (MEASURED.seconds(study.work, threads)[engine] - start_s(engine)), 2),
-            "seconds": round(clock.wall_s - compile_s, 2),
-            "cpu_s": round(clock.cpu_s - compile_s, 2),
-            "compile_s": round(compile_s, 2),
+            "seconds": round(clock.wall_s, 2),
+            "cpu_s": round(clock.cpu_s, 3),
             "steps_estimate": int(study.work.steps.sum()),
-            "steps": int(results.worlds["n_steps"].sum()),
+            # steps of placements that worlds share are not among those of the worlds
+            "steps": int(results.worlds["n_steps"].sum() + results.info["timings"].get("placement_steps", 0)),
             "work": described(study.work),
             **environment(),
         }
@@ -153,17 +187,15 @@ def compared(
 def described(work: Work) -> dict[str, Any]:
     """Work as plain values, from which a test makes it again."""
     return {
-        "check": work.sim.check.value,
-        "schedule": work.sim.schedule.value,
+        "sim": work.sim.model_dump(mode="json", exclude_defaults=True),
         "boxes": list(work.boxes),
         "placements": work.placements,
         "displaced": work.displaced,
         "carried": work.carried,
         "drives": work.drives,
         "drive_steps": work.drive_steps,
-        "carrier": str(work.sim.carrier),
         "filmed": work.filmed,
-        "placed_share": np.round(np.asarray(work.placed_share, dtype=float), 3).tolist(),
+        **{name: np.round(getattr(work, name), 3).tolist() for name in ("placed_share", "ties", "giving")},
     }
 
 

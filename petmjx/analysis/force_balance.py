@@ -102,7 +102,8 @@ def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
 
 
 def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limits: Entries | None = None) -> float:
-    """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = row_sums``, with g ≥ 0 and ``limits @ g ≤ 0``.
+    """The largest slack s ≤ ``EVEN`` for which numbers g ≥ 0 exist with ``forces @ (share·s + g) = row_sums`` and
+    ``limits @ g ≤ 0``. g is the part of each force above the required share·s.
 
     Args:
         forces: (r, f) contribution of each of f forces to each of r rows. Each row is one equation of balance.
@@ -137,11 +138,11 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
 
 
 def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> FloatArray | None:
-    """The smallest and the largest possible value of each of m sums of forces. All forces g ≥ 0 with ``forces @ g =
-    row_sums`` are possible.
+    """The smallest and the largest possible value of each of m weighted sums of f forces. Possible are all forces g ≥ 0
+    with ``forces @ g = row_sums``.
 
     Args:
-        sums: (m, f) factors of the forces in each sum.
+        sums: (m, f) factor of each force in each sum.
         forces: (r, f) contribution of each of f forces to each of r rows. Each row is one equation of balance.
         row_sums: (r,) value that each row must have.
 
@@ -165,8 +166,8 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 def _least_cost_solution(
     costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
 ) -> FloatArray | None:
-    """The vector x with the smallest ``costs @ x`` among all x that satisfy two kinds of bounds: those on the rows of
-    the matrix times x, and those on the elements of x. None if no x satisfies the bounds.
+    """The vector x with the smallest ``costs @ x`` among all x that satisfy two kinds of bounds: ``rows`` has the
+    bounds of the matrix times x, and ``bounds`` those of the elements of x. None if no x satisfies all bounds.
 
     The solver is HiGHS. It is called through SciPy's ``milp`` without integer variables, because this function has half
     the overhead of ``linprog``.
@@ -195,12 +196,12 @@ of a box."""
 def balance_slack(
     contacts: PlanContacts, hulls: Hulls, friction: Friction, lean: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """The slack of each box's structure (the group of boxes that contacts connect with it) just after the box has been
-    placed. There are two arrays (n,): without leaning on neighbours, and with leaning.
+    """The slack of each box's structure (the group of boxes that contacts connect with the box) just after the box has
+    been placed. There are two arrays (n,): slacks without leaning on neighbours, and slacks with leaning.
 
-    After the first box with which the stack is not balanced, the slack of all later boxes is NaN. The slack of a box
-    without support is also NaN. Such a box counts as not balanced, although its neighbours could hold it by pressing on
-    its sides.
+    If the stack is not balanced after the placement of a box, the slacks of all later boxes are NaN. The slack of a box
+    without support is also NaN. A box without support counts as not balanced, although its neighbours could hold it by
+    pressing on its sides.
 
     Args:
         friction: coefficients of friction.
@@ -241,8 +242,9 @@ class _Stack:
 
 
 class _Structures:
-    """The structures of placed boxes. A structure is a group of boxes that are connected by contacts. A box grounded on
-    the carrier belongs to no structure, so structures end at it."""
+    """The structures of placed boxes. A structure is a group of boxes that are connected by contacts. A box with all
+    four corners on the carrier counts as part of the carrier. Such a box belongs to no structure, so structures end at
+    it."""
 
     def __init__(self, contacts: PlanContacts, hulls: Hulls) -> None:
         self._contacts = contacts
@@ -295,7 +297,7 @@ class _VerticalSystem:
         self._weight = contacts.mass_kg / contacts.mass_kg.mean()
         self._share = even_share(contacts, self._weight)
         # (2, c) the upper and the lower body of each contact; CARRIER for bodies that need no equations: the carrier
-        # itself, and boxes grounded on it
+        # itself, and boxes with all four corners on the carrier
         body = np.stack([contacts.upper, contacts.lower])
         self._body = np.where((body == CARRIER) | contacts.grounded[body], CARRIER, body)
         arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
@@ -363,8 +365,8 @@ def friction_slack(
     share required from the corner. This restriction does not affect the sign of the slack.
 
     Args:
-        structure: (n,) boxes whose corners must carry the required share.
-        newest: the box placed last.
+        structure: (n,) whether each box belongs to the structure, so that its corners must carry the required share.
+        newest: number of the box placed last. Later boxes are ignored.
         sides: the places at which boxes may lean on each other or on walls. If None, boxes may not lean.
     """
     boxes = _hanging_together(contacts, structure, newest, sides)
@@ -400,7 +402,8 @@ def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
 def _hanging_together(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, sides: Sides | None
 ) -> NDArray[np.bool_]:
-    """(n,) whether each box is one of the placed boxes that contacts connect with the structure."""
+    """(n,) whether each box is placed and is connected with the structure by contacts or, if ``sides`` is given, by
+    sides that touch. The boxes of the structure are included."""
     pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
     pair = np.concatenate(pairs)
     pair = pair[(pair != CARRIER).all(axis=1) & (pair.max(axis=1) <= newest)]

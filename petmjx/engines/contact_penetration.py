@@ -72,13 +72,14 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Two arrays (n,) for the product A · f of petmjx.world.contact_laws, m/s². They hold the part that each box
-        adds at a contact on its top, and the part that it adds at a contact below it.
+        """(n,) part of the product A · f of petmjx.world.contact_laws, m/s², that each box contributes at a contact on
+        its top, and (n,) part that each box contributes at a contact below it.
         """
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
     def is_enough(top_n: FloatArray) -> bool:
-        # the depth grows less than proportionally to A · f, so the sum of the parts' depths is an upper bound
+        # a contact's depth grows less than proportionally to A · f, so the sum of the depths for the two parts of A · f
+        # is an upper bound of the depth for the whole
         return bool(base + sum(depth_m(physics, part).sum() for part in pulls(top_n)) <= enough_m)
 
     if is_enough(top_force_n):
@@ -98,8 +99,8 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
 
 
 def may_penetrate(scene: Scene, sim: Simulation) -> bool:
-    """Whether boxes would descend far enough for ``has_penetrated`` if each box carried all boxes above it. If not,
-    only chance can make boxes of this plan sink that far."""
+    """Whether boxes would descend far enough for ``has_penetrated`` if each box carried the whole weight of all boxes
+    above it."""
     most_n = np.full(scene.n_boxes, scene.total_mass * sim.physics.gravity_m_s2)
     bound_m = BOUND_SHARE * sim.thresholds.shift_m
     return bool((contact_penetration_m(scene, sim.physics, most_n, enough_m=bound_m) > bound_m).any())
@@ -132,7 +133,7 @@ class _Pairs(NamedTuple):
 
     Attributes:
         upper, lower: (p,) numbers of the two boxes of each pair.
-        spans: (n) the pairs of each upper box, as slices.
+        spans: for each box in the order of ``_Stack.order``, the slice of the pairs in which it is the upper box.
     """
 
     upper: NDArray[np.intp]
@@ -203,9 +204,10 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """For each world, whether ``has_penetrated`` is certainly False: the boxes of the world did not descend too far,
-    and descent is not the only reason for which the world failed. All worlds are computed together, which is fast. For
-    the other worlds, ``has_penetrated`` must be computed. Holds only for elliptic friction cones."""
+    """For each world, whether ``has_penetrated`` is certainly False, without computing it. It is False if the boxes of
+    the world did not descend too far, and descent is not the only reason for which the world failed. For worlds with
+    the answer False, ``has_penetrated`` must be computed. This function computes all worlds together, which is fast. It
+    is valid only for elliptic friction cones."""
     if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
@@ -233,8 +235,9 @@ def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
 
 
 def _most_sinking_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) an upper bound of ``contact_penetration_m`` in each world, m: the sum of the depths of all its boxes, each
-    under the largest force on its top. No pairs of boxes are needed."""
+    """(m,) an upper bound of the largest ``contact_penetration_m`` in each world, m: the sum of the contact depths of
+    all boxes of the world, each under the largest force on its top. This bound does not depend on which box lies on
+    which."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     begins = np.cumsum(counts) - counts
     placed = np.arange(counts.sum()) - np.repeat(begins + [outcome.n_placed for outcome in outcomes], counts) < 0
@@ -256,10 +259,10 @@ _PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) an upper bound of ``contact_penetration_m`` in each world, m. It is an upper bound for two reasons. The
-    depths on the two sides of a contact are added. And the largest force on each box's top is taken as a force at rest,
-    although it may come from an impact. Forces above the weight of all boxes above are rare, so the bound is close.
-    Arrays have one row for each box of the largest world, and one column per world."""
+    """(m,) an upper bound of the largest ``contact_penetration_m`` in each world, m. It is an upper bound for two
+    reasons. The depths on the two sides of a contact are added. And the largest force on each box's top is taken as a
+    force at rest, although it may come from an impact. Forces larger than the weight of all boxes above are rare, so
+    the bound is close."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
 
@@ -269,7 +272,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
         table[is_box] = joined
         return table
 
-    # rows without a box get an infinite height, so that they overlap no box
+    # worlds with fewer boxes than the largest world are filled up with boxes at infinite height, which overlap no box
     place, half = (filled((getattr(scene, name) for scene in scenes), fill) for name, fill in _PLACES)
     order = np.argsort(place[..., 2], axis=1, kind="stable")
     placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]
@@ -285,7 +288,8 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     low_x, high_x, low_y, high_y, above, below = (
         np.ascontiguousarray(np.take_along_axis(values, order, axis=1).T) for values in columns
     )
-    # Rows are sorted from the floor up and hold the depth at the top of each box. The first row is the carrier's top.
+    # These arrays have one column per world and one row per box, from the lowest box to the highest. ``depth`` is the
+    # distance by which the top of each box descends. Its first row is the carrier's top.
     depth = np.empty((len(above) + 1, len(scenes)))
     depth[0] = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)
     over = np.ones((len(above), *depth.shape), bool)

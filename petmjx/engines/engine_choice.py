@@ -6,7 +6,7 @@ import functools
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
@@ -45,12 +45,19 @@ def options_of(name: str, options: RunOptions) -> dict[str, Any]:
     return {option: getattr(options, option) for option in of_engine}
 
 
+GAIN: Final = 1.5
+"""The kernels of ``mjx-warp-cpu`` must be faster than ``mujoco`` by this factor, compilation included, to be worth
+compiling. Estimates of time are not more exact, and while a compiler works, no plan is done."""
+
+
 def choose(
     seconds: dict[str, float],
     threads: int,
     gpus: int = 1,
     why_no_gpu: Callable[[], str | None] | None = None,
     why_no_kernel: Callable[[], str | None] | None = None,
+    *,
+    compiles: bool = False,
 ) -> tuple[str, str]:
     """The engine that ``auto`` chooses, and the reason.
 
@@ -61,6 +68,7 @@ def choose(
         why_no_gpu: function that returns the reason why ``mjx-warp`` cannot run, or None. If it is not given, this
             machine is checked.
         why_no_kernel: as ``why_no_gpu``, for ``mjx-warp-cpu``.
+        compiles: whether ``mjx-warp-cpu`` would first have to be compiled.
     """
     cpu, gpu = count_text(threads, "CPU thread"), "a GPU" if gpus <= 1 else f"{gpus} GPUs"
     devices = {"mujoco": cpu, "mjx-warp": gpu, "mjx-warp-cpu": cpu}
@@ -74,7 +82,8 @@ def choose(
             return problem_of_gpu()
         return problem_of_kernel() if problem_of_gpu() else "jax uses the GPU"
 
-    by_time = sorted(devices, key=lambda name: seconds[name])
+    needed = {"mjx-warp-cpu": GAIN if compiles else 1.0}
+    by_time = sorted(devices, key=lambda name: seconds[name] * needed.get(name, 1.0))
     engine = next(name for name in by_time if problem(name) is None)
     faster = by_time[: by_time.index(engine)]
     if engine == "mujoco" and faster:

@@ -20,6 +20,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.attempt_runner import run_engine
 from petmjx.engines.attempts import ready_for
 from petmjx.engines.cost_model import Costs
+from petmjx.engines.engine_choice import GAIN
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
@@ -36,9 +37,6 @@ factor of ten."""
 
 SLOWER: Final = 2.0
 """Smallest ratio of measured to expected time for a handover. Estimates of time may be wrong by this factor."""
-
-GAIN: Final = 1.5
-"""Factor by which the kernels must be faster for the remaining worlds, since estimates of time are uncertain."""
 
 Faster = TypeVar("Faster", bound=Engine)
 

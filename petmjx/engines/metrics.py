@@ -174,33 +174,43 @@ def _number(name: str, meaning: str, when: SampleAt) -> WorldMetric:
 METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     WorldMetric(
         "margin", DIMENSIONLESS,
-        "distance to the nearest threshold as a share of it: 1 nothing moved, 0 on it, < 0 beyond; null if invalid",
+        "distance to the nearest threshold as a share of that threshold: 1 if nothing moved, 0 on the threshold, "
+        "< 0 beyond it; null if the world is invalid",
         SampleAt.LOOKS,
     ),
     WorldMetric(
         "plan_edge_m", "m",
-        "smallest distance of a box's load from the edge of what bears it, in the plan; < 0 beyond it; null if invalid",
+        "smallest distance of a box's load from the edge of the box's supports, in the plan; < 0 beyond the edge; "
+        "null if the world is invalid",
         SampleAt.PLAN, compared=False,
     ),
-    _number("plan_edge_box", "whose load that is (packing order from 0)", SampleAt.PLAN),
+    _number("plan_edge_box", "box whose load has the distance plan_edge_m (packing order from 0)", SampleAt.PLAN),
     WorldMetric(
-        "rest_edge_m", "m", "the same where the boxes came to rest; null unless the world is stable and was not shaken",
+        "rest_edge_m", "m",
+        "smallest distance of a box's load from the edge of the box's supports, with all boxes where they came to "
+        "rest; < 0 beyond the edge; null unless the world is stable and was not shaken",
         SampleAt.END, compared=False,
     ),
-    _number("rest_edge_box", "whose load that is", SampleAt.END),
+    _number("rest_edge_box", "box whose load has the distance rest_edge_m (packing order from 0)", SampleAt.END),
     WorldMetric(
         "build_edge_m", "m",
-        "the same over all steps in which the plan is built; null if all boxes are placed at once, or with errors",
+        "smallest distance of a box's load from the edge of the box's supports, after any placement while the plan is "
+        "built; < 0 beyond the edge; null if all boxes are placed at once, or with errors",
         SampleAt.PLAN, compared=False,
     ),
-    _number("build_edge_box", "whose load that is", SampleAt.PLAN),
-    _number("build_edge_step", "the box whose placement leads to it (packing order from 0)", SampleAt.PLAN),
-    WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", SampleAt.LOOKS),
+    _number("build_edge_box", "box whose load has the distance build_edge_m (packing order from 0)", SampleAt.PLAN),
+    _number(
+        "build_edge_step", "box after whose placement the distance build_edge_m occurs (packing order from 0)",
+        SampleAt.PLAN,
+    ),
+    WorldMetric(
+        "first_sign_s", "s", "time at which the culprit crossed a threshold; null if no box crossed one", SampleAt.LOOKS
+    ),
     BoxMetric(
         "shift_m", "m",
-        {"shift_x_m": "final centre - planned centre, x; components below the floor are 0; null if never placed",
-         "shift_y_m": "final centre - planned centre, y",
-         "shift_z_m": "final centre - planned centre, z"},
+        {"shift_x_m": "x of final centre - planned centre; 0 if |x| < shift_floor_m; null if the box was never placed",
+         "shift_y_m": "y of final centre - planned centre; 0 and null as for x",
+         "shift_z_m": "z of final centre - planned centre; 0 and null as for x"},
         SampleAt.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0; "
         "downwards, the planned descent of boxes with a stiffness does not count",
         of_world=WorldReduction(
@@ -210,19 +220,21 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     _largest(
         "max_tilt_deg", "deg", SampleAt.LOOKS,
         "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
-        of_box="largest angle of the box's z axis to the world's",
-        of_world="largest angle of any box's z axis to the world's",
+        of_box="largest angle between the box's z axis and the world's z axis",
+        of_world="largest angle between any box's z axis and the world's z axis",
     ),
     BoxMetric(
-        "dropped", TEXT, {"dropped": "the box fell off the carrier"}, SampleAt.LOOKS,
-        "once c_z < 0, or the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
+        "dropped", TEXT, {"dropped": "whether the box fell off the carrier"}, SampleAt.LOOKS,
+        "true once c_z < 0, or once the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
         "R is the box's rotation matrix, h its half sizes",
-        dtype=np.bool_, of_world=WorldReduction("n_dropped", Reduction.COUNT, "boxes that dropped"),
+        dtype=np.bool_, of_world=WorldReduction("n_dropped", Reduction.COUNT, "number of boxes that dropped"),
     ),
     BoxMetric(
-        "drop_s", "s", {"drop_s": "when it dropped; null where it did not"}, SampleAt.LOOKS,
-        "time of the first check at which it had dropped", dtype=np.float64,
-        of_world=WorldReduction("first_drop_s", Reduction.SMALLEST, "when the first box dropped; null where none did"),
+        "drop_s", "s", {"drop_s": "time at which the box dropped; null if it did not drop"}, SampleAt.LOOKS,
+        "time of the first check at which the box had dropped", dtype=np.float64,
+        of_world=WorldReduction(
+            "first_drop_s", Reduction.SMALLEST, "time at which the first box dropped; null if no box dropped"
+        ),
     ),
     _largest(
         "max_lin_acc", "m/s^2", SampleAt.SAMPLES,
@@ -230,48 +242,55 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         of_box="largest sampled linear acceleration", of_world="largest sampled linear acceleration of any box",
     ),
     _largest(
-        "max_ang_acc", "rad/s^2", SampleAt.SAMPLES, "max ‖α‖, with α the angular part of the same `qacc`",
+        "max_ang_acc", "rad/s^2", SampleAt.SAMPLES,
+        "max ‖α‖, with α the angular part of MuJoCo's `qacc` of the box's free joint",
         of_box="largest sampled angular acceleration", of_world="largest sampled angular acceleration of any box",
     ),
     _largest(
         "max_top_force_n", "N", SampleAt.STEPS,
         "max F, with F the force on the box's top (below); at least `rest_top_force_n`",
-        of_box="largest force on its top in any step, at least the one at rest",
-        of_world="largest force on top of any box in any step, at least the one at rest", relative=True,
+        of_box="largest force on the box's top in any step, at least the force at rest",
+        of_world="largest force on the top of any box in any step, at least the force at rest", relative=True,
     ),
     _largest(
         "rest_top_force_n", "N", SampleAt.REST,
         "mean of F over all steps of the last `rest_window_s` of a world that reached its end",
-        of_box="force on its top at rest; null where the world never came to rest",
-        of_world="largest force on top of any box at rest; null where the world never came to rest", relative=True,
+        of_box="force on the box's top at rest; null if the world never came to rest",
+        of_world="largest force on the top of any box at rest; null if the world never came to rest", relative=True,
     ),
     BoxMetric(
         "pos", "m",
         {"pos_x_m": "final centre, x", "pos_y_m": "final centre, y",
          "pos_z_m": "final centre, z; 0 is the carrier's top"},
-        SampleAt.END, "c; compared by the distance between two runs' centres", compared=False,
+        SampleAt.END, "c; two runs are compared by the distance between their centres", compared=False,
     ),
     BoxMetric(
         "quat", DIMENSIONLESS, {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
-        SampleAt.END, "unit quaternion; compared by the angle between two runs' orientations", compared=False,
+        SampleAt.END, "unit quaternion; two runs are compared by the angle between their orientations", compared=False,
     ),
     BoxMetric(
         "plan_edge_m", "m",
-        {"plan_edge_m": "how far inside the nearest edge of what bears it its load acts, in the plan; < 0 beyond it"},
-        SampleAt.PLAN, "the smaller distance of its own weight and of its load; its load's where that alone is inside",
+        {"plan_edge_m": "distance of the box's load from the edge of its supports, in the plan; < 0 beyond the edge"},
+        SampleAt.PLAN,
+        "the smaller of two distances from the edge: that of the box's own weight, and that of its load (own weight "
+        "and all boxes on it); only that of the load, if the load is inside and the own weight is not",
         compared=False,
     ),
     BoxMetric(
-        "rest_edge_m", "m", {"rest_edge_m": "the same where the boxes came to rest"}, SampleAt.END,
-        "the same, with all boxes at their last places", compared=False,
+        "rest_edge_m", "m",
+        {"rest_edge_m": "distance of the box's load from the edge of its supports, with all boxes where they came to "
+         "rest; < 0 beyond the edge"},
+        SampleAt.END, "as `plan_edge_m`, with all boxes at their last places", compared=False,
     ),
     BoxMetric(
-        "max_sway_m", "m", {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
+        "max_sway_m", "m",
+        {"max_sway_m": "largest horizontal distance of the box from its place at the beginning of the profile"},
         SampleAt.LOOKS, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
     ),
     BoxMetric(
         "sustained_top_force_n", "N",
-        {"sustained_top_force_n": "largest force on its top at rest, after any leg; null where it took no leg"},
+        {"sustained_top_force_n": "largest force on the box's top at rest, after the placement or any leg; null if the "
+         "world took no leg"},
         SampleAt.REST, "max of `rest_top_force_n` at the ends of the placement and of the legs", driven_only=True,
         legs_only=True, relative=True,
     ),
@@ -336,7 +355,7 @@ class BoxMetrics:
 
 
 def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, ...]) -> BoxMetrics:
-    """The metrics of (…, n) boxes from their pickled array. The function for unpickling."""
+    """The metrics of (…, n) boxes from their pickled array. Python calls this function to unpickle ``BoxMetrics``."""
     values: dict[str, NDArray[Any]] = {}
     size, begin = math.prod(shape), 0
     for metric in box_metrics():
@@ -351,9 +370,10 @@ def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, .
 FORCE_INTERVAL: Final = tuple(
     Column(
         name, "N", np.float32,
-        f"{word} force on its top at rest that balance and friction allow; null where it is not known", compared=False,
+        f"{word} force on the box's top at rest that balance and friction allow; null if it is not known",
+        compared=False,
     )
-    for name, word in (("rest_top_force_low_n", "least"), ("rest_top_force_high_n", "most"))
+    for name, word in (("rest_top_force_low_n", "smallest"), ("rest_top_force_high_n", "largest"))
 )  # fmt: skip
 """Optional columns of the table ``boxes``, which follow the metrics (petmjx.analysis.force_intervals)."""
 

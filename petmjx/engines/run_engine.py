@@ -187,10 +187,12 @@ def resolve_engine(
     # Measuring the speed of CPU threads takes half a second. This speed is irrelevant for a GPU.
     costs = costs or (MEASURED if requested_engine == "mjx-warp" else costs_here(work, threads))
     seconds = costs.seconds(work, threads)
-    if requested_engine == AUTO and earlier in ENGINES:
+    if requested_engine != AUTO:
+        name, reason = requested_engine, "as asked for"
+    elif earlier in ENGINES:
         name, reason = earlier, "as before"
     else:
-        name, reason = choose(seconds, threads) if requested_engine == AUTO else (requested_engine, "as asked for")
+        name, reason = choose(seconds, threads, compiles=costs.kernel_start_s > costs.kernel_load_s)
     engine, choice = make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
     if hands_over and requested_engine == AUTO and name == "mujoco" and options.world_timeout_s is None:
         from petmjx.engines.engine_handover import HandoverEngine

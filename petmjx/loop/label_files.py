@@ -49,7 +49,8 @@ CARD: Final = "card.json"
 README: Final = "README.md"
 
 _ROWS: Final = 10_000
-"""Number of labels in a part of usual size, and in a row group of a table."""
+"""Number of labels in a part (a file written while labels are made), and in a row group of a table. Parts may also be
+smaller."""
 
 SECONDS_PER_PART: Final = 60.0
 """Longest time after which the labels of finished episodes (orders packed to the end) are written as a part, s."""
@@ -63,8 +64,8 @@ MOST_JUDGED: Final = 1_000
 """Largest number of labels of the split ``test`` with which the accuracy of rules is determined."""
 
 RULES: Final = ("support_50", "support_75", "support_100", "centre", "equilibrium")
-"""Criteria (docs/criteria.md) whose accuracy is stated for comparison. ``equilibrium`` must hold for all boxes of the
-pallet, all other criteria only for the new box."""
+"""Simple rules (criteria of docs/criteria.md) whose accuracy the card states for comparison. ``equilibrium`` must hold
+for all boxes of the pallet, all other criteria only for the new box."""
 
 
 def label_files(folder: Path) -> dict[str, Path]:
@@ -100,7 +101,7 @@ def write_labels(
             damaged or were made with other orders or options, there is no place for any box of the orders, or shapely
             is missing.
     """
-    need_packers()  # checked first, because the rules are evaluated only at the end
+    need_packers()  # the rules need SciPy and shapely, but are evaluated only after all labels have been made
     files = label_files(folder)
     outputs = [*files.values(), folder / CARD, folder / README]
     inputs = [source] if isinstance(source, Path) else []
@@ -126,7 +127,8 @@ def write_labels(
         if (card := check()) is not None:
             return card
     except InputError:
-        # if another process is writing into the folder, the error about that is raised instead
+        # if another process is writing into the folder, the error about this process is raised instead of the error of
+        # the check
         with suppress(OSError), held_folder_lock(folder):
             pass
         raise
@@ -185,8 +187,8 @@ def _finished(folder: Path, head: Mapping[str, Any], count: int) -> dict[str, An
 
 
 def _make(labeller: Labeller, count: int, parts: LabelParts, progress: Callable[[int], object]) -> None:
-    """Make the missing labels, and add them part by part. If an error or a signal interrupts this, the labels of
-    finished episodes are still added."""
+    """Make the missing labels, and add them part by part. If an error or a signal interrupts the work, the labels of
+    finished episodes (orders packed to the end) are still added."""
     waiting: list[Label] = []
     written_s, n_before = time.monotonic(), parts.n_labels
     reported = n_before
@@ -244,8 +246,8 @@ def _remove_if_empty(folder: Path) -> None:
 
 
 def _groups(tables: Iterator[pa.Table], count: int) -> Iterator[pa.Table]:
-    """Join the first ``count`` rows of small tables into tables of at least ``_ROWS`` rows. On a slow machine, parts
-    are small."""
+    """Join the first ``count`` rows of small tables into tables of at least ``_ROWS`` rows. The tables of parts that a
+    slow machine has written are small."""
     waiting: list[pa.Table] = []
     for table in tables:
         waiting.append(table.slice(0, count))
@@ -297,9 +299,11 @@ def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
 
 
 def baselines(labels: Sequence[Label]) -> dict[str, dict[str, float | int]]:
-    """The accuracy of rules and of ``petmjx.placement_stability`` for these placements. For each name, there are the
-    number of labels, the share of standing placements that the rule accepts, the share of falling placements that it
-    refuses, and the mean of the two shares. The result is empty if no placement stands, or if none falls.
+    """The accuracy of rules and of ``petmjx.placement_stability`` for the placements of these labels.
+
+    For each rule, the result has the number of labels, the share of standing placements that the rule accepts, the
+    share of falling placements that the rule refuses, and the mean of the two shares. The result is empty if no
+    placement stands, or if none falls.
 
     ``placement_stability`` was trained for boxes that a robot places inexactly. It accepts a placement if its estimate
     is above 0.5.

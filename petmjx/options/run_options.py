@@ -186,7 +186,8 @@ class RunOptions(CheckedRecord):
         None,
         gt=0,
         description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only; by "
-        "default 20 times the CPU time that is expected of it, but at least 30 s in a static check and 300 s else",
+        "default 32 times the CPU time that is expected of it (70 times by hand), but at least 30 s in a static check "
+        "and 300 s else",
     )
     workers: Annotated[int | str | None, BeforeValidator(_workers), CliFlag("--workers", "N|auto")] = Field(
         None,

@@ -29,7 +29,7 @@ class Wrap(CheckedRecord):
     film_mm: Annotated[float, within(10, 5000)] = Field(500.0, description="width of the film, mm")
     friction: Annotated[float, within(0, 10)] = Field(0.3, description="friction between film and boxes")
     hat_n: Annotated[float, within(0, 100_000), CliFlag("--wrap-hat-n", "N")] = Field(
-        0.0, description="what a hat presses down with on the tops of a wrapped pallet, all together, N"
+        0.0, description="total force with which a hat (a cover over the top) presses down on a wrapped pallet, N"
     )
 
     @property

@@ -1,8 +1,8 @@
 """Candidates for the next box of a pile (``Candidates``): each shape of box at each corner point of the pile.
 
 A shape is a kind of box in one orientation. The corner points are the extreme points of Crainic, Perboli, Tadei (2008),
-as in :mod:`petmjx.packers.baseline_packer`. When a box is placed, the table of candidates is updated, not computed
-anew. Only the new box is compared with all candidates, and only the few new points are compared with all boxes.
+as in :mod:`petmjx.packers.baseline_packer`. When a box is placed, the table of candidates is not computed anew, but
+updated: the new box is compared with all candidates, and the few new points are compared with all boxes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Candidates:
     """The table of candidates: s shapes at p corner points.
 
     Attributes:
-        points: (p, 2) corner points (x, y), mm: candidates have their front-left corner there.
+        points: (p, 2) corner points (x, y), mm. All candidates at a point have their lowest x and y there.
         base: (s, 2) sides of the shapes along x and y, mm.
         area: (s,) areas of the shapes' bases, mm².
         height: (s,) heights of the shapes, mm.
@@ -133,16 +133,16 @@ def _copied_rows(rows: FloatArray, n: int) -> FloatArray:
 def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
     """(7, m, 2) corner points (x, y) that the newest box adds to each of m piles, mm.
 
-    Three points are corners of the box. The other four are points to which these corners slide, towards x = 0 or y = 0,
-    until they meet a box. Two of them slide beside the box at the height of its bottom, two on the box at the height of
-    its top.
+    Let the newest box extend from (x, y, z) to (x_end, y_end, top). Three points are corners of this box: (x_end, y),
+    (x, y_end) and (x, y). The other four points are found by sliding: a point starts at one of these corners, and moves
+    towards x = 0 or y = 0 until it meets another box or the carrier's edge. At the height z, one point slides from
+    (x_end, y) towards y = 0, and one from (x, y_end) towards x = 0. At the height ``top``, two points slide from (x,
+    y).
 
     Args:
         low, high: (m, n, 3) lowest and highest corners of the boxes of each pile, mm. The newest box is the last.
     """
     (x, y, z), (x_end, y_end, top) = low[:, -1].T, high[:, -1].T
-    # Beside the box, one point slides from the box's end in x towards −y, and one from its end in y towards −x.
-    # On the box, two points slide from its corner (x, y): one towards −x and one towards −y.
     start, across = np.array([y, x, x, y]), np.array([x_end, y_end, y, x])
     south, west, west_on_top, south_on_top = _slid(low, high, start, across, np.array([z, z, top, top]))
     beside = [(x_end, y), (x_end, south), (x, y_end), (west, y_end)]

@@ -75,10 +75,10 @@ class Strength:
     """The strength in one row of a table of articles.
 
     Attributes:
-        strength_n: strength, N; None: it is computed from the board by McKee's formula.
+        strength_n: strength, N. If None, the strength is computed from the board by McKee's formula.
         ect_kn_m: edge crush strength of the board, kN/m.
         thickness_mm: thickness of the board, mm.
-        safety_factor: divisor of the strength; None: 1.
+        safety_factor: divisor of the strength. If None, the strength is not divided.
     """
 
     strength_n: float | None = None
@@ -87,7 +87,7 @@ class Strength:
     safety_factor: float | None = None
 
     def of_box(self, length_mm: float, width_mm: float) -> float:
-        """The largest load that a box with this base can bear, N."""
+        """The largest load that a box with a base of ``length_mm`` × ``width_mm`` can bear, N."""
         strength = self.strength_n
         if strength is None:
             perimeter_mm = 2 * (length_mm + width_mm)
@@ -98,14 +98,13 @@ class Strength:
 
 @dataclass(frozen=True)
 class Article:
-    """The properties of an article, a product group or a material.
+    """The properties of an article, a product group or a material. A property that the table does not give is None.
 
     Attributes:
-        strength: strength of the boxes; None: the table does not give it.
-        material: material of the boxes, for friction (petmjx.options.materials); None: the table does not give it.
-        com_mm: centre of mass relative to the box's middle, along length, width and height, mm; None: the table does
-            not give it.
-        stiffness_n_mm: as in ``Plan``; None: the table does not give it.
+        strength: strength of the boxes.
+        material: material of the boxes, for friction (petmjx.options.materials).
+        com_mm: centre of mass relative to the box's middle, along length, width and height, mm.
+        stiffness_n_mm: stiffness of the boxes, N/mm, as in ``Plan``.
     """
 
     strength: Strength | None = None
@@ -158,7 +157,8 @@ def read_articles(path: str | Path) -> Articles:
     """
     file, name = Path(path), printable(str(path))
     try:
-        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # these readers recognise other formats
+        # the readers of CSV and TOML recognise files of another format themselves
+        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"
         if not has_own_reader and (foreign := foreign_kind_of(file)) is not None:
             raise InputError(f"{name}: {foreign}")
         if file.suffix.lower() == ".toml":
@@ -342,11 +342,12 @@ def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 def with_articles(plan: Plan, articles: Articles) -> Plan:
     """Add to a plan the materials, centres of mass, stiffness and strength that a table gives for its boxes.
 
-    A value in the plan takes precedence over the table. If the table gives nothing for the plan's boxes, the same
-    object is returned.
+    A value in the plan takes precedence over the table. If the table gives nothing for the plan's boxes, the object
+    ``plan`` itself is returned.
 
     Raises:
-        InputError: ", placement 3: …": a centre of mass is outside its box.
+        InputError: a centre of mass is outside its box. The message begins with ", placement 3: …", to be appended to
+            the name of the plan.
     """
     groups = plan.product_groups or ("",) * plan.n_boxes
     own_materials = plan.materials or ("",) * plan.n_boxes

@@ -7,7 +7,6 @@ numbers (units, axes, anchors) is decided later (``petmjx.plans.readings``).
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -25,11 +24,26 @@ from petmjx.plans.column_names import (
     ColumnMeaning,
     column_meanings,
     may_count,
+    plain_text,
+    word_set,
     words_of,
 )
 from petmjx.plans.foreign_formats import BED_BPP, BoxSource
 from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.raw_cells import CellNumber, cell_number, cell_text, cell_triple, number_fault_of
+from petmjx.plans.turn_columns import (
+    Turns,
+    angles_of,
+    bad_member,
+    is_matrix,
+    is_rotation,
+    letters_of,
+    matrix_of,
+    rotations_of_angles,
+    rotations_of_quaternions,
+    tilt,
+    turns_of,
+)
 
 ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
@@ -47,6 +61,24 @@ _SIZE_SETS: Final = (
     ("length", "width", "height"), ("width", "height", "depth"), ("length", "width", "depth"),
     ("length", "height", "depth"), _XYZ, ("0", "1", "2"),
 )  # fmt: skip
+
+
+_READ_CELLS: Final = 200
+"""Number of cells of a column that are read to find its meaning."""
+_NO_WEIGHT: Final = word_set(
+    "max maximum limit capacity total load bears bearing strength allowed pallet palette container tare tara"
+)
+"""Words in names of columns whose masses are not the weights of boxes."""
+GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
+"""Words for gross weights, which are preferred to net weights."""
+_GOALS: Final = word_set("to bis top")
+"""Words that mean far corners beside near ones ("from" and "to"), and otherwise any point of the box."""
+_UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites unidad unidades unita jednostka")
+_SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
+"""Units that a column may have under any name. Others, such as "m" or "in", also have other meanings."""
+_PICKED: Final = word_set("pick picked grasp source from")
+"""Words in names of the places from which a robot takes boxes."""
+_ORDER_WORDS: Final = frozenset(("order", "ordre", "orden", "ordine"))
 
 
 def role_of(axis: str) -> str:
@@ -85,24 +117,6 @@ class Geometry:
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
-    """A column with the rotations of boxes.
-
-    Attributes:
-        column: name of the column.
-        rules: names of the rules that are possible with its values (``readings.ROTATION_RULES``).
-        codes: (n,) number of each rotation: 0 to 5 as in py3dbp, or the number of quarter turns; −1: unknown.
-        letters: (n, 3) the size that lies along each axis, if rotations are written as letters; None: rotations are not
-            written as letters.
-    """
-
-    column: str
-    rules: tuple[str, ...]
-    codes: NDArray[np.int64]
-    letters: NDArray[np.int64] | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class BoxColumns:
     """The boxes of a source, by column.
 
@@ -121,6 +135,7 @@ class BoxColumns:
         columns: role → name of its column, for all roles except sizes and places.
         faults: row → (column, error text) of the first bad cell in the row.
         unread: names of columns that are not used.
+        unit_columns: names of columns whose cells are units of the numbers in other columns.
     """
 
     source: BoxSource
@@ -138,6 +153,7 @@ class BoxColumns:
     columns: Mapping[str, str]
     faults: Mapping[int, tuple[str, str]]
     unread: tuple[str, ...]
+    unit_columns: tuple[str, ...]
 
     @property
     def n_boxes(self) -> int:
@@ -162,6 +178,10 @@ class Extraction:
             self.meanings = [
                 None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
             ]
+        eulers = [index for index, meaning in enumerate(self.meanings) if meaning and meaning.kind == "euler"]
+        if len(eulers) == 1:  # "rot_z" alone: the box turns about the vertical
+            self.meanings[eulers[0]] = ColumnMeaning("rotation")
+        self._mean_by_cells()
         self.fixed: dict[str, int] = {}
         for role, name in chosen.items():
             if role not in ROLES:
@@ -175,6 +195,57 @@ class Extraction:
                 names = ", ".join(map(printable_name, self.table.header[:20]))
                 raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
             self.fixed[role] = self.table.header.index(name)
+
+    def _mean_by_cells(self) -> None:
+        """Meanings that cells show. An order without a number is the customer's order. Cells with a unit of mass are
+        weights, and cells that name the sizes along the axes are rotations, whatever the name of their column."""
+        self.row_units: dict[bool, list[str]] = {}
+        self.unit_columns: list[str] = []
+        if not self.table.has_header:
+            return
+        kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
+        for index, meaning in enumerate(self.meanings):
+            cells = [row[index] for row in self.table.rows[:_READ_CELLS] if row[index] not in (None, "")]
+            if not cells:
+                continue
+            if self._has_units(index, cells):
+                self.meanings[index] = None
+                self.unit_columns.append(self.table.header[index])
+            elif meaning is not None:
+                of_order = meaning.kind == "sequence" and _ORDER_WORDS.intersection(words_of(self.table.header[index]))
+                numbers = [number.value for cell in cells if (number := cell_number(cell, self.table.decimal))]
+                if of_order and "plan" not in kinds and len(set(numbers)) * 2 <= len(cells):
+                    self.meanings[index] = ColumnMeaning("plan")
+            elif (
+                "weight" not in kinds
+                and all(map(self._is_mass, cells))
+                and not _NO_WEIGHT.intersection(words_of(self.table.header[index]))
+            ):
+                self.meanings[index] = ColumnMeaning("weight")
+            elif "rotation" not in kinds and len({*map(cell_text, cells)}) > 1 and all(map(letters_of, cells)):
+                self.meanings[index] = ColumnMeaning("rotation")
+
+    def _has_units(self, index: int, cells: Sequence[Any]) -> bool:
+        """Whether a column, whose first cells are given, has units. If so, they become the units of the rows, or, if
+        all are the same, the units of the form."""
+        for units in (LENGTH_UNITS, MASS_UNITS):
+            sure = units.keys() if _UNIT_WORDS.intersection(words_of(self.table.header[index])) else _SURE_UNITS
+            if not all(isinstance(cell, str) and _as_unit(cell) in units.keys() & sure for cell in cells):
+                continue
+            texts = [_as_unit(cell_text(cell)) for cell in self.cells(index)]
+            form, is_mass = self.source.form, units is MASS_UNITS
+            if len(set(texts)) > 1:
+                self.row_units.setdefault(is_mass, texts)
+            elif is_mass:
+                self.source = replace(self.source, form=replace(form, masses=form.masses or texts[0]))
+            else:
+                self.source = replace(self.source, form=replace(form, units=form.units or texts[0]))
+            return True
+        return False
+
+    def _is_mass(self, cell: Any) -> bool:
+        number = cell_number(cell, self.table.decimal)
+        return number is not None and number.unit in MASS_UNITS
 
     # Cells.
 
@@ -206,11 +277,11 @@ class Extraction:
         rows: list[Sequence[CellNumber]] = []
         for row, cell in enumerate(self.cells(index)):
             triple = cell_triple(cell, self.table.decimal)
-            rows.append(triple or ())
-            if triple is None:
-                shown = (
-                    "is missing" if cell in (None, "") else f'must be three numbers, got "{printable_name(str(cell))}"'
-                )
+            finite = triple is not None and all(np.isfinite(number.value) for number in triple)
+            rows.append(triple if triple is not None and finite else ())
+            if not finite:
+                kind = "three numbers" if triple is None else "three finite numbers"
+                shown = "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(str(cell))}"'
                 self.bad(row, index, shown)
         return self._in_one_unit(index, rows, LENGTH_UNITS, 3)
 
@@ -225,6 +296,11 @@ class Extraction:
         """
         values = np.full((len(rows), width), np.nan)
         is_mass = "kg" in units
+        if is_mass in self.row_units and units in (LENGTH_UNITS, MASS_UNITS):
+            rows = [
+                [number if number.unit else number._replace(unit=unit) for number in numbers]
+                for numbers, unit in zip(rows, self.row_units[is_mass], strict=True)
+            ]
         meaning, form = self.meanings[index], self.source.form
         of_name = meaning.unit if meaning is not None and meaning.unit in units else ""
         wish = self.masses if is_mass else self.units
@@ -338,7 +414,7 @@ class Extraction:
                     by_axis[role] = [self.fixed[role]]
             if not all(axis in by_axis for axis in _XYZ):
                 continue
-            for chosen in _same_prefix(header, [by_axis[axis] for axis in _XYZ]):
+            for chosen in _same_prefix(header, _without_picks(header, [by_axis[axis] for axis in _XYZ])):
                 values, unit = self.joined(chosen)
                 words = {meaning.axis for index in chosen if (meaning := self.meanings[index]) is not None}
                 up = "z" if "height" in words else ""
@@ -349,6 +425,13 @@ class Extraction:
             if meaning is not None and meaning.kind == "positions" and not choices:
                 values, unit = self.triples(index)
                 choices.append((values, unit, meaning.anchor, {"position": header[index]}, ""))
+        if not choices:  # the far corners, and sizes instead of the near ones
+            far = {_ON_AXES.get(axis, axis): columns[0] for axis, columns in self.columns_of("high").items()}
+            if all(axis in far for axis in _XYZ):
+                values, unit = self.joined([far[axis] for axis in _XYZ])
+                columns = {axis: header[far[axis]] for axis in _XYZ}
+                is_goal = any(_GOALS.intersection(words_of(name)) for name in columns.values())
+                choices.append((values, unit, "" if is_goal else "far-corner", columns, ""))
         return choices[:1]
 
     def corner_choices(self) -> list[Geometry]:
@@ -383,55 +466,109 @@ class Extraction:
         return []
 
     def pose_choices(self) -> list[Geometry]:
-        """Geometries from matrices, or from positions and quaternions."""
+        """Geometries from matrices, or from positions and rotations."""
         header = self.table.header
         sizes = self.size_choices()
         if not sizes:
             return []
         size, axes, unit, _, columns = sizes[0]
-        quaternions = self.columns_of("quaternion")
         matrix = next(
-            (index for index in range(len(header)) if any(_is_matrix(row[index]) for row in self.table.rows[:3])), None
+            (index for index in range(len(header)) if any(is_matrix(row[index]) for row in self.table.rows[:3])), None
         )
         if matrix is not None:
             rotations, places = np.full((len(size), 3, 3), np.nan), np.full((len(size), 3), np.nan)
             for row, cell in enumerate(self.cells(matrix)):
-                array = _matrix_of(cell)
+                array = matrix_of(cell)
                 if array is None:
-                    self.bad(row, matrix, f"must be a 4×4 matrix of numbers{_bad_member(cell)}")
+                    self.bad(row, matrix, f"must be a 4×4 matrix of numbers{bad_member(cell)}")
                 else:
                     rotations[row], places[row] = array[:3, :3], array[:3, 3]
             columns = {**columns, "pose": header[matrix]}
             return [self._pose(size, places, axes, unit, unit, rotations, columns, matrix, "")]
-        places_of = self.place_choices() if quaternions else []
+        options = self._quaternions() or self._angles() or self._turning_matrices()
+        places_of = self.place_choices() if options else []
         if not places_of:
             return []
-        components = [quaternions.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
-        listed = [quaternions.get(str(axis), [None])[0] for axis in range(4)]
+        place, place_unit, anchor, place_columns, _ = places_of[0]
+        tilted = [int((tilt(rotation) > _LEVEL).sum()) for rotation, *_ in options]
+        return [
+            replace(
+                self._pose(
+                    size, place, axes, unit, place_unit, rotation, columns | place_columns | named, index, anchor
+                ),
+                prior=0.4 * number,
+            )
+            for number, (rotation, named, index) in enumerate(options)
+            if tilted[number] == min(tilted)
+        ]
+
+    def _quaternions(self) -> list[_Rotations]:
+        """Rotations by quaternions, if there are any. In a list without names, w may be the first or the last one."""
+        header = self.table.header
+        named, turned = self.columns_of("quaternion"), self.columns_of("rotation")
+        if "w" in named:
+            named = {**self.columns_of("euler"), **named}
+        elif "3" in turned:
+            named = turned
+        components = [named.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
+        listed = [named.get(str(axis), [None])[0] for axis in range(4)]
         orders = (
             [components] if None not in components else [listed, [listed[3], *listed[:3]]] if None not in listed else []
         )
-        place, place_unit, anchor, place_columns, _ = places_of[0]
-        geometries: list[Geometry] = []
-        poses: list[tuple[int, FloatArray, dict[str, str], int, float]] = []
+        rotations = []
         for number, order in enumerate(orders):
             indices = [index for index in order if index is not None]
             values = np.stack([self.numbers(index, LENGTH_UNITS)[0] for index in indices], axis=1)
-            all_columns = {
-                **columns,
-                **place_columns,
-                "quaternion": header[indices[0]].rpartition("[")[0] or header[indices[0]],
-            }
-            if number == 1:
-                all_columns["order of quaternions"] = "x, y, z, w"
-            rotation = _rotations_of(values)
-            poses.append((int((_tilt(rotation) > _LEVEL).sum()), rotation, all_columns, indices[0], 0.4 * number))
-        least = min((tilted for tilted, *_ in poses), default=0)
-        for tilted, rotation, all_columns, index, prior in poses:
-            if tilted == least:
-                geometry = self._pose(size, place, axes, unit, place_unit, rotation, all_columns, index, anchor)
-                geometries.append(replace(geometry, prior=prior))
-        return geometries
+            columns = _roles("quaternion", [header[index] for index in indices])
+            columns |= {"order of quaternions": "x, y, z, w"} if number == 1 else {}
+            rotations.append((rotations_of_quaternions(values), columns, indices[0]))
+        return rotations
+
+    def _angles(self) -> list[_Rotations]:
+        """Rotations by angles about at least two of the axes, if there are any: "rx", "ry" and "rz"; roll, pitch and
+        yaw; lists of three."""
+        named = {axis: columns[0] for axis, columns in self.columns_of("euler").items()}
+        quaternions, turned = self.columns_of("quaternion"), self.columns_of("rotation")
+        listed = turned if {*"012"} <= turned.keys() else quaternions if {*"012"} <= quaternions.keys() else {}
+        if listed:
+            named = {axis: listed[str(number)][0] for number, axis in enumerate(_XYZ)}
+        elif {*_XYZ} <= quaternions.keys():  # "orientation.x" without a w
+            named = {axis: quaternions[axis][0] for axis in _XYZ}
+        elif named and "z" not in named:
+            yaws = [index for index in turned.get("", ()) if "yaw" in words_of(self.table.header[index])]
+            if yaws:
+                named["z"] = yaws[0]
+        if len(named) < 2:
+            return []
+        indices = list(named.values())
+        angles = np.zeros((len(self.table.rows), 3))
+        angles[:, [_XYZ.index(axis) for axis in named]] = angles_of(
+            [self.cells(index) for index in indices], self.table.decimal
+        )
+        for row, axis in np.argwhere(np.isnan(angles)).tolist():
+            index = named[_XYZ[axis]]
+            self.bad(row, index, number_fault_of(self.table.rows[row][index], self.table.decimal))
+        columns = _roles("angle", [self.table.header[index] for index in indices])
+        return [
+            (rotation, {**columns, **({"order of angles": "z, y, x"} if number else {})}, indices[0])
+            for number, rotation in enumerate(rotations_of_angles(angles))
+        ]
+
+    def _turning_matrices(self) -> list[_Rotations]:
+        """Rotations by matrices (3, 3), if there are any."""
+        rows = self.table.rows
+        index = next(
+            (index for index in range(len(self.table.header)) if any(is_rotation(row[index]) for row in rows[:3])), None
+        )
+        if index is None:
+            return []
+        rotations = np.full((len(rows), 3, 3), np.nan)
+        for row, cell in enumerate(self.cells(index)):
+            try:
+                rotations[row] = np.array(cell, float)
+            except (TypeError, ValueError):
+                self.bad(row, index, f"must be a 3×3 matrix of numbers{bad_member(cell)}")
+        return [(rotations, {"rotation": self.table.header[index]}, index)]
 
     def _pose(
         self,
@@ -446,7 +583,7 @@ class Extraction:
         anchor: str,
     ) -> Geometry:
         """A geometry from poses. Boxes whose rotation is not a multiple of right angles are refused."""
-        for row in np.flatnonzero(_tilt(rotation) > _LEVEL):
+        for row in np.flatnonzero(tilt(rotation) > _LEVEL):
             degrees = np.degrees(np.arccos(np.clip(np.abs(rotation[row]).max(axis=1).min(), 0, 1)))
             self.bad(
                 int(row), index, f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
@@ -498,7 +635,7 @@ class Extraction:
                 if values.max() > 0 and turns is None:
                     rules = ("swap", "py3dbp") if values.max() <= 1 else ("py3dbp",)
                     turns = Turns(header[index], rules, values.astype(np.int64))
-            elif values.min() > 0 and weight is None:
+            elif weight is None and _mostly(values > 0):
                 weight, is_density = index, bool(values.max() <= _DENSEST)
         return turns, weight, is_density
 
@@ -566,6 +703,20 @@ class Extraction:
             None,
         )
 
+    def weights(self) -> int | None:
+        """The column of weights: that of gross weights if there are several."""
+        if "weight" in self.fixed:
+            return self.fixed["weight"]
+        gross = [
+            number
+            for number, meaning in enumerate(self.meanings)
+            if meaning is not None
+            and meaning.kind == "weight"
+            and not meaning.of_container
+            and GROSS.intersection(words_of(self.table.header[number]))
+        ]
+        return gross[0] if gross else self.first("weight")
+
     def counters(self, used: Collection[str]) -> dict[str, FloatArray]:
         """Unused columns of whole numbers whose names could mean a packing order."""
         columns: dict[str, FloatArray] = {}
@@ -583,56 +734,16 @@ class Extraction:
         index = self.first("rotation", "rotation")
         if index is None:
             return None
-        cells, name = self.cells(index), self.table.header[index]
-        filled_cells = [cell for cell in cells if cell not in (None, "")]
-        if not filled_cells:
-            return None
-        letters = [_letters_of(cell) for cell in cells]
-        codes = np.full(len(cells), -1, np.int64)
-        if sum(turn is not None for turn in letters) * 2 > len(filled_cells):
-            array = np.zeros((len(cells), 3), np.int64)
-            for row, turn in enumerate(letters):
-                if turn is None:
-                    self.bad(row, index, _shown_turn(cells[row], "three letters"))
-                else:
-                    array[row], codes[row] = turn, 0
-            return Turns(name, ("letters",), codes, array)
-        values = [_turn_number(cell, self.table.decimal) for cell in cells]
-        used = {value for value in values if value is not None}
-        integers = {value for value in used if float(value).is_integer()}
-        in_degrees = sum(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
-        if in_degrees or name.lower() in ("yaw", "angle", "winkel"):
-            rules: tuple[str, ...] = ("degrees",)
-            allowed = [value is not None and value % 90 == 0 for value in values]
-            codes = np.array(
-                [
-                    int(value // 90) % 4 if ok and value is not None else -1
-                    for value, ok in zip(values, allowed, strict=True)
-                ]
-            )
-            kind = "a multiple of 90"
-        elif max(integers, default=0) <= 1:
-            rules, kind = ("swap", "py3dbp"), "0 or 1"
-            allowed = [value in (0, 1) for value in values]
-        elif 0 in integers or max(integers) <= 5:
-            rules, kind = ("py3dbp",) if 0 in integers else ("py3dbp", "py3dbp from 1"), "0 to 5"
-            allowed = [value is not None and value in range(6) for value in values]
-        else:
-            rules, kind = ("py3dbp from 1",), "1 to 6"
-            allowed = [value is not None and value in range(1, 7) for value in values]
-        if rules != ("degrees",):
-            codes = np.array(
-                [int(value) if ok and value is not None else -1 for value, ok in zip(values, allowed, strict=True)],
-                np.int64,
-            )
-        if sum(allowed) * 2 <= len(filled_cells):
-            return None  # no rule knows the words in the cells, so sizes are assumed to be as placed
-        for row, ok in enumerate(allowed):
-            if not ok:
-                self.bad(row, index, _shown_turn(cells[row], kind))
-        return Turns(name, rules, codes)
+        return turns_of(
+            self.table.header[index],
+            self.cells(index),
+            self.table.decimal,
+            lambda row, text: self.bad(row, index, text),
+        )
 
 
+_Rotations = tuple[FloatArray, dict[str, str], int]
+"""(n, 3, 3) rotation matrices; role → name of its column; the column that is named in errors."""
 _DENSEST: Final = 1.5
 """Largest density, relative to water, in a column without a name. No carton reaches this density."""
 _LEVEL: Final = 2e-3
@@ -649,16 +760,16 @@ def _mostly(rows: NDArray[np.bool_]) -> bool:
     return sound >= _MOST_SOUND * len(rows) or sound >= len(rows) - 1 > 1
 
 
-def _tilt(rotation: FloatArray) -> FloatArray:
-    """(n,) largest deviation of the axes of rotations (n, 3, 3) from right angles."""
-    tilt: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
-    return tilt
-
-
 def _role_of(meaning: ColumnMeaning) -> str:
     if meaning.kind == "size":
         return role_of(meaning.axis)
     return meaning.axis if meaning.kind == "position" else {"positions": "position"}.get(meaning.kind, meaning.kind)
+
+
+def _roles(role: str, names: Sequence[str]) -> dict[str, str]:
+    """Role → name of its column, for columns that have one role together. Members of a list have one name."""
+    names = list(dict.fromkeys(name.rpartition("[")[0] or name for name in names))
+    return {role if number == 1 else f"{role} ({number})": name for number, name in enumerate(names, start=1)}
 
 
 def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
@@ -674,71 +785,14 @@ def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list
     return full_triples[:1] or [tuple(columns[0] for columns in picked)]
 
 
-def _is_matrix(cell: Any) -> bool:
-    return isinstance(cell, list | tuple) and _matrix_of(cell) is not None
+def _as_unit(text: str) -> str:
+    return plain_text(text).strip(" .").lower()
 
 
-def _matrix_of(cell: Any) -> FloatArray | None:
-    try:
-        array = np.asarray(cell, dtype=float)
-    except (TypeError, ValueError):
-        return None
-    if array.shape == (16,):
-        array = array.reshape(4, 4)
-    return array if array.shape in ((4, 4), (3, 4)) and np.isfinite(array).all() else None
-
-
-def _bad_member(cell: Any) -> str:
-    """The text for messages about a bad matrix: the index, from 0, of its first member that is not a number; "" if the
-    shape of the matrix is wrong."""
-    flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
-    for index, value in enumerate(flat):
-        number = cell_number(value)
-        if number is None or not np.isfinite(number.value):
-            return f", got {printable_name(str(value))} as number {index}"
-    return ""
-
-
-def _rotations_of(quaternion: FloatArray) -> FloatArray:
-    """(n, 3, 3) rotation matrices of (n, 4) quaternions w, x, y, z."""
-    with np.errstate(invalid="ignore"):
-        w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
-
-
-def _letters_of(cell: Any) -> tuple[int, int, int] | None:
-    """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. None if the letters name no
-    orientation."""
-    text = cell_text(cell).upper().removeprefix("ROTATIONTYPE.").removeprefix("RT_").removeprefix("ORIENTATION.")
-    for letters in ("XYZ", "LWH", "WHD", "LBH", "LHD", "WDH", "ABC"):
-        if sorted(text) == sorted(letters):
-            return letters.index(text[0]), letters.index(text[1]), letters.index(text[2])
-    return None
-
-
-_YES: Final = frozenset(
-    ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "x", "y", "j", "1")
-)
-_NO: Final = frozenset(("false", "no", "nein", "non", "nie", "original", "none", "n", "0", "", "-"))
-
-
-def _turn_number(cell: Any, decimal: str) -> float | None:
-    if isinstance(cell, bool):
-        return float(cell)
-    number = cell_number(re.sub(r"\s*(°|deg|degrees|grad)$", "", cell) if isinstance(cell, str) else cell, decimal)
-    if number is not None and np.isfinite(number.value):
-        return number.value
-    text = cell_text(cell).lower()
-    return 1.0 if text in _YES else 0.0 if text in _NO else None
-
-
-def _shown_turn(cell: Any, kind: str) -> str:
-    return "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(cell_text(cell))}"'
+def _without_picks(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[list[int]]:
+    """The columns for each coordinate, without the places from which a robot takes boxes if there are others."""
+    others = [[index for index in columns if not _PICKED.intersection(words_of(header[index]))] for columns in picked]
+    return others if all(others) else [list(columns) for columns in picked]
 
 
 def box_columns(
@@ -770,7 +824,7 @@ def box_columns(
         if not geometries:
             geometries = work.corner_choices()
         turns = work.turns()
-    weight_index = work.first("weight", "weight")
+    weight_index = work.weights()
     density_index = work.first("density") if weight_index is None else None
     if not source.boxes.table.has_header:
         turns, extra, is_density = work.array_extras(geometries)
@@ -820,5 +874,6 @@ def box_columns(
         {} if sequence is not None else work.counters(used),
         {role: name for role, name in named.items() if name},
         work.faults,
-        tuple(name for name in header if name not in known),
+        tuple(name for name in header if not {name, name.rpartition("[")[0]} & known and name not in work.unit_columns),
+        tuple(work.unit_columns),
     )

@@ -15,13 +15,13 @@ from functools import lru_cache
 from typing import Final, Literal
 
 Kind = Literal[
-    "size", "sizes", "position", "positions", "low", "high", "quaternion", "matrix", "weight", "density", "volume",
-    "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group", "material",
+    "size", "sizes", "position", "positions", "low", "high", "quaternion", "euler", "matrix", "weight", "density",
+    "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group", "material",
     "row_kind", "strength",
 ]  # fmt: skip
 """Meaning of a column. ``sizes`` and ``positions`` are three numbers in one cell. ``low`` and ``high`` are coordinates
 of the corners with the smallest and the largest x, y and z. ``sequence`` is a packing order. ``number`` is a running
-number, which may be a packing order."""
+number, which may be a packing order. ``euler`` is an angle about one axis."""
 
 OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
 """petmjx's own names for the sizes and the weight of items, which contain the units."""
@@ -53,10 +53,12 @@ def word_set(text: str) -> frozenset[str]:
 
 
 _SIZES: Final = {
-    "length": "length len lengths lange laenge longueur long longitud largo lunghezza lungh lung dlugosc dlug dl",
-    "width": "width widths wide breite breit br largeur larg ancho anchura anch larghezza largh szerokosc szer",
-    "height": "height heights high hoehe hohe ho hauteur haut alto altura altezza alt wysokosc wys",
-    "depth": "depth depths deep tiefe profondeur prof profundidad fondo profondita glebokosc gleb",
+    "length": "length len lgth lng lengths lange laenge longueur long longitud largo lunghezza lungh lung dlugosc dlug "
+    "dl comprimento lengte",
+    "width": "width wid wdth wth widths wide breite breit br largeur larg ancho anchura anch larghezza largh szerokosc "
+    "szer largura breedte",
+    "height": "height hgt hght heights high hoehe hohe ho hauteur haut alto altura altezza alt wysokosc wys hoogte",
+    "depth": "depth depths deep tiefe profondeur prof profundidad fondo profondita glebokosc gleb diepte",
 }
 _X, _Y, _Z = ("x", "y", "z")
 _AXES: Final = {_X: 0, _Y: 1, _Z: 2}
@@ -82,20 +84,21 @@ _DIMENSIONS: Final = word_set(
     "wxhxd wxdxh lxlxh bxhxt dimensionen"
 )
 _HALF: Final = word_set("half halfsize halfextents halfextent")
+_BOUNDS: Final = word_set("bbox aabb bounds")
 _CONTAINER: Final = word_set(
     "container containers bin bins pallet pallets palette paletten paleta palet pale palety bancale bancali truck "
     "carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw camion"
 )
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "weight": word_set(
-        "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wgt bruttogewicht kg"
+        "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wg wgt bruttogewicht kg"
     ),
     "density": word_set("density dichte densite densidad densita gestosc"),
     "volume": word_set("volume vol volumen volumes objetosc objem kubatur"),
     "rotation": word_set(
         "rotation rotated rotationtype rot rt orientation orient orientierung ausrichtung drehung gedreht rotacion "
         "rotazione rotacja orientacion orientazione orientacja tourne girado ruotato obrot angle winkel yaw "
-        "turned"
+        "turned ori theta"
     ),
     "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "
@@ -116,7 +119,8 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     ),
     "item_id": word_set(
         "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
-        "caja bulto collo scatola kiste barcode label ean sscc handle partno partnumber"
+        "caja cajas bulto bultos collo colli kolli kollo scatola cartone boite caisse kartonu paczka paczki pudelko "
+        "pudelka caixa doos ctn parcel package kiste barcode label ean sscc lpn handle partno partnumber"
     ),
     "group": word_set("group productgroup gruppe warengruppe category kategorie categorie categoria"),
     "plan": word_set("plan plans planid load stack batch solution pattern") | _CONTAINER,
@@ -142,13 +146,20 @@ first rows distinguish capitals from small letters."""
 
 _LONE: Final = {"l": "length", "w": "width", "b": "width", "h": "height", "d": "depth", "t": "depth"}
 """Letters that name a size even when they stand alone."""
-_BOX: Final = word_set("box item case carton package pkg karton kiste caja colis collo placed dim size")
+_BOX: Final = word_set(
+    "box item case carton ctn outer parcel package pkg karton kiste caja colis collo placed dim size"
+)
 
+_COMPOUND: Final = re.compile(
+    r"^(artikel|aussen|box|carton|case|einzel|item|karton|kisten?|kolli|pack(?:age|stuc?k|stueck)|paket|parcel|produkt|stuc?k)"
+    r"(lange|laenge|length|breite|width|hoe?he|height|tiefe|depth|gewicht|weight|nummer|nr|id)$"
+)
+"""Names of boxes and what is measured of them, in one word: "Artikellänge", "Kartongewicht", "boxwidth"."""
 _TOKEN: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|'")
 _UNIT_MARK: Final = re.compile(
     r"[\[(\{<]\s*([^\])}>]*?)\s*[\])}>]|/\s*([a-zµ]+)\s*$|\bin\s+([a-z]+)\s*$", re.IGNORECASE
 )
-_SCALE: Final = re.compile(r"\bscale\b", re.IGNORECASE)
+_SCALE: Final = re.compile(r"(?<![a-zA-Z])(?i:scale)(?![a-zA-Z])|(?<=[a-z])Scale(?![a-z])|(?<![a-zA-Z])scale(?=[XYZ])")
 """Names of scale factors. In scenes of three.js and Unity, boxes are scaled unit cubes, so the factors are their
 sizes."""
 _INDEX: Final = re.compile(r"\[(\d+)\]")
@@ -189,10 +200,26 @@ class ColumnMeaning:
     order: tuple[str, ...] = ()
 
 
+_NUMBER_SIGN: Final = re.compile(r"\b[nN]\s?[°º]|№")
+
+
 def plain_text(text: str) -> str:
     """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse"."""
-    text = text.replace("ł", "l").replace("Ł", "L").replace("ß", "ss").replace("µ", "u").replace("°", " deg ")
+    text = (
+        _NUMBER_SIGN.sub("No ", text)
+        .replace("ł", "l")
+        .replace("Ł", "L")
+        .replace("ß", "ss")
+        .replace("µ", "u")
+        .replace("°", " deg ")
+    )
     return "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
+
+
+_CAMEL_UNIT: Final = re.compile(
+    r"(.*(?:[a-z](?=[A-Z])|[a-z][XYZ](?=[a-z])))(Mm|Cm|Kg|MM|CM|KG|Lbs|Lb|Inches|Meters|Grams|Pounds|mm|cm)"
+)
+"""A unit without a mark before it: "lengthMm", "posXmm"."""
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -208,7 +235,7 @@ def split_unit(name: str) -> tuple[str, str]:
         units = LENGTH_UNITS.keys() | MASS_UNITS.keys()
         if (word in units and len(word) > 1) or (word in ("m", "g", "t") and parts[-1] == word):
             return name.strip()[: -len(parts[-1])].rstrip(" _.-,"), word
-    camel = re.fullmatch(r"(.*[a-z])(Mm|Cm|Kg|MM|CM|KG|Lbs|Lb|Inches|Meters)", name.strip())
+    camel = _CAMEL_UNIT.fullmatch(name.strip())
     if camel is not None:
         return camel[1], camel[2].lower()
     return name, ""
@@ -220,6 +247,14 @@ def is_unit(text: str) -> bool:
     return word in LENGTH_UNITS or word in MASS_UNITS
 
 
+_SIDES: Final[dict[str, tuple[Kind, str]]] = {
+    "left": ("low", "x"), "right": ("high", "x"), "front": ("low", "y"), "back": ("high", "y"), "bottom": ("low", "z"),
+    "top": ("high", "z"),
+}  # fmt: skip
+"""Names of the sides of a box → the coordinate that a column with this name has."""
+_NEAR_SIDES: Final = frozenset(("left", "front", "bottom"))
+
+
 def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     """The meanings of the names of a table's columns, in the same order; None: the name is unknown.
 
@@ -228,8 +263,14 @@ def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     """
     meanings = [_meaning(name) for name in names]
     if not any(meaning is not None and meaning.kind in ("size", "sizes", "high") for meaning in meanings):
-        meanings = [_meaning(_SCALE.sub("size", name)) for name in names]
+        meanings = [_meaning(_SCALE.sub(" size", name)) for name in names]
     bases = [split_unit(name.rpartition(".")[2])[0].strip(" .:") for name in names]
+    sides = {base.lower(): index for index, base in enumerate(bases) if base.lower() in _SIDES}
+    if sides.keys() >= _NEAR_SIDES:
+        for side, column in sides.items():
+            kind, axis = _SIDES[side]
+            unit = split_unit(names[column])[1]
+            meanings[column] = ColumnMeaning(kind, axis, unit if unit in LENGTH_UNITS else "")
     single = {index: base for index, base in enumerate(bases) if len(base) == 1 and base.lower() not in _AXES}
     for letters, axes in _LETTERS:
         strict = letters != tuple(letter.lower() for letter in letters)
@@ -268,7 +309,12 @@ def words_of(name: str) -> list[str]:
     """The words of a name, without accents and in lower case: "posX [mm]" → pos, x; "stackable.dx" → stackable, dx."""
     text = plain_text(name)
     text = re.sub(r"(?<=[a-z])(?=[XYZ](?![a-z]))", " ", text)
-    return [match[0].lower() for match in _TOKEN.finditer(text)]
+    words: list[str] = []
+    for match in _TOKEN.finditer(text):
+        word = match[0].lower()
+        compound = _COMPOUND.match(word)
+        words += [word] if compound is None else compound.groups()
+    return words
 
 
 @lru_cache(maxsize=1 << 14)
@@ -296,8 +342,8 @@ def _meaning(name: str) -> ColumnMeaning | None:
     kind = _kind_of(tail, path)
     if kind is None:
         return None
-    if kind == "weight":
-        return ColumnMeaning(kind, unit=unit if unit in MASS_UNITS else "", of_container=contained)
+    if kind == "weight" or (kind in ("article", "item_id") and unit in MASS_UNITS and len(unit) > 1):  # "item.kg"
+        return ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "", of_container=contained)
     return ColumnMeaning(kind, unit=unit, axis=index, of_container=contained and kind in ("quantity", "volume"))
 
 
@@ -314,8 +360,10 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     size_word = next((size for size, names in _SIZES.items() if words & set(names.split())), None)
     if size_word is None and len(tail) == 2 and tail[0] in _BOX and last in _LONE:
         size_word = _LONE[last]
-    if last == "qw":
+    if last == "qw" or (last == "w" and everything & {"rot", "rotation"}):
         return ColumnMeaning("quaternion", "w")
+    if last in ("roll", "pitch"):
+        return ColumnMeaning("euler", {"roll": "x", "pitch": "y"}[last])
     axis = next((word for word in reversed(tail) if word in _AXES), None)
     numbered = next((word for word in reversed(tail) if word in ("1", "2")), None)
     compact = re.fullmatch(r"([dlsw]|len|dim|size|extent|ext|box|siz)([xyz])", last) or (
@@ -326,13 +374,15 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         if last[1:] == "w" or last[:-1] == "w":
             return None  # the name is an angular velocity (wx), or another kind of word
         return ColumnMeaning("size", letter, placed=last[0] in "l" or placed, half=half)
-    point = re.fullmatch(r"(c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc)([xyz])", last)
+    point = re.fullmatch(
+        r"(r|rot|c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc)([xyz])", last
+    )
     back = re.fullmatch(r"([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi)", last)
     edge = re.fullmatch(r"([xyz])([012])", "".join(tail[-2:])) if numbered or last == "0" else None
     mark, letter = (point[1], point[2]) if point else (back[2], back[1]) if back else ("", "")
     if letter:
-        if mark == "q":
-            return ColumnMeaning("quaternion", letter)
+        if mark in ("q", "r", "rot"):
+            return ColumnMeaning("quaternion" if mark == "q" else "euler", letter)
         if mark in ("c", "m", "ctr", "cen", "center", "centre", "mid"):
             return ColumnMeaning("position", letter, anchor="centre")
         return ColumnMeaning(
@@ -340,6 +390,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         )
     if edge is not None and not size_word:
         return ColumnMeaning("low" if edge[2] in "0" else f"edge{edge[2]}", edge[1])  # type: ignore[arg-type]  # resolved by the caller
+    if index and int(index) < 6 and (words & _BOUNDS or {"bounding", "box"} <= words):  # two corners in one list
+        return ColumnMeaning("low" if int(index) < 3 else "high", str(int(index) % 3))
     if everything & {"quaternion", "quat", "quaternions", "orientation"} and (axis or last == "w" or index):
         return ColumnMeaning("quaternion", index or axis or last)
     is_dims = bool(words & _DIMENSIONS or context & _DIMENSIONS)
@@ -355,8 +407,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if axis is not None:
         if is_dims or words & {"d", "delta", "l", "len", "size"} or half:
             return ColumnMeaning("size", axis, placed=placed, half=half)
-        if everything & {"rotation", "rot", "angle", "euler"}:
-            return None
+        if everything & {"rotation", "rot", "angle", "angles", "euler"}:
+            return ColumnMeaning("euler", axis)
         if len(tail) == 1 or is_position or everything & (_CENTRE | _LOW | _HIGH | BASE_WORDS):
             if everything & _HIGH and not everything & {"left"}:
                 return ColumnMeaning("high", axis)
@@ -408,6 +460,13 @@ def _anchor_of(words: set[str]) -> str:
     return "corner" if words & {"corner", "ecke", "flb", "flbcoordinates", "coin", "esquina", "angolo", "rog"} else ""
 
 
+_NO_WEIGHT: Final = word_set("max limit capacity total maximum tare tara dim dimensional volumetric chargeable empty")
+"""Words for weights that are not those of boxes with their contents."""
+_UNLOADING: Final = word_set(
+    "unload unloading unpack unpacking entladen entladung ausladen dechargement descarga scarico"
+)
+_CODES: Final = word_set("item code codice codigo kod")
+"""Words that may stand beside words for boxes in names of columns with their ids."""
 _FIRST: Final[tuple[Kind, ...]] = (
     "weight", "density", "volume", "quantity", "layers", "rotation", "strength", "group", "sequence",
 )  # fmt: skip
@@ -417,7 +476,7 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
     """The kind of a column whose name contains no axis."""
     words = set(tail)
     joined = "".join(tail)
-    if joined == "m":
+    if joined in ("m", "gross", "brutto", "net", "netto"):
         return "weight"
     if joined in ("fragile", "color", "colour", "farbe", "status", "level"):
         return None
@@ -427,7 +486,9 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
                 return "plan"  # order_id is the customer's order
             if kind == "quantity" and words & {"id", "nr", "no", "name"}:
                 break
-            if kind == "weight" and words & {"max", "limit", "capacity", "total", "maximum"}:
+            if kind == "sequence" and words & _UNLOADING:
+                return None  # the order in which boxes leave the pallet
+            if kind == "weight" and words & _NO_WEIGHT:
                 return None
             if kind == "rotation" and words & {"allowed", "possible", "keep", "updown"}:
                 return None
@@ -442,7 +503,7 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
         return "plan" if not rest else None
     if words & {"sku", "article", "artikel", "artykul", "articulo", "articolo", "product", "produkt", "produit"}:
         return "article"
-    if joined in _WORDS["item_id"] or (words & _WORDS["item_id"] and words <= _WORDS["item_id"] | named | {"item"}):
+    if joined in _WORDS["item_id"] or (words & _WORDS["item_id"] and words <= _WORDS["item_id"] | named | _CODES):
         return "item_id"
     if words <= _WORDS["number"] | {"lfd", "laufende"}:
         return "number"

@@ -37,11 +37,12 @@ MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
 """Limits of the search. The search is limited because reading a plan in all conventions takes 2 ms. After
 ``MOST_UNEXPLAINED`` odd plans that no convention explains, only every ``ONE_IN``-th odd plan is read in all
-conventions. The other odd plans are read only in conventions that have explained earlier plans."""
+conventions. All other odd plans are then read only in conventions that have explained earlier plans."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
-"""Limits of the density of a whole plan. Air has 1.2 kg/m³, crisps in cartons have 30 and gold has 19,300."""
+"""Smallest and largest possible density of a whole plan, kg/m³. Air has 1.2 kg/m³, crisps in cartons have 30 and gold
+has 19,300."""
 _USUAL_KG_M3: Final = 300.0
 _USUAL_M3: Final = 0.015
 """Usual density and volume of a carton, from BED-BPP's orders. Masses in grams and lengths in centimetres both make
@@ -53,8 +54,9 @@ another convention uses it in all its plans. By chance, one in 300 plans with th
 were swapped."""
 
 _LEAST_FILLED: Final = 0.3
-"""A convention explains a plan only if boxes then fill at least this share of the plan's bounding box. Without this
-rule, larger coordinates would explain any plan, since they separate even boxes that really overlap."""
+"""A convention explains a plan only if the boxes, when read in this convention, fill at least this share of the plan's
+bounding box. Without this rule, any plan would be explained by a convention that enlarges coordinates, since larger
+coordinates separate even boxes that really overlap."""
 
 _MM3_PER_M3: Final = 1e9
 
@@ -81,7 +83,7 @@ class Convention:
             changed.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
         least_share: the convention is considered only if at least this share of the boxes above the carrier floats or
-            overlaps, and one of them by more than ``_SMALL_MM``.
+            overlaps, and at least one box by more than ``_SMALL_MM``.
     """
 
     looks: str
@@ -206,8 +208,9 @@ class _Search:
         """Search for the convention of one plan.
 
         Args:
-            odd: the plan's odd boxes; None if its layout is not odd.
-            unit: a unit that explains the plan's density, and the evidence; None if the density is not odd.
+            odd: the warnings about the plan's layout; None if there are none.
+            unit: the convention whose unit explains the plan's impossible density, and a description of the density;
+                None if the density is possible.
         """
         way = None
         if unit is not None and odd is not None:
@@ -231,8 +234,8 @@ class _Search:
             self._add(MIDDLE, plan, f"{_box(plan, int(odd.outside[0]))} is outside the carrier")
 
     def _layout_of(self, plan: Plan, odd: PlanWarnings, ways: Sequence[Convention]) -> Convention | None:
-        """The convention that explains an odd layout; None if there is none. The convention that explained the previous
-        plan is tried first.
+        """The convention that explains an odd layout; None if no convention explains it. The convention that explained
+        the previous plan is tried first.
         """
         n_odd = odd.n_floating + odd.n_overlapping_pairs
         if not n_odd:
@@ -246,7 +249,7 @@ class _Search:
         return None
 
     def common(self, looks: str) -> bool:
-        """Whether the convention with this ``looks`` explains enough of the plans."""
+        """Whether the convention with the given ``Convention.looks`` explains enough plans to be reported."""
         finding = self.found.get(looks)
         return finding is not None and (not finding.of_layout or finding.count >= LEAST_SHARE * self.n_odd)
 
@@ -260,7 +263,8 @@ class _Search:
 
 
 def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -> PlanSet:
-    """Add to plans warnings about odd layouts, and lines about the conventions that they appear to follow.
+    """Add warnings about odd layouts to a set of plans, and lines about the conventions that the plans appear to
+    follow.
 
     Args:
         extent_mm: extent of the carrier along x and y; None: the extent of the plan's bounding box.
@@ -269,7 +273,7 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
     readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
     own_plans = [
         plan for plan in plan_set.plans if plan.source not in plan_set.readings
-    ]  # the other plans already have a reading
+    ]  # for all other plans, it has already been decided what the columns mean
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
     conventions = _find_conventions(own_plans, own_odd, extent_mm)
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
@@ -329,7 +333,8 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
 
 
 def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
-    """(n,) whether a turned box overlaps fewer boxes if it has another size (``size``: (n, 3), mm).
+    """(n,) whether each box is turned and overlaps fewer boxes with its size in ``size``, (n, 3), mm, than with its
+    size in the plan.
 
     The boxes are changed one by one, in passes, until a pass changes none.
     """
@@ -354,8 +359,8 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
-    """Whether at least this share of the boxes above the carrier floats or overlaps, and one of them by more than
-    ``_SMALL_MM``. If all boxes stand on the carrier, all boxes count as above it."""
+    """Whether at least the share ``least_share`` of the boxes above the carrier floats or overlaps, and at least one
+    box by more than ``_SMALL_MM``. If all boxes stand on the carrier, all boxes count as above the carrier."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     above |= not above.any()

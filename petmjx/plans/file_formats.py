@@ -98,7 +98,8 @@ _OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm)"')
 _OTHER_UNITS: Final = re.compile(rb'"length/(cm|dm|m|in|inch|ft)"')
 _OTHER_TOOLS: Final = (b"PK\x03\x04", b"\x93NUMPY")
 """The first bytes of workbooks and of archives of arrays, and the first bytes of arrays."""
-_SCENE: Final = re.compile(rb"<mujoco[\s>/]")
+_MARKUP: Final = re.compile(rb"(?:\xef\xbb\xbf)?\s*<")
+"""The beginning of XML, of a MuJoCo scene, and of a web page."""
 
 
 def looks_like_own_json(data: bytes | bytearray) -> bool:
@@ -112,9 +113,9 @@ def looks_like_own_json(data: bytes | bytearray) -> bool:
 
 
 def is_of_other_tools(data: bytes | bytearray) -> bool:
-    """Whether bytes may be a sheet, an array or a scene of another tool. The bytes are known not to be UTF-8 text in
-    one of petmjx's forms."""
-    return bytes(data[:6]).startswith(_OTHER_TOOLS) or _SCENE.search(data, 0, _LOOKED_AT_TEXT) is not None
+    """Whether bytes may be a sheet, an array, a scene, XML or a web page of another tool. The bytes are known not to be
+    UTF-8 text in one of petmjx's forms."""
+    return bytes(data[:6]).startswith(_OTHER_TOOLS) or _MARKUP.match(data) is not None
 
 
 def looks_like_json(data: bytes | bytearray) -> bool:

@@ -1,5 +1,7 @@
-"""Forms of other tools (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes, together
-with the known facts about the form.
+"""Reads what other tools write (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes.
+
+A list comes with its form (``KnownForm``): the layout in which a tool writes boxes, and what is known about the meaning
+of the columns in this layout, such as units and the vertical axis.
 
 Sources of the forms: py3dbp (``Item.string``, ``get_dimension``; github.com/enzoruiz/3dbinpacking) and its fork with a
 web API (github.com/jerry800416/3D-bin-packing), packingsolver's certificates, 3d-bin-container-packing's placements,
@@ -13,6 +15,7 @@ import io
 import math
 import re
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections import Counter
@@ -28,23 +31,26 @@ from petmjx.common.file_kinds import foreign_kind
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, words_of
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.nested_json import BoxList, box_lists, decoded_json, flattened
+from petmjx.plans.nested_json import LAYERS, BoxList, JsonLines, box_lists, decoded_json, flattened
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
-from petmjx.plans.raw_tables import RawTable, computed_row, decoded_text, distinct_names
-from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
+from petmjx.plans.raw_tables import RawTable, computed_row, decoded_text, distinct_names, geometric_names, united
+from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables, tables_of_page, value_of_xml
 
 
 @dataclass(frozen=True, slots=True)
 class KnownForm:
-    """Known facts about a form. An empty field is unknown, and its value is chosen by plausibility.
+    """A form (the layout in which a tool writes boxes), and what is known about the meaning of its columns. If a field
+    is empty, its value is unknown, and is later chosen by plausibility.
 
     Attributes:
         name: name of the form, in words.
-        units: name of the unit of lengths; masses: that of masses (``column_names``).
-        anchor: the point of a box that coordinates describe.
+        units: name of the unit of lengths (one of ``column_names.LENGTH_UNITS``).
+        masses: name of the unit of masses (one of ``column_names.MASS_UNITS``).
+        anchor: the point of a box that coordinates describe, such as "corner" or "centre".
         up: the vertical axis, "y" or "z".
-        sizes: "placed": sizes of the box as placed; "item": sizes before turning.
-        rule: how a column of rotations turns a box (``readings.ROTATION_RULES``).
+        sizes: which sizes of a box the columns have: "placed": those of the box as it is placed; "item": those of the
+            box before it is turned.
+        rule: how a column of rotations turns a box (a key of ``readings.ROTATION_RULES``).
     """
 
     name: str
@@ -62,8 +68,8 @@ class BoxSource:
 
     Attributes:
         boxes: list of boxes with their places.
-        form: known facts about the form.
-        notes: lines about how the file is read.
+        form: the form of the list, with what the form states about units, coordinates and sizes.
+        notes: lines for the user about how the file was read.
     """
 
     boxes: BoxList
@@ -72,8 +78,8 @@ class BoxSource:
 
 
 MOST_BYTES: Final = 32 << 20
-"""Largest file of another tool. A file of this size holds about 200,000 boxes. As Python values, they take ten times as
-much memory as the file."""
+"""Largest size of a file of another tool, in bytes. A file of this size holds about 200,000 boxes. As Python values,
+the boxes take ten times as much memory as the file."""
 
 PY3DBP: Final = KnownForm("py3dbp", anchor="corner", rule="py3dbp", sizes="item")
 _UPRIGHT: Final = KnownForm("", anchor="corner", up="z", sizes="placed")
@@ -90,7 +96,8 @@ POSES: Final = KnownForm("poses", up="z")
 
 
 def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
-    """The lists of boxes in a file's bytes, most likely first. Lists may lack places or sizes.
+    """The lists of boxes in a file's bytes. The list that most likely describes a plan comes first. The boxes of a list
+    may lack places or sizes.
 
     Raises:
         InputError: the file has none of the known forms, or is damaged. The error does not name the file.
@@ -111,14 +118,17 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
     if start.startswith("<"):
         if re.search(r"<mujoco[\s>/]", start[:20_000]):
             return [_scene(text)]
-        raise NoBoxes(foreign_kind(start.encode()[:4096]) or "is XML of another kind")
+        return _sources_of_markup(start)
     if start[:1] in ("{", "[") and not re.match(r"\[\s*[A-Za-z]", start):
         try:
             value = decoded_json(start)
         except InputError as error:
-            if start.startswith("{") or "nested" in str(error):  # another reader's error explains the fault better
+            if (printed_values := _python_values(start)) is not None:
+                value = printed_values
+            elif start.startswith("{") or "nested" in str(error):  # another reader's error explains the fault better
                 raise NoBoxes(str(error)) from None
-            raise
+            else:
+                raise
         sources = [_with_named_units(_with_known_form(boxes)) for boxes in box_lists(value)]
         if not sources:
             raise NoBoxes("has no list of boxes: petmjx looks for objects with places and sizes")
@@ -130,32 +140,43 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
     return sources_of_tables(read_raw_tables(data))
 
 
+def _sources_of_markup(text: str) -> list[BoxSource]:
+    """The lists of boxes in a web page or in XML.
+
+    Raises:
+        InputError: there are none.
+    """
+    kind = foreign_kind(text.encode()[:4096]) or "is XML of another kind"
+    if re.search(r"<table[\s>]", text, re.IGNORECASE) and re.search(r"<t[dh][\s>]", text, re.IGNORECASE):
+        return sources_of_tables(RawFile(tables_of_page(text), "a web page (HTML)"))
+    try:
+        lists = box_lists(value_of_xml(text))
+    except InputError:
+        lists = []
+    if not lists:
+        raise NoBoxes(kind)
+    return [_with_named_units(_with_known_form(boxes, "XML")) for boxes in lists]
+
+
 def sources_of_tables(file: RawFile) -> list[BoxSource]:
     """Turn tables into lists of boxes. Tables with the same header are joined into one list."""
     groups: dict[tuple[str, ...], list[RawTable]] = {}
     for table in file.tables:
-        groups.setdefault(table.header, []).append(table)
+        key = geometric_names(table.header) if table.has_header else table.header
+        groups.setdefault(key, []).append(table)
     sources = []
     for tables in groups.values():
-        rows = [row for table in tables for row in table.rows]
         several_sheets = len({table.title for table in tables}) > 1
         names = [
             "/".join(filter(None, (table.title if several_sheets else "", table.part)))
             for table in tables
             for _ in table.rows
         ]
-        places = [f"{table.title}, {place}" if several_sheets else place for table in tables for place in table.places]
-        lost = tuple(entry for table in tables for entry in table.lost)
-        notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
-        decimals = {table.decimal for table in tables if table.decimal != "."}
-        joined = replace(
-            tables[0],
-            rows=rows,
-            places=places,
-            lost=lost,
-            notes=notes,
-            decimal=decimals.pop() if len(decimals) == 1 else ".",
-        )
+        if several_sheets:
+            tables = [replace(table, places=[f"{table.title}, {place}" for place in table.places]) for table in tables]
+        if names and all(LAYERS.intersection(words_of(name)) for name in names):
+            names = [""] * len(names)
+        joined = united(tables)
         boxes = BoxList(joined, "", tuple(names), _containers_above(joined))
         sources.append(_with_known_form(boxes, file.kind))
     return sorted(sources, key=lambda source: (source.boxes.has_places, len(source.boxes.table.rows)), reverse=True)
@@ -180,7 +201,7 @@ def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
 
 
 def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
-    """A list of boxes with the facts that the names of its fields imply. Rows of totals are removed."""
+    """A list of boxes with the form that the names of its fields imply. Rows of totals are removed."""
     boxes = _without_totals(boxes)
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
@@ -229,7 +250,7 @@ def _with_named_units(source: BoxSource) -> BoxSource:
 
 
 def _without_totals(boxes: BoxList) -> BoxList:
-    """Remove the last row of each part if it has the sums or means of the other rows."""
+    """Remove the last row of each part (plan) of a list if this row has the sums or means of the part's other rows."""
     table = boxes.table
     if not table.has_header:
         return boxes
@@ -266,8 +287,8 @@ def rows_of(boxes: BoxList, kept: Sequence[int]) -> BoxList:
 
 
 def _certificate(boxes: BoxList) -> BoxSource:
-    """The boxes of packingsolver's certificate. Rows of type ITEM are boxes. Rows of type BIN are containers, each of
-    them COPIES times."""
+    """The boxes of packingsolver's certificate. Rows of type ITEM are boxes. A row of type BIN stands for one
+    or several equal containers; the column COPIES has their number."""
     table = boxes.table
     upper = {name.upper(): table.header.index(name) for name in table.header}
     kinds = [cell_text(row[upper["TYPE"]]).upper() for row in table.rows]
@@ -318,6 +339,37 @@ def _of_d_wave(boxes: BoxList) -> BoxSource:
         rows.append((*row[:x], moved, *row[x + 1 :]))
     note = "bins stand one behind the other along x: each is moved to x = 0"
     return BoxSource(replace(boxes, table=replace(table, rows=rows)), D_WAVE, (note,))
+
+
+# Text that Python prints.
+
+_MOST_PRINTED: Final = 8 << 20
+"""Largest text of Python values that is parsed, in characters. Their syntax tree takes 100 times as much memory."""
+_CONSTRUCTED: Final = re.compile(
+    r"\b(?:[A-Za-z_]\w*\.)*(?:Decimal|float(?:32|64)|u?int(?:8|16|32|64)|array)\(([^()]*?)(?:, dtype=\w+)?\)"
+)
+"""A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])"."""
+_NOT_FINITE: Final = re.compile(r"(?<![\w'\"])(-?(?:nan|inf))(?![\w'\"])")
+
+
+def _python_values(text: str) -> Any:
+    """The dictionaries and lists in a text that Python has printed, one or several; None for any other text."""
+    if "'" not in text or len(text) > _MOST_PRINTED:
+        return None
+    text = _NOT_FINITE.sub(r"'\1'", _CONSTRUCTED.sub(r"\1", text))
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        pass
+    values = JsonLines()
+    try:
+        for number, line in enumerate(text.splitlines(), start=1):
+            if line.strip():
+                values.append(ast.literal_eval(line))
+                values.lines.append(number)
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        return None
+    return values
 
 
 # Text that py3dbp prints.
@@ -426,7 +478,7 @@ def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
     number of bytes.
 
     Args:
-        name: name of the member of an archive, for errors; "" if the file is the array.
+        name: name of the array in its archive, for error messages; "" if the file is not an archive but a single array.
     """
     prefix = f"{printable_name(name)} " if name else ""
     try:
@@ -446,7 +498,7 @@ def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
         raise InputError(f"{prefix}is an array {shape} without values")
     try:
         return np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
+    except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:
         raise InputError(f"{prefix}is not a whole NumPy array: {error}") from error
 
 
@@ -525,6 +577,8 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
             table = RawTable(("matrix",), rows, [f"row {index}" for index in range(len(rows))], title=name)
             sources.append(BoxSource(BoxList(table, name, ("",) * len(rows), containers), POSES))
             continue
+        if array.shape[1:] == (2, 3):  # sizes and places, or two corners, of each box
+            array = array.reshape(len(array), 6)
         plans = array if array.ndim == 3 else array[None] if array.ndim == 2 else None
         if plans is None or not 6 <= plans.shape[2] <= 64:
             continue
@@ -592,10 +646,11 @@ _PALLET: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wal
 
 
 def _scene(text: str) -> BoxSource:
-    """The boxes of a MuJoCo scene: free bodies whose only shape is a box. MuJoCo itself parses the text.
+    """The boxes of a MuJoCo scene: free bodies whose only colliding geom is a box. MuJoCo itself parses the text.
 
     Raises:
-        InputError: MuJoCo cannot parse it, or no free body is a box.
+        InputError: MuJoCo cannot parse the text, a free body is not a single box, or there are no boxes. Bodies that
+            are named as pallets are ignored.
     """
     import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
@@ -637,7 +692,7 @@ def _scene(text: str) -> BoxSource:
             f"is a MuJoCo scene in which these free bodies are not single boxes: {first_names(other_bodies)}"
         )
     if not rows:
-        raise InputError("is a MuJoCo scene without a free body that is one box")
+        raise InputError("is a MuJoCo scene in which no free body consists of exactly one box geom")
     notes = []
     if pallets:
         notes.append(f"{count_text(pallets, 'body', 'bodies')} named as a pallet or floor left out")

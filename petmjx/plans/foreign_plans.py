@@ -1,10 +1,11 @@
-"""Plans in files of other tools (``read_foreign``). The columns are interpreted, a reading is chosen, and the boxes
-become the same checked table of placements as in petmjx's own forms."""
+"""Plans in files of other tools (``read_foreign``). A reading (a meaning for each column) is chosen for the file, and
+the boxes become a checked table of placements, as in petmjx's own formats."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import IGNORED, BoxColumns, box_columns, role_of
+from petmjx.plans.box_columns import IGNORED, BoxColumns, Geometry, box_columns, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry
 from petmjx.plans.foreign_formats import PACKINGSOLVER, POSES, BoxSource, rows_of, sources_of_bytes
@@ -46,7 +47,8 @@ USUAL_KG_M3: Final = 300.0
 that is the same for all boxes."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
-"""Densities up to this value are relative to water."""
+"""If no density in a column of densities exceeds this value, the column is relative to the density of water. Otherwise,
+it is in kg/m³."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density
 of foam, and the upper limit above the density of iron parts."""
@@ -56,22 +58,25 @@ _DECK: Final = re.compile(
 )
 """Names of pallets in lists of boxes, such as "EUR", "EPAL 1", "Euro pallet", "Palette"."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
-"""Smallest short and long side of a pallet, and largest short and long side."""
+"""Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
 _NUMBERS_OF_A_BOX: Final = 6
 """Smallest number of numbers in the row of a box: three sizes and three coordinates."""
 _MANY_OVERLAP: Final = 0.3
 """If at least this share of the boxes overlaps, two pallets have probably been read as one."""
 _LEVEL: Final = 0.01
-"""Largest height of the lowest box above or below the deck, as a share of the boxes' median height: 2 mm for cartons of
-200 mm. Centres are often rounded to millimetres."""
+"""Largest distance between the bottom of the lowest box and the deck at which the box counts as standing on the deck,
+as a share of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
 _LEAST_OF_PALLETS: Final = 4
-"""Smallest number of boxes for which a column of pallets is guessed."""
+"""Smallest number of boxes in a file for which petmjx searches for a column that names the pallets."""
 _OF_PALLETS: Final = word_set(
     "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
     "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
 )
-"""Words that mean a pallet in names of columns. Used for names that ``column_names`` does not know."""
+"""Words that mean a pallet in names of columns. The words are used for column names that ``column_names`` does not
+know."""
+_OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
+"""Names of columns that may name pallets, or stacks of one pallet."""
 _MATCHED: Final = 0.9
 """A table of items belongs to the boxes if at least this share of the boxes has an item in the table."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
@@ -82,9 +87,9 @@ class ForeignPlans:
     """The plans in a file of another tool.
 
     Attributes:
-        table: the good plans, as a table of placements in millimetres and kilograms; None if there are none.
+        table: the usable plans, as a table of placements in millimetres and kilograms; None if no plan is usable.
         refused: the plans and rows that are unusable.
-        reading: how the file was read.
+        reading: how the file was read: the meaning of each column, units, and the packing order.
         containers: plan id → size of its container along x, y and z, mm; NaN if unknown.
     """
 
@@ -101,8 +106,8 @@ def read_foreign(
 
     Args:
         source: name of the file in messages.
-        items: file with the sizes and weights of items, for files that contain only places; None: such a file is
-            searched for beside the file of plans.
+        items: file with the sizes and weights of items, for files that contain only places. If None, such a file is
+            searched for in the folder of the file of plans.
 
     Raises:
         AmbiguousFile: the file can be read in two ways.
@@ -117,6 +122,7 @@ def plans_of_sources(
     """Read the plans in lists of boxes, which are sorted by likelihood. Arguments and errors are those of
     :func:`read_foreign`."""
     chosen = _with_items(sources, path, items)
+    chosen = replace(chosen, notes=(*chosen.notes, *_other_plans(sources)))
     if chosen.boxes.table.decimal:
         return _plans_of(chosen, sources, path, source, wishes)
     try:
@@ -130,8 +136,20 @@ def plans_of_sources(
     parts = [plans for plans in (first, second) if plans is not None]
     best = min(parts, key=lambda plans: plans.reading.cost, default=None)
     if best is None or (len(parts) == 2 and abs(parts[0].reading.cost - parts[1].reading.cost) < TIE):
-        return _plans_of(chosen, sources, path, source, wishes)  # its error names the ambiguous number
+        return _plans_of(chosen, sources, path, source, wishes)  # raises the error that names the ambiguous number
     return best
+
+
+def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
+    """Lines about further lists of boxes that have sizes and places, but other columns than the first, and are not
+    read."""
+    lines = []
+    for other in sources[1:]:
+        boxes = other.boxes
+        if boxes.has_places and boxes.has_sizes and boxes.table.has_header and boxes.table.rows:
+            where = printable_name(boxes.table.title or boxes.path or "another table")
+            lines.append(f"{count_text(len(boxes.table.rows), 'box', 'boxes')} in {where} not read: other columns")
+    return lines
 
 
 def _with_decimal(source: BoxSource, decimal: str) -> BoxSource:
@@ -187,11 +205,12 @@ def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | N
 
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
 _MOST_BESIDE: Final = 20
-"""Largest number of files of items that are tried, beside a file that contains only places."""
+"""Largest number of files in the folder of a file with places alone that are tried as files of items."""
 
 
 def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
-    """Boxes with sizes added from a file of items that lies beside their own file, if exactly one file matches."""
+    """Boxes with sizes added from a file of items in the folder of the boxes' file, if the items of exactly one file
+    match. Otherwise, the boxes are returned unchanged."""
     try:
         beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
     except OSError:
@@ -247,10 +266,10 @@ def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
 
 
 def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool = False) -> BoxSource | None:
-    """Boxes with the columns of their items added; None if the items do not belong to the boxes.
+    """Boxes with the columns of a table of items added; None if the items do not belong to the boxes.
 
     Args:
-        by_number: whether the column ID of the boxes has the number, from 0, of a row of the items. If so, the sizes in
+        by_number: whether the column ID of each box has the number of the row of its item, from 0. If so, the sizes in
             both tables must agree.
     """
     table, other = best.boxes.table, items.boxes.table
@@ -363,9 +382,12 @@ class _Builder:
         self.counters: set[str] = set()  # columns used as packing order
 
     def plans(self) -> ForeignPlans:
+        self.columns = replace(self.columns, faults={**self._far_cells(), **self.columns.faults})
         unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
         if unsaid and self.columns.plan is None and not any(self.boxes.parts) and self.boxes.table.has_header:
             self._find_pallets()
+        elif unsaid and self.columns.columns.get("plan", "").lower() in _OF_STACKS:
+            self._ask_about_stacks()
         names = self._plan_names()
         plans = _rows_by(names)
         try:
@@ -382,6 +404,8 @@ class _Builder:
                 raise InputError(f"{plan}{self._place_of(row)}: {fault}") from None
             raise
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
+        self._check_words(reading, candidate)
+        self._note_quantities()
         size, low, containers = self._geometry(reading, candidate, plans)
         self.decks = self._decks(plans, size, low)
         self._check_ranges(reading, candidate, size, low)
@@ -428,6 +452,59 @@ class _Builder:
         table = self._table(list(good_rows.values()), sequences, names, size, low, mass) if good_rows else None
         return ForeignPlans(table, tuple(refused), reading, containers)
 
+    def _check_words(self, reading: Reading, candidate: Candidate) -> None:
+        """Note the words of rotations.
+
+        Raises:
+            InputError: nothing shows the meaning of the words.
+        """
+        turns = self.columns.turns
+        if turns is None or not turns.words:
+            return
+        if turns.rules:
+            zero, one = (printable_name(word or "blank") for word in turns.words)
+            self.notes.append(f"{printable_name(turns.column)}: {zero} is 0, {one} is 1")
+        elif not (self.wishes.sizes or self.columns.source.form.sizes or candidate.geometry.placed):
+            words = first_names(turns.words)
+            raise InputError(
+                f"{printable_name(turns.column)} has rotations of unknown meaning ({words}); if sizes are those of the "
+                "boxes as placed, say --sizes placed"
+            )
+
+    def _note_quantities(self) -> None:
+        """Add a note about quantities above 1, unless they count the rows of an article. A row has only one place."""
+        table, articles = self.boxes.table, self.columns.article or [""] * self.columns.n_boxes
+        if self.columns.source.form == PACKINGSOLVER:  # has its own note
+            return
+        rows_of_article = Counter(articles)
+        for name, meaning in zip(table.header, self.boxes.meanings, strict=True):
+            if meaning is None or meaning.kind != "quantity":
+                continue
+            numbers = [cell_number(cell, table.decimal) for cell in table.column(name)]
+            if any(
+                number is not None and number.value > 1 and number.value != rows_of_article[article]
+                for number, article in zip(numbers, articles, strict=True)
+            ):
+                self.notes.append(f"{printable_name(name)} is above 1 in some rows, but each row is read as one box")
+
+    def _far_cells(self) -> dict[int, tuple[str, str]]:
+        """Row → (column, error text), for sizes and coordinates that are too large in every unit that a reading may
+        give them."""
+        geometry, form = self.columns.geometries[0], self.columns.source.form
+        faults: dict[int, tuple[str, str]] = {}
+        for values, largest, names, named_unit in (
+            (geometry.size, LARGEST_MM, _size_names(geometry, geometry.columns), geometry.size_unit),
+            (geometry.place, FARTHEST_MM, _place_names(geometry.columns), geometry.place_unit),
+        ):
+            low, high, unit = _limits(-largest, largest, named_unit or self.wishes.units or form.units or "mm")
+            with np.errstate(invalid="ignore"):
+                is_far = np.abs(values) > high
+            for row, axis in np.argwhere(is_far).tolist():
+                text = coordinate_fault(names[axis], float(values[row, axis]), low, high, unit)
+                if text is not None:
+                    faults.setdefault(row, (names[axis], text.removeprefix(f"{names[axis]} ")))
+        return faults
+
     def _first_bad_row(self) -> tuple[int, str] | None:
         """The first row that no reading can use, and its fault: a bad cell, or a size that is not positive. None if all
         rows are good."""
@@ -437,8 +514,7 @@ class _Builder:
         is_bad = np.array([~(geometry.size > 0).all(axis=1) for geometry in geometries]).all(axis=0)
         for row in np.flatnonzero(is_bad).tolist():
             axis = int(np.argmin(np.nan_to_num(geometries[0].size[row], nan=math.inf)))
-            names, role = geometries[0].columns, role_of(geometries[0].axes[axis])
-            name = next(filter(None, map(names.get, (role, "sizes", f"{geometries[0].axes[axis]} (far)"))), role)
+            name = _size_names(geometries[0], geometries[0].columns)[axis]
             faults.setdefault(row, f"{name} must be > 0, got {geometries[0].size[row, axis]:g}")
         return min(faults.items(), default=None)
 
@@ -487,8 +563,25 @@ class _Builder:
         self.columns = replace(columns, plan=texts, columns={**columns.columns, "plan": sure[0]})
         self.notes.append(f"several pallets, by {printable_name(sure[0])}")
 
+    def _ask_about_stacks(self) -> None:
+        """Refuse a column of stacks if all boxes together could be one plan.
+
+        Raises:
+            InputError: no box overlaps or floats if the stacks are one plan.
+        """
+        name, names = self.columns.columns["plan"], self.columns.plan or []
+        if len(set(names)) < 2 or self.columns.faults:
+            return
+        of_one = self._overlaps({"": np.arange(self.columns.n_boxes)}, 0.0)
+        if not of_one:
+            shown = printable_name(name)
+            raise InputError(
+                f"{shown} may name pallets, or stacks of one pallet; say which with --columns plan={shown} or "
+                f"--columns plan={IGNORED} (one pallet)"
+            )
+
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
-        """Whether, in the most plausible reading, more than a certain share of the boxes overlaps other boxes, or any
+        """Whether, in the most plausible reading, more than the given share of the boxes overlaps other boxes, or any
         box floats."""
         try:
             choice = choose_reading(self.columns, plans, self.wishes)
@@ -528,7 +621,7 @@ class _Builder:
         parts = self.boxes.parts or ("",) * self.columns.n_boxes
         column = self.columns.plan
         if column is not None and len(set(column)) * 2 > self.columns.n_boxes + 2 and len(set(column)) > 1:
-            column = None  # nearly every box has its own name, so the column does not name plans
+            column = None  # nearly every row has another name, so the column does not name plans
         stem = Path(self.source).name.split(".")[0] or "plan"
         names = [
             "/".join(filter(None, (part, "" if column is None else column[row]))) for row, part in enumerate(parts)
@@ -544,7 +637,8 @@ class _Builder:
         return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
 
     def _decks(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> set[int]:
-        """Rows that describe a pallet, not a box: named as a pallet, pallet-sized, and below all boxes."""
+        """Numbers of the rows that describe a pallet, not a box: these rows are named as a pallet, have the size of a
+        pallet, and lie below all boxes."""
         decks = set()
         for rows in plans.values():
             if len(rows) < 2 or np.isnan(low[rows]).any():
@@ -625,7 +719,7 @@ class _Builder:
         """Move the boxes of a plan so that the deck's corner is the origin. Returns a note ("" if nothing was moved).
 
         Args:
-            used: the rows that have no faults.
+            used: numbers of the rows that have no faults.
             bottom: height of the deck, mm.
         """
         notes = []
@@ -651,13 +745,8 @@ class _Builder:
     def _check_ranges(self, reading: Reading, candidate: Candidate, size: FloatArray, low: FloatArray) -> None:
         """Add faults for sizes and coordinates that are out of range. A fault names the column."""
         sizes, places = reading.length_units
-        names = dict(reading.columns)
-        axes = candidate.geometry.axes
-        named_sizes = [
-            next(filter(None, map(names.get, (role_of(axis), "sizes", f"{axis} (far)"))), role_of(axis))
-            for axis in axes
-        ]
-        named_places = [names.get(axis, names.get("position", axis)) for axis in "xyz"]
+        named_sizes = _size_names(candidate.geometry, reading.columns)
+        named_places = _place_names(reading.columns)
         for role, name in candidate.geometry.columns.items():
             are_sizes = role.removesuffix(" (far)") not in {*"xyz", "position"}
             cells = self.boxes.table.column(name) if name in self.boxes.table.header else ()
@@ -720,7 +809,9 @@ class _Builder:
         """Names of the columns that a reading does not use."""
         used = set(reading.columns.values())
         return tuple(
-            name for name in self.boxes.table.header if name not in used and name.rpartition("[")[0] not in used
+            name
+            for name in self.boxes.table.header
+            if name not in used and name.rpartition("[")[0] not in used and name not in self.columns.unit_columns
         )
 
     def _odd(self, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
@@ -818,8 +909,23 @@ class _Builder:
         return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
 
 
+def _size_names(geometry: Geometry, columns: Mapping[str, str]) -> list[str]:
+    """The names of the columns of the three sizes.
+
+    Args:
+        columns: role → name of its column.
+    """
+    roles = [(role_of(axis), "sizes", f"{axis} (far)") for axis in geometry.axes]
+    return [next(filter(None, map(columns.get, names)), names[0]) for names in roles]
+
+
+def _place_names(columns: Mapping[str, str]) -> list[str]:
+    """The names of the columns of the three coordinates."""
+    return [columns.get(axis, columns.get("position", axis)) for axis in "xyz"]
+
+
 def _rows_by(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
-    """Name → the rows that have it."""
+    """Name → numbers of the rows that have this name."""
     rows: dict[str, list[int]] = {}
     for row, name in enumerate(names):
         rows.setdefault(name, []).append(row)
@@ -827,12 +933,13 @@ def _rows_by(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
 
 
 def _counts_all(values: FloatArray) -> bool:
-    """Whether the numbers are all the whole numbers from 0 or 1 on, in any order."""
+    """Whether the n numbers are 0, 1, … n − 1 or 1, 2, … n, each once and in any order."""
     return bool((np.sort(values) - np.arange(len(values)) == min(max(float(values.min()), 0.0), 1.0)).all())
 
 
 def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:
-    """Whether, in this order, each box that lies on others is placed after at least one of them."""
+    """Whether, in this packing order, each box that lies on other boxes is placed after at least one of the boxes below
+    it."""
     by_order = np.argsort(order, kind="stable")
     low, size = low[by_order], size[by_order]
     in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM

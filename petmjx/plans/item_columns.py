@@ -7,6 +7,7 @@ only orders have: weights of whole rows, boxes per layer, numbers of cartons.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import IGNORED, ROLES, Extraction
+from petmjx.plans.box_columns import GROSS, IGNORED, ROLES, Extraction
 from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, split_unit, word_set, words_of
 from petmjx.plans.foreign_formats import BoxSource
 from petmjx.plans.nested_json import BoxList
@@ -47,8 +48,6 @@ _UNIT_WEIGHT: Final = word_set(
 _WEIGHT: Final = word_set(
     "weight mass gewicht poids peso waga masa ciezar gesamtgewicht totalgewicht positionsgewicht zeilengewicht"
 )
-_GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
-"""Words for gross weights, which are preferred to net weights."""
 _PIECES: Final = word_set(
     "boxes cartons kartons kartonanzahl cases packages colli packstucke packstuecke stuck stueck cajas bultos colis "
     "scatole kartony kartonow paczki units unit einheiten items cs ctn ctns szt pz pzas st"
@@ -166,6 +165,13 @@ def _is_of_packingsolver(header: Sequence[str]) -> bool:
     return upper >= {"X", "Y", "Z"} and not upper & {"LX", "LY", "LZ"} and bool(marks)
 
 
+_PIECES_OF: Final = re.compile(
+    r"^(\d+)\s*(?:x|pcs?|pieces?|stk|stck|st|stück|ea|each|units?|uds?|szt|pz|ctns?|cartons?|boxes|box)\.?$",
+    re.IGNORECASE,
+)
+"""A number of pieces with its unit."""
+
+
 class _ItemExtraction(Extraction):
     """The columns of one source while their meanings are being determined, including columns that only orders have."""
 
@@ -216,7 +222,9 @@ class _ItemExtraction(Extraction):
             elif words & _LAYER and words & _PER:
                 self.meanings[index] = ColumnMeaning("quantity")
                 self.of_layer.add(index)
-            elif "quantity" not in kinds and self._is_quantity(words, joined) and self._is_whole(index):
+            elif "quantity" not in kinds and (
+                (self._is_quantity(words, joined) and self._is_whole(index)) or self._counts_pieces(index)
+            ):
                 self.meanings[index] = ColumnMeaning("quantity")
             elif ("plan" not in kinds and words & _ORDERS and words & _NUMBERED and words <= _ORDERS | _NUMBERED) or (
                 meaning is None and joined in _ORDERS
@@ -230,6 +238,11 @@ class _ItemExtraction(Extraction):
         if words & _PER:
             return False
         return joined in _QUANTITY | _PIECES or bool(words & _PIECES and words <= _COUNTED)
+
+    def _counts_pieces(self, index: int) -> bool:
+        """Whether all cells of a column are numbers of pieces: "3 pcs"."""
+        cells = [cell for cell in self.cells(index) if cell not in (None, "")]
+        return bool(cells) and all(isinstance(cell, str) and _PIECES_OF.match(cell.strip()) for cell in cells)
 
     def _is_whole(self, index: int) -> bool:
         """Whether most cells are whole numbers, and the column is not one of identifiers. Identifiers increase from
@@ -299,7 +312,8 @@ class _ItemExtraction(Extraction):
             if otherwise is not None and cell in (None, ""):
                 values[row] = otherwise
                 continue
-            number = cell_number(cell, self.table.decimal)
+            pieces = _PIECES_OF.match(cell.strip()) if isinstance(cell, str) else None
+            number = cell_number(pieces[1] if pieces else cell, self.table.decimal)
             if number is not None and number.value.is_integer() and smallest <= number.value <= MOST_PIECES:
                 values[row] = number.value
                 continue
@@ -463,7 +477,7 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
     row_index = work.role("total weight", "weight", within=work.totals)
     index = work.fixed.get("weight")
     if index is None and "total weight" not in work.chosen:
-        gross = {number for number, name in enumerate(header) if _GROSS.intersection(words_of(name))} - work.totals
+        gross = {number for number, name in enumerate(header) if GROSS.intersection(words_of(name))} - work.totals
         index = work.role("weight", "weight", within=gross)
         index = work.role("weight", "weight", without=work.totals) if index is None else index
     if index is not None:

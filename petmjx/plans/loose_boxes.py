@@ -1,10 +1,10 @@
-"""Loose boxes: estimates from the plan alone which box tips over first. The result is used only to estimate simulation
-times."""
+"""Loose boxes, and ties between boxes: what the plan alone shows of a world's cost. The results are used only to
+estimate simulation times."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,37 @@ _BESIDE_MM: Final = 1.0
 """If two boxes overlap by at most this length along x or y, they stand beside each other."""
 
 
+class Statics(NamedTuple):
+    """What plans show of the cost of their worlds. ``petmjx.engines.cost_model.Work`` has the same fields.
+
+    Attributes:
+        placed_share: (n,) the share of each plan's boxes up to and including its first loose box; 1 if there is none.
+        ties: (n,) number of supports of a box beyond its first, the mean over the boxes of each plan.
+        giving: (n,) number of compliant boxes of each plan.
+    """
+
+    placed_share: FloatArray
+    ties: FloatArray
+    giving: FloatArray
+
+
+def statics_of(plans: Sequence[Plan]) -> Statics:
+    """The statics of plans.
+
+    If there are more than ``MOST_LOOKED_AT`` plans, only some are examined. The other plans get the values of the
+    examined plans, repeated in order.
+    """
+    examined = (
+        [plans[k] for k in np.unique(np.linspace(0, len(plans) - 1, MOST_LOOKED_AT).astype(int))] if plans else []
+    )
+    columns = np.zeros((3, len(examined)))
+    for column, plan in enumerate(examined):
+        loose, ties = _looked_at(plan)
+        giving = 0 if plan.stiffness_n_mm is None else int(np.isfinite(plan.stiffness_n_mm).sum())
+        columns[:, column] = min((loose + 1) / plan.n_boxes, 1.0), ties / plan.n_boxes, giving
+    return Statics(*(np.resize(values, len(plans)) for values in columns))
+
+
 def first_loose(plan: Plan) -> int:
     """The first box, in packing order, whose centre of mass is not over its supports; n if there is none.
 
@@ -30,6 +61,11 @@ def first_loose(plan: Plan) -> int:
     supports if it lies within the bounding rectangle of their contact areas. The convex hull of the contact areas can
     be smaller than this rectangle, so a rule with the hull would find more loose boxes.
     """
+    return _looked_at(plan)[0]
+
+
+def _looked_at(plan: Plan) -> tuple[int, int]:
+    """The first loose box (``first_loose``), and the number of ties: supports beyond the first of each box."""
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]
     numbers = np.arange(plan.n_boxes)
@@ -47,17 +83,5 @@ def first_loose(plan: Plan) -> int:
         )
         over &= (centre[:, axis] >= begins) & (centre[:, axis] <= ends)
     loose = np.flatnonzero(~over & (rest_mm > 0))
-    return int(loose[0]) if len(loose) else plan.n_boxes
-
-
-def placed_shares(plans: Sequence[Plan]) -> FloatArray:
-    """(n,) the share of each plan's boxes up to and including its first loose box; 1 if there is none.
-
-    If there are more than ``MOST_LOOKED_AT`` plans, only some are examined. The other plans get the shares of the
-    examined plans, repeated in order.
-    """
-    looked_at = (
-        [plans[k] for k in np.unique(np.linspace(0, len(plans) - 1, MOST_LOOKED_AT).astype(int))] if plans else []
-    )
-    shares = [(first_loose(plan) + 1) / plan.n_boxes for plan in looked_at]
-    return np.minimum(np.resize(shares, len(plans)), 1.0) if shares else np.zeros(0)
+    ties = int(np.maximum(bears.sum(axis=1) - 1, 0).sum())
+    return int(loose[0]) if len(loose) else plan.n_boxes, ties

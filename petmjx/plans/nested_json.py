@@ -21,7 +21,7 @@ from petmjx.common.text import count_text
 from petmjx.plans.column_names import ColumnMeaning, column_meanings, word_set, words_of
 from petmjx.plans.json_reader import any_integer
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
-from petmjx.plans.raw_tables import MOST_ROWS, RawTable
+from petmjx.plans.raw_tables import MOST_ROWS, RawTable, geometric_names, united
 
 _DEEPEST: Final = 12
 """Largest depth of nesting that is searched."""
@@ -31,14 +31,18 @@ _UNPLACED: Final = word_set(
 )
 """Words in names of lists whose boxes are not part of the plan."""
 _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
-_LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
-"""Words for lists whose members are parts of one plan."""
+LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
+"""Words for lists, sheets and sections whose members are parts of one plan."""
+_STACKS: Final = word_set("stack stacks tower towers column columns pile piles block blocks")
+"""Words for parts of a plan that stand beside each other."""
 _NAMES: Final = (
     "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
-    "binId",
+    "binId", "load_id", "loadId",
     "id", "ID", "name", "partno", "bin", "pallet", "container", "index", "number", "no",
 )  # fmt: skip
 """Fields that name a plan, most reliable first."""
+_N_OF_PLANS: Final = 12
+"""Number of these fields, from the first, that name a plan wherever they are."""
 _HOLDERS: Final = word_set(
     "container containers bin bins pallet pallets truck trucks carrier carriers vehicle box_size bin_size binsize "
     "containersize palletsize load_carrier"
@@ -169,11 +173,80 @@ def box_lists(value: Any) -> list[BoxList]:
     if isinstance(value, JsonLines):
         lists = [_by_lines(boxes, value.lines) for boxes in lists]
     unplaced = [boxes for boxes in lists if _is_unplaced(boxes.path)]
-    placed = [boxes for boxes in lists if not _is_unplaced(boxes.path)]
+    placed = _side_by_side(_outermost([boxes for boxes in lists if not _is_unplaced(boxes.path)]))
     left = sum(len(boxes.table.rows) for boxes in unplaced)
     lines = (f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()
     ranked = sorted(placed, key=lambda boxes: (boxes.has_places, boxes.has_sizes, len(boxes.table.rows)), reverse=True)
     return [_with_lines(boxes, lines) for boxes in ranked]
+
+
+_BOXES: Final = word_set(
+    "box boxes item items placement placements package packages parcel parcels carton cartons case cases kartons pieces"
+)
+"""Words in names of lists whose members are boxes even if they are inside other boxes."""
+
+
+def _outermost(lists: Sequence[BoxList]) -> list[BoxList]:
+    """Lists of boxes without those that describe parts of a box, such as its corners or its pose. A list inside another
+    list with sizes and places describes boxes only if it has weights, if the outer list is one of containers or layers,
+    or if its own name means boxes."""
+    boxes_with_both = [boxes for boxes in lists if boxes.has_places and boxes.has_sizes]
+
+    def is_part(boxes: BoxList) -> bool:
+        return any(
+            boxes.path.startswith(outer.path)
+            and boxes.path != outer.path
+            and "weight" not in boxes.kinds
+            and not _words_of_last(boxes) & _BOXES
+            and not _words_of_last(outer) & (_HOLDERS | LAYERS | _STACKS)
+            for outer in boxes_with_both
+        )
+
+    return [boxes for boxes in lists if not is_part(boxes)]
+
+
+def _words_of_last(boxes: BoxList) -> set[str]:
+    return set(words_of(_last(boxes.path)))
+
+
+def _side_by_side(lists: Sequence[BoxList]) -> list[BoxList]:
+    """Lists of boxes, in which lists beside each other are joined: "A.boxes" and "B.boxes" are two plans of one file,
+    and so are "pallet_1" and "pallet_2". They must have the same sizes and places."""
+    groups: dict[tuple[Any, ...], list[BoxList]] = {}
+    for boxes in lists:
+        *outer, last = boxes.path.split(".")
+        key = (len(outer), re.sub(r"\d+", "", last), *geometric_names(boxes.table.header))
+        groups.setdefault(key, []).append(boxes)
+    joined = []
+    for group in groups.values():
+        steps = [boxes.path.split(".") for boxes in group]
+        levels = [level for level, names in enumerate(zip(*steps, strict=True)) if len(set(names)) > 1]
+        if len(levels) == 1 and group[0].has_places:
+            joined.append(_joined(group, [step[levels[0]].replace("[]", "") for step in steps]))
+        else:
+            joined += group
+    return joined
+
+
+def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
+    """Lists of boxes as one list.
+
+    Args:
+        names: for each list, the step in which its path differs from the others. It names a plan, unless it means a
+            layer.
+    """
+    table = united([boxes.table for boxes in group])
+    parts: list[str] = []
+    containers: dict[str, Mapping[str, float]] = {}
+    for boxes, name in zip(group, names, strict=True):
+        plan = "" if LAYERS.intersection(words_of(name)) else name
+        own = {
+            part: "/".join(filter(None, (plan, "" if part == plan else part))) for part in dict.fromkeys(boxes.parts)
+        }
+        parts += [own[part] for part in boxes.parts]
+        containers |= {own[part]: sizes for part, sizes in boxes.containers.items()}
+    left_out = tuple(line for boxes in group for line in boxes.left_out)
+    return replace(group[0], table=table, parts=tuple(parts), containers=containers, left_out=left_out)
 
 
 def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
@@ -210,12 +283,12 @@ def _members(
         members = [name for name, inner in value.items() if isinstance(inner, Mapping)]
         alike = len(members) > 1 and len(members) == len(value) and _alike([value[name] for name in members])
         keyed = _is_plan_key(value)
+        around_it = (*around, (_last_step(place), dict[str, Any]()))  # if its fields are boxes, it is no container
         for name, inner in value.items():
             inner_place = f"{place}.{name}" if place else str(name)
             if keyed:
                 yield from _members(inner, f"{path}[]", inner_place, (*step, (str(name), {"id": str(name)})), depth + 1)
             elif alike and isinstance(inner, Mapping):
-                around_it = (*around, (_last_step(place), {}))  # this object's fields are boxes: it is no container
                 yield f"{path}[]", _Member({"id": name, **inner}, inner_place, around_it)
                 yield from _members(inner, f"{path}[]", inner_place, step, depth + 1)
             elif isinstance(inner, Mapping | list | tuple | np.ndarray):
@@ -293,10 +366,9 @@ def _columnar(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
         return None
     lists = {name: list(inner) for name, inner in value.items() if isinstance(inner, list | tuple | np.ndarray)}
     lengths = {len(inner) for inner in lists.values()}
-    n_known = sum(meaning is not None for meaning in column_meanings(list(lists)))
-    if len(lengths) != 1 or 0 in lengths or n_known < 2:
+    if len(lengths) != 1 or 0 in lengths or any(isinstance(inner[0], Mapping) for inner in lists.values()):
         return None
-    if any(isinstance(inner[0], Mapping) for inner in lists.values()):
+    if sum(meaning is not None for meaning in column_meanings(list(lists))) < 2:
         return None
     flat = sum(3 if isinstance(inner[0], list | tuple) else 1 for inner in lists.values())
     if flat < _LEAST_COLUMNS:
@@ -329,7 +401,7 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
     Longer lists are left out."""
     flat: dict[str, Any] = {}
     for name, inner in value.items():
-        path = f"{prefix}{name}"
+        path = prefix[:-1] if name in _VALUES and prefix.endswith(".") else f"{prefix}{name}"
         if isinstance(inner, np.ndarray):
             inner = inner.tolist()
         if isinstance(inner, Mapping) and (quantity := _quantity(inner)) is not None:
@@ -340,6 +412,11 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
         elif isinstance(inner, list | tuple):
             if _is_matrix(inner):
                 flat[path] = inner
+            elif (ends := _ends_of_vertices(inner)) is not None:
+                for end, point in zip(("min", "max"), ends, strict=True):
+                    flat |= {f"{path}.{end}[{axis}]": value for axis, value in enumerate(point)}
+            elif (pose := _PARTS_OF_POSES.get(len(inner))) and str(name).lower() in ("pose", "qpos"):
+                flat |= {f"{path}.{part}": cell for part, cell in zip(pose, inner, strict=True)}
             elif 0 < len(inner) <= _LISTED and not any(isinstance(cell, Mapping | list | tuple) for cell in inner):
                 flat |= {f"{path}[{index}]": cell for index, cell in enumerate(inner)}
         else:
@@ -347,14 +424,48 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
     return flat
 
 
+_PARTS_OF_POSES: Final = {
+    4: ("x", "y", "z", "yaw"),
+    6: ("x", "y", "z", "rx", "ry", "rz"),
+    7: ("x", "y", "z", *(f"quaternion[{index}]" for index in range(4))),
+}
+"""Length of a list of numbers that is called a pose → its members."""
+
+
+_VALUES: Final = ("value", "amount", "magnitude")
+_UNITS: Final = frozenset(
+    ("unit", "units", "uom", "einheit", "unite", "unité", "unidad", "unita", "unità", "jednostka")
+)
+"""Fields of a number, and fields of its unit, in an object beside one another."""
+
+
 def _quantity(value: Mapping[str, Any]) -> Any:
     """The text of a number with a unit, from an object such as {"value": "400", "unit": "mm"}; None for other
     objects."""
-    if "value" in value and isinstance(value.get("unit"), str) and len(value) <= 4:
-        return f"{value['value']} {value['unit']}"
+    name = next((name for name in _VALUES if name in value), None)
+    unit = next((unit for key, unit in value.items() if key.lower() in _UNITS and isinstance(unit, str)), None)
+    if name is not None and unit is not None and len(value) <= 4:
+        return f"{value[name]} {unit}"
     if set(value) == {"ticks"}:
         return f"{value['ticks']} ticks"
     return None
+
+
+def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | None:
+    """The smallest and the largest coordinates of the eight corners of a box, [[x, y, z], …]; None for other lists. If
+    the points are not the corners of a level box, one coordinate is replaced by a fault's text."""
+    if len(value) != 8 or not all(isinstance(point, list | tuple) and len(point) == 3 for point in value):
+        return None
+    ends: tuple[list[Any], list[Any]] = ([], [])
+    for column in zip(*value, strict=True):
+        numbers = [number.value for cell in column if (number := cell_number(cell)) is not None]
+        odd = [cell for cell in column if cell_number(cell) is None]
+        halves = len(numbers) == 8 and sorted(numbers)[3] == min(numbers) and sorted(numbers)[4] == max(numbers)
+        if not halves and not odd:
+            odd = [f"{column[0]}, …, which are no level box"]
+        ends[0].append(odd[0] if odd else min(numbers))
+        ends[1].append(max(numbers, default=None))
+    return ends
 
 
 def _is_matrix(value: Sequence[Any]) -> bool:
@@ -364,6 +475,8 @@ def _is_matrix(value: Sequence[Any]) -> bool:
 def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
     """Turn a list of objects into a table; None if the objects are not boxes."""
     flat = [flattened(member.value) for member in members]
+    for row, member in zip(flat, members, strict=True):
+        row.update(_of_part(member))
     counts: dict[str, int] = {}
     for row in flat:
         for name in row:
@@ -379,7 +492,7 @@ def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
         return None
     box_members, left = [], 0
     for number, row in enumerate(flat):
-        flags = [value for name, value in row.items() if name.lower() in _PLACED_FLAGS and isinstance(value, bool)]
+        flags = [value for name, value in row.items() if name.lower() in _PLACED_FLAGS and value in (True, False)]
         if flags and not all(flags):
             left += 1
         else:
@@ -401,6 +514,23 @@ def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
     )
 
 
+def _of_part(member: _Member) -> dict[str, Any]:
+    """The coordinates and the height that a box lacks, from the layer or stack that contains it."""
+    step, holder = member.around[-1] if member.around else ("", {})
+    if not (LAYERS | _STACKS).intersection(words_of(step)):
+        return {}
+    own = {(meaning.kind, meaning.axis) for meaning in column_meanings(list(flattened(member.value))) if meaning}
+    if ("positions", "") in own or ("sizes", "") in own or not any(kind == "position" for kind, _ in own):
+        return {}
+    fields = {name: value for name, value in holder.items() if cell_number(value) is not None}
+    lacking = {*(("position", axis) for axis in "xyz"), ("size", "height")} - own
+    return {
+        name: fields[name]
+        for name, meaning in zip(fields, column_meanings(list(fields)), strict=True)
+        if meaning is not None and (meaning.kind, meaning.axis) in lacking
+    }
+
+
 def _cell(value: Any) -> Any:
     return value.strip() or None if isinstance(value, str) else value
 
@@ -413,11 +543,7 @@ def _parts(members: Sequence[_Member]) -> list[str]:
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
         for level in range(depth)
     ]
-    several = [
-        level
-        for level in levels
-        if len({id(holder) for _, holder in level}) > 1 and not _LAYERS.intersection(words_of(level[0][0]))
-    ]
+    several = [level for level in levels if len({id(holder) for _, holder in level}) > 1 and not _is_part(level[0][0])]
     if not several:
         return [_only_name(members[0].around)] * len(members) if members else []
     names = []
@@ -429,10 +555,16 @@ def _parts(members: Sequence[_Member]) -> list[str]:
     return ["/".join(filter(None, parts)) for parts in zip(*names, strict=True)]
 
 
+def _is_part(step: str) -> bool:
+    """Whether the members of a list with this name are parts of one plan: its layers, or several stacks."""
+    words = set(words_of(step))
+    return bool(words & LAYERS) or (bool(words & _STACKS) and step.endswith("]"))
+
+
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
     """The name of a file's only plan; "" if no field gives a name."""
     for _, holder in reversed(around):
-        for name in _NAMES[:10]:
+        for name in _NAMES[:_N_OF_PLANS]:
             if (text := _name_text(holder.get(name))) != "":
                 return text
     for step, holder in reversed(around):

@@ -21,12 +21,12 @@ from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import MOST_ROWS, RawTable, decoded_text
 
 SET_ITEMS: Final = 50
-"""Number of boxes per order if a set is one long list."""
+"""Number of boxes per order if a file is one long list of boxes that are not divided into orders."""
 THPACK: Final = KnownForm("a container loading problem (thpack)")
 MPV: Final = KnownForm("a bin packing problem of Martello, Pisinger and Vigo's form")
 LENGTHS: Final = KnownForm("a list of lengths")
 _LINES_BEFORE: Final = 5
-"""Largest number of lines before the first line with a box type."""
+"""Largest number of lines that a thpack file may have before its first line with a box type."""
 
 
 @dataclass
@@ -58,7 +58,7 @@ class _Line:
 
     Attributes:
         number: number of the line, from 1.
-        words: its words.
+        words: the words in the line.
     """
 
     number: int
@@ -85,7 +85,7 @@ class _Line:
         """The whole number at a position in the line.
 
         Raises:
-            InputError: the word there is not a whole number.
+            InputError: the word at this position is not a whole number from ``smallest`` to ``MOST_ROWS``.
         """
         value = self.values[index]
         if value is None or not value.is_integer() or not smallest <= value <= MOST_ROWS:
@@ -125,8 +125,8 @@ def order_source(data: bytes | bytearray) -> BoxSource | None:
 
 
 def _flags_at(line: _Line) -> int | None:
-    """Position of the length in the line of a box type. The position is recognised by the marks 0 and 1 after the
-    sizes. None if the line has no such marks."""
+    """Position of the word with the length in the line of a box type. It is recognised by the marks (0 or 1) after each
+    of the three sizes. None if the line has no such marks."""
     for begin in (1, 0):  # the line may begin with the number of the type
         marks = line.words[begin + 1 : begin + 6 : 2]
         if len(line) >= begin + 7 and len(marks) == 3 and sum(mark in ("0", "1") for mark in marks) >= 2:
@@ -152,8 +152,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
 
     The line of a type has its number, length, mark, width, mark, height, mark and quantity. In ``wtpack``, types have
     no numbers, and the quantity is followed by the weight in kg and by load-bearing strengths. A mark states whether
-    the size before it may be vertical. petmjx turns boxes only about the vertical, so it must choose the vertical size:
-    the height if its mark allows it, else the first size whose mark allows it.
+    the size before it may be vertical. petmjx turns boxes only about the vertical axis, so it must choose which size is
+    vertical: the height if the height's mark allows it, else the width if its mark allows it, else the length.
     """
     weighted = any(len(line) - (_flags_at(line) or 0) >= 8 and _flags_at(line) == 0 for line in lines)
     rows = _Rows(("type", "length", "width", "height", "quantity", *(("weight per box",) if weighted else ())))
@@ -223,10 +223,13 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
 
 
 def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, float], int, int]:
-    """Read the head of a problem: its container, its number of types, and the position of its first type.
+    """Read the first two lines of a problem.
+
+    Returns:
+        The sizes of the container by axis, the number of box types, and the position of the first type's line.
 
     Raises:
-        InputError: the lines have another form.
+        InputError: the two lines do not have the sizes of a container and a number of box types.
     """
     if position + 1 >= len(lines):
         raise InputError(f"{lines[-1].place}: ends within a problem")
@@ -247,9 +250,10 @@ def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, floa
 
 def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
     """Problems in this form: the number of boxes, the bin, and a line per box with its width, height and depth. None if
-    the lines have another form.
+    the first lines have another form.
 
-    The head is "n W H D" in one line, or "n" and "W H D" in two lines, in any sequence. The height is vertical.
+    Each problem begins with one line "n W H D", or with two lines, "n" and "W H D"; either of these two may come first.
+    n is the number of boxes; W, H and D are the width, height and depth of the bin. The height is vertical.
     """
     head = _bin_head(lines, 0)
     if head is None:
@@ -285,7 +289,8 @@ def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
 
 
 def _bin_head(lines: Sequence[_Line], position: int) -> tuple[int, list[float], int] | None:
-    """The number of boxes, the bin and the position of the first box; None if there is no head."""
+    """The number of boxes, the bin's width, height and depth, and the position of the first box's line, from the first
+    lines of a problem (see ``_bin_packing``). None if the lines from ``position`` on do not begin a problem."""
     head_line = lines[position]
     after = lines[position + 1] if position + 1 < len(lines) else _Line(0, ())
     if len(head_line) == 4 and head_line.is_numeric:
@@ -316,10 +321,11 @@ def _counts_up(lines: Sequence[_Line]) -> bool:
 
 
 def _lengths(lines: Sequence[_Line]) -> BoxSource | None:
-    """Lines of three lengths, grouped into orders of ``SET_ITEMS``; None if lines have another number of words.
+    """The boxes of a file with three lengths per line, grouped into orders of ``SET_ITEMS`` boxes. None if most lines
+    do not have three words.
 
     Raises:
-        InputError: some lines have fewer numbers.
+        InputError: all lines are numbers, but most lines have fewer than three.
     """
     widths = [len(line) for line in lines]
     width = max(set(widths), key=widths.count)

@@ -103,6 +103,11 @@ def cell_text(cell: Any) -> str:
     return str(cell).strip()
 
 
+_TRIPLE_LETTER: Final = re.compile(r"""["']?\b([xyzlwhdbt])\b["']?\s*[=:]\s*""", re.IGNORECASE)
+_USUAL_ORDER: Final = {"".join(sorted(letters)): letters for letters in ("xyz", "lwh", "lbh")}
+"""The order of three numbers with letters before them: "H=200 L=400 B=300"."""
+
+
 def cell_triple(cell: Any, decimal: str = ".") -> list[CellNumber] | None:
     """The three numbers in a cell: "400x300x200", "(0, 0, 200)", "[Decimal('600.0'), 0, 0]"; None if there are none."""
     if isinstance(cell, list | tuple | np.ndarray):
@@ -114,13 +119,16 @@ def cell_triple(cell: Any, decimal: str = ".") -> list[CellNumber] | None:
     unit = ""
     if (last := re.search(r"\s*([a-zA-Z]{1,6})$", text)) is not None and last[1].lower() in LENGTH_UNITS:
         text, unit = text[: last.start()], last[1].lower()
-    text = re.sub(r"\b[xyzlwhdbt]\s*[=:]\s*", " ", text, flags=re.IGNORECASE)
+    letters = "".join(_TRIPLE_LETTER.findall(text)).lower()
+    text = _TRIPLE_LETTER.sub(" ", text)
     for separator in (r"[x×X*]", r"[;|/]", r",\s+" if decimal == "," else r",", r"\s+"):
         parts = [part for part in re.split(rf"\s*{separator}\s*", text.strip()) if part]
         if len(parts) == 3:
             numbers = [cell_number(part, decimal) for part in parts]
             if all(number is not None for number in numbers):
-                return [CellNumber(number.value, number.unit or unit) for number in numbers if number is not None]
+                triple = [CellNumber(number.value, number.unit or unit) for number in numbers if number is not None]
+                usual = _USUAL_ORDER.get("".join(sorted(letters)), letters)
+                return [triple[letters.index(letter)] for letter in usual] if len(set(letters)) == 3 else triple
     return None
 
 

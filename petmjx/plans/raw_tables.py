@@ -12,13 +12,14 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import Any, Final
 
 import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.column_names import OWN_COLUMNS, column_meanings, is_unit, plain_text
+from petmjx.plans.column_names import OWN_COLUMNS, column_meanings, is_unit, plain_text, split_unit
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 
@@ -130,6 +131,8 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
         raise NoBoxes("the file is empty")
     if text.count("\0"):
         raise NoBoxes("is no text")
+    if "│" in text or "┃" in text or "║" in text:
+        text = text.translate(_BOX_DRAWING)
     lost: list[tuple[str, str]] = []
     if text.count('"') % 2:
         text = _without_unclosed(text, lost, begin)
@@ -145,6 +148,16 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     if comma:
         notes.append("decimal commas")
     return [replace(table, notes=(*notes, *table.notes)) for table in tables]
+
+
+_BOX_DRAWING: Final = str.maketrans(
+    {
+        **dict.fromkeys("│┃║┆", "|"),
+        **dict.fromkeys("─━═", "-"),
+        **dict.fromkeys((chr(code) for code in range(0x250C, 0x2570) if chr(code) not in "═║"), "+"),
+    }
+)
+"""Frames of printed tables, as their forms in ASCII."""
 
 
 def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str:
@@ -183,7 +196,7 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
     if rule is not None:
         spans = [match.span() for match in re.finditer(r"[-=]{2,}", lines[rule])]
         for index, line in enumerate(lines):
-            if index == rule:
+            if _RULE.match(line):
                 yield []
             elif index < rule - 1:
                 yield line.split()
@@ -200,7 +213,19 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         counts = Counter(len(row) for row in rows if len(row) > 1)
         return max(counts.values(), default=0)
 
-    yield from max(ways, key=alike)  # if several are equal, max returns the first
+    rows = max(ways, key=alike)  # if several are equal, max returns the first
+    first = next((index for index, line in enumerate(lines) if line.strip()), 0)
+    if (
+        lines
+        and lines[first][:1].isspace()
+        and all(len(row) == len(rows[first]) + 1 for row in rows[first + 1 :] if any(row))
+    ):
+        rows[first] = ["", *rows[first]]  # a printed data frame: its index has no name
+    yield from rows
+
+
+_LEAST_TABS: Final = 2
+"""If all lines have the same number of tabs, and at least this number, fields are separated by tabs."""
 
 
 def _delimiter_of(text: str) -> str:
@@ -216,12 +241,17 @@ def _delimiter_of(text: str) -> str:
         except InputError:
             return 0, 0.0
         counts = Counter(len(row) for row in rows)
+        if delimiter == _SPACES and counts[1] * 2 > len(rows):
+            return 0, 0.0  # only the names of columns have spaces
         width, most = max(counts.items(), key=lambda entry: (entry[1], entry[0]), default=(0, 0))
         even = most / max(len(rows), 1) if width > 1 else 0.0
         n_known = max((_n_known(row) for row in rows[:_SEARCHED_ROWS]), default=0)
         return (n_known if n_known >= _LEAST_KNOWN else 0), even
 
     lines = [line for line in sample.splitlines()[:_SEARCHED_ROWS] if line.strip()]
+    n_tabs = {line.count("\t") for line in lines}
+    if len(n_tabs) == 1 and n_tabs.pop() >= _LEAST_TABS:
+        return "\t"  # no field has a tab, but fields may have commas: "(0, 300, 0)"
     marked = any(sum(mark in line for line in lines) * 2 > len(lines) for mark in (";", "\t", "|"))
     return max(_DELIMITERS if marked else (*_DELIMITERS, _SPACES), key=merit)
 
@@ -234,8 +264,7 @@ def _n_known(cells: Sequence[Any]) -> int:
     names = [cell if isinstance(cell, str) and len(cell) < 100 and not _NUMERIC.match(cell) else "" for cell in cells]
     if sum(map(bool, names)) < _LEAST_KNOWN or len(names) > MOST_COLUMNS:
         return 0
-    meanings = column_meanings(names)
-    return len({(meaning.kind, meaning.axis) for meaning in meanings if meaning is not None})
+    return _n_distinct(names)
 
 
 # Rows from any source.
@@ -255,6 +284,16 @@ def tables_of_rows(
         InputError: there is no table.
     """
     cleaned = [tuple(_cleaned(cell) for cell in row) for row in rows]
+    if _names_in_rows(cleaned):
+        return [
+            replace(
+                table,
+                places=[place.replace("row", "column") for place in table.places],
+                lost=(*lost, *table.lost),
+                notes=(*table.notes, "names are in the first column"),
+            )
+            for table in tables_of_rows(list(zip_longest(*cleaned)), 1, title)
+        ]
     heads = _header_rows(cleaned)
     if not heads:
         return [_without_header(cleaned, begin, title, tuple(lost))]
@@ -275,6 +314,16 @@ def tables_of_rows(
             for number, table in enumerate(tables, start=1)
         ]
     return [table for table in tables if table.rows or table.lost] or tables[:1]
+
+
+_LEAST_IN_ROWS: Final = 6
+"""A table has its names in the first column if at least this number of them is known, and more than in any row."""
+
+
+def _names_in_rows(rows: Sequence[tuple[Any, ...]]) -> bool:
+    """Whether the names are in the first column, so that each further column is a box."""
+    n_known = _n_known([row[0] if row else None for row in rows[:MOST_COLUMNS]])
+    return n_known >= _LEAST_IN_ROWS and n_known > max(map(_n_known, rows[:_SEARCHED_ROWS]))
 
 
 def _cleaned(cell: Any) -> Any:
@@ -330,6 +379,8 @@ def _table_below(
     notes = [f"the header is row {head + begin}"] if head else []
     group = rows[head - 1] if head else ()
     filled = sum(cell is not None for cell in group)
+    if filled == 1 and group[0] is not None and not _geometric([cell_text(group[0])]):
+        filled = 0  # a title or a comment above the table, not a heading of its columns
     if (filled >= 1 and _n_known(rows[head]) < len(names)) or (filled > 1 and not _has_places(names)):
         names = _with_groups(names, group)
     first = head + 1
@@ -401,12 +452,41 @@ def _sections(
     return [section for section in sections if section[1]], tuple(lost), trailing
 
 
+def geometric_names(header: Sequence[str]) -> tuple[str, ...]:
+    """The names of the columns that have sizes or places, sorted. All names if there are none."""
+    return tuple(sorted(header[index] for index in _geometric(header))) or tuple(header)
+
+
+def united(tables: Sequence[RawTable]) -> RawTable:
+    """One table with the rows of several tables. A column that a table lacks is empty in its rows."""
+    first = tables[0]
+    header = tuple(dict.fromkeys(name for table in tables for name in table.header))
+    rows: list[tuple[Any, ...]] = []
+    for table in tables:
+        if table.header == header:
+            rows += table.rows
+            continue
+        columns = {name: index for index, name in enumerate(table.header)}
+        order = [columns.get(name) for name in header]
+        rows += [tuple(None if index is None else row[index] for index in order) for row in table.rows]
+    decimals = {table.decimal for table in tables if table.decimal != "."}
+    return replace(
+        first,
+        header=header,
+        rows=rows,
+        places=[place for table in tables for place in table.places],
+        lost=tuple(entry for table in tables for entry in table.lost),
+        notes=tuple(dict.fromkeys(note for table in tables for note in table.notes)),
+        decimal=decimals.pop() if len(decimals) == 1 else ".",
+    )
+
+
 def _geometric(header: Sequence[str]) -> list[int]:
     """Indices of the columns that have sizes or places."""
     return [
         index
         for index, meaning in enumerate(column_meanings(header))
-        if meaning is not None and meaning.kind in ("size", "sizes", "position", "positions")
+        if meaning is not None and meaning.kind in ("size", "sizes", "position", "positions", "low", "high")
     ]
 
 
@@ -501,8 +581,16 @@ def _with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
         cell = group[index] if index < len(group) else None
         heading = cell_text(cell) if cell is not None else heading
         joined.append(f"{heading} {name}".strip() if heading and name else name)
-    n_known = sum(meaning is not None for meaning in column_meanings(joined))
-    return joined if n_known >= sum(meaning is not None for meaning in column_meanings(names)) else names
+    with_units = []  # names that mean something alone get only the unit of their heading
+    for long, name, meaning in zip(joined, names, column_meanings(names), strict=True):
+        unit = split_unit(long.removesuffix(name).strip())[1]
+        with_unit = f"{name} [{unit}]" if unit and not _names_unit(name) else name
+        with_units.append(long if meaning is None else with_unit)
+    return max(joined, with_units, names, key=_n_distinct)  # if several are equal, max returns the first
+
+
+def _n_distinct(names: Sequence[str]) -> int:
+    return len({(meaning.kind, meaning.axis) for meaning in column_meanings(names) if meaning is not None})
 
 
 def _is_unit_cell(cell: Any) -> bool:

@@ -20,6 +20,9 @@ _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (
 """py3dbp's ``rotation_type`` → which of width, height and depth lies along each of the three axes (as in its function
 ``get_dimension``)."""
 
+_PERMUTATIONS: Final = np.array(list(permutations(range(3))))
+"""Number of a permutation of the sizes, in the order in which programs list them → which of the sizes lies along each
+axis."""
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5}
 _FIRM: Final = 3.0
 """Cost of a reading that contradicts a known fact about a form."""
@@ -62,12 +65,13 @@ def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
         assert turns.letters is not None
         return np.take_along_axis(geometry.size, turns.letters, axis=1)
     codes = np.maximum(turns.codes, 0)
-    if candidate.rule in ("swap", "degrees"):
+    if candidate.rule in ("swap", "swap back", "degrees"):
         level = (1, 0, 2) if candidate.up == "z" else (2, 1, 0)
-        odd = codes % 2 == 1
+        odd = codes % 2 == (candidate.rule != "swap back")
         return np.where(odd[:, None], size[:, level], size)
-    first = 1 if candidate.rule == "py3dbp from 1" else 0
-    return np.take_along_axis(size, _SIX[np.clip(codes - first, 0, 5)], axis=1)
+    first = 1 if candidate.rule.endswith("from 1") else 0
+    six = _PERMUTATIONS if candidate.rule.startswith("permutations") else _SIX
+    return np.take_along_axis(size, six[np.clip(codes - first, 0, 5)], axis=1)
 
 
 def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str, float] | None = None) -> Layout:
@@ -189,7 +193,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
             continue
         if rule == "py3dbp" and number and not form.rule and "type" not in columns.turns.column.lower():
             continue
-        rules.append((rule, 0.5 * bool(number)))
+        rules.append((rule, 0.5 * bool(number) * (rule != "swap back")))
     if wishes.sizes == "item":
         return rules
     placed = _FIRM if named_rule == "item" else 0.0

@@ -14,6 +14,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
+from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
     converted_share,
@@ -250,8 +251,17 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
         for factor in (10.0, 0.1, 1000.0, 0.001, 25.4, 100.0, 0.01):
             for one in base:
                 scaled = replace(one.candidate, scale=factor, prior=one.candidate.prior + 2.0)
-                judged.append(_with_units(_judge(columns, scaled, sample), columns, wishes))
+                other = _with_units(_judge(columns, scaled, sample), columns, wishes)
+                if _within_reach(other, columns, wishes):
+                    judged.append(other)
     return sorted(judged, key=lambda one: one.cost)
+
+
+def _within_reach(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
+    """Whether coordinates are in their range in the most plausible units. In another unit than that of sizes, boxes may
+    be so far apart that they cannot overlap."""
+    factor = LENGTH_UNITS[_unit_costs(judged, columns, wishes)[0][1]]
+    return all(float(np.abs(layout.low).max()) * factor <= FARTHEST_MM for layout in judged.layouts)
 
 
 def _with_units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> _Judged:

@@ -1,16 +1,20 @@
-"""Reads workbooks (.xlsx, .ods) and tables of any other file (``read_raw_tables``): bytes become raw tables."""
+"""Reads workbooks (.xlsx, .ods), web pages and tables of any other file (``read_raw_tables``): bytes become raw tables.
+Also reads XML, as the nested values that JSON has."""
 
 from __future__ import annotations
 
 import io
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from html.parser import HTMLParser
 from typing import Any, Final
 from xml.etree import ElementTree
 
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import allowed_bytes
+from petmjx.common.text import printable_name
+from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import MOST_COLUMNS, MOST_ROWS, RawTable, tables_of_rows, tables_of_text
 
@@ -110,24 +114,115 @@ def check_archive(data: bytes | bytearray) -> None:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             total = sum(member.file_size for member in archive.infolist())
-    except zipfile.BadZipFile as error:
+    except (zipfile.BadZipFile, NotImplementedError) as error:  # damaged bytes may look like those of a newer version
         raise InputError("is not a whole workbook or archive") from error
     if total > allowed_bytes(len(data)):
         raise InputError("unpacks to more bytes than a file of plans may have")
 
 
+class _PageRows(HTMLParser):
+    """The rows of cells of each table in a web page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tables: list[list[list[Any]]] = []
+        self.cell: tuple[list[Any], int] = ([], 0)
+        self.in_cell = False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr" and self.tables:
+            self.tables[-1].append([])
+        elif tag in ("td", "th") and self.tables and self.tables[-1]:
+            row, span = self.tables[-1][-1], dict(attrs).get("colspan") or "1"
+            self.cell, self.in_cell = (row, len(row)), True
+            wide = min(int(span), MOST_COLUMNS - len(row)) if span.isdecimal() else 1
+            row += ["", *[None] * (wide - 1)]
+
+    def handle_endtag(self, tag: str) -> None:
+        self.in_cell &= tag not in ("td", "th", "tr", "table")
+
+    def handle_data(self, data: str) -> None:
+        if self.in_cell:
+            row, index = self.cell
+            row[index] += data
+
+
+def tables_of_page(text: str) -> list[RawTable]:
+    """The tables of a web page. Many programs save such a page under the name of a workbook (.xls).
+
+    Raises:
+        InputError: no table of the page has boxes. The error does not name the file.
+    """
+    page = _PageRows()
+    page.feed(text)
+    page.close()
+    if sum(map(len, page.tables)) > MOST_ROWS:
+        raise InputError(f"has more than {MOST_ROWS:,} rows")
+    return _tables_of_sheets({f"table {number}": rows for number, rows in enumerate(page.tables, start=1)})
+
+
+def value_of_xml(text: str) -> Any:
+    """The elements of XML as nested dictionaries: attributes and children by name, a list for children with the same
+    name, and the text of an element that has only text. Text beside attributes is called "value".
+
+    Raises:
+        InputError: the text is not XML, or declares entities. The error does not name the file.
+    """
+    if "<!ENTITY" in text:
+        raise InputError("is XML with declarations that petmjx does not read")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        line, column = error.position
+        raise InputError(f"not XML at line {line}, column {column + 1}") from error
+    return {_name_of(root): _value_of(root, 0)}
+
+
+_DEEPEST: Final = 50
+"""Largest depth of elements that are read."""
+
+
+def _value_of(element: ElementTree.Element, depth: int) -> Any:
+    fields: dict[str, Any] = {_local_name(name): value for name, value in element.attrib.items()}
+    children: dict[str, list[Any]] = {}
+    for child in element if depth < _DEEPEST else ():
+        children.setdefault(_name_of(child), []).append(_value_of(child, depth + 1))
+    fields |= {name: values if len(values) > 1 else values[0] for name, values in children.items()}
+    text = (element.text or "").strip()
+    if not fields:
+        return text or None
+    return {"value": text, **fields} if text else fields
+
+
+def _name_of(element: ElementTree.Element) -> str:
+    return _local_name(element.tag) if isinstance(element.tag, str) else "comment"
+
+
+def _local_name(name: str) -> str:
+    """A name without its namespace: "{http://…}box" → "box"."""
+    return name.rpartition("}")[2]
+
+
 def _tables_of_sheets(sheets: dict[str, list[list[Any]]]) -> list[RawTable]:
-    tables, fault = [], InputError("is a workbook without a table of boxes")
+    tables: list[RawTable] = []
+    faults: dict[str, InputError] = {}
     for title, rows in sheets.items():
         if not any(any(cell is not None for cell in row) for row in rows):
             continue
         try:
             tables += tables_of_rows(rows, title=title)
         except InputError as error:
-            fault = error
+            faults[title] = error
     if not tables:
-        raise fault
-    return tables
+        raise next(reversed(faults.values()), InputError("is a workbook without a table of boxes"))
+    notes = tuple(
+        f"sheet {printable_name(title)} not read: {fault}"
+        for title, fault in faults.items()
+        if not isinstance(fault, NoBoxes)  # sheets of text are usual
+    )
+    return [replace(tables[0], notes=(*tables[0].notes, *notes)), *tables[1:]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,13 +17,13 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, duration, rounded_text
 from petmjx.engines.attempt_stream import score_worlds
-from petmjx.engines.cost_model import Work
+from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.verdict import Attempt, Outcome
 from petmjx.engines.world_results import World
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
-from petmjx.plans.loose_boxes import placed_shares
+from petmjx.plans.loose_boxes import statics_of
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.history_tables import Recording
@@ -192,8 +192,7 @@ class Nominal(Study):
             work=Work(
                 sim,
                 [plan.n_boxes for plan in shard_plans],
-                carried=int(sim.placing.carries),
-                placed_share=placed_shares(shard_plans),
+                **statics_of(shard_plans)._asdict(),
             ),
             n_worlds=len(shard_plans),
             amount=count_text(len(shard_plans), "plan"),
@@ -207,8 +206,15 @@ class Nominal(Study):
             World(plan, NOMINAL.index, Job(scene, record=recording.of(plan)))
             for plan, scene in zip(missing, build_scenes(missing, self.sim), strict=True)
         )
+        expected_s = dict(
+            zip((plan.plan_id for plan in self.plans), MEASURED.kernel.placing_s(self.work).tolist(), strict=True)
+        )
+        total_s, done_s = sum(expected_s[plan.plan_id] for plan in missing), 0.0
         for scored_world in score_worlds(worlds, self.sim, engine, progress=progress):
             world = scored_world.world
+            # long worlds come first, so the share of finished worlds would say too little
+            done_s += expected_s[world.plan.plan_id]
+            progress.work_share = done_s / total_s
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)
 
     def _longest_first(self) -> Iterator[Plan]:

@@ -16,7 +16,7 @@ from petmjx.engines.job_stream import JobBounds
 from petmjx.options.carriers import walls_of
 from petmjx.options.placing import Way
 from petmjx.options.simulation import Check, Schedule
-from petmjx.plans.loose_boxes import placed_shares
+from petmjx.plans.loose_boxes import statics_of
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.runs.chain_legs import in_a_row
@@ -332,9 +332,15 @@ class SweepPlan(Design):
             + rest_steps(sim, sim.rest_s)
             for profile in profiles
         ]
+        if sim.total_time_factor is not None:
+            drives = [self._drive_steps_left(plan) or 0 for plan in self.plans]
         nominal = int(self.sweep.nominal)
+        filmed = float(sim.wrap.holds or "wrap_turns" in self.sweep.axes)
         if self.sweep.legs:
-            drives = [self._leg_steps(leg) for legs in self.ways.values() for leg in legs]
+            legs = [leg for legs in self.ways.values() for leg in legs]
+            drives = [self._leg_steps(leg) for leg in legs]
+            in_film = (steps for leg, steps in zip(legs, drives, strict=True) if leg.wrap_turns)
+            filmed = max(filmed, sum(in_film) / max(sum(drives), 1.0))
         n_legs = len(drives) / len(self.ways) if self.sweep.legs else 1
         return Work(
             sim=sim,
@@ -344,8 +350,8 @@ class SweepPlan(Design):
             carried=self._carried,
             drives=round((self.n_variants - nominal) * n_legs) if self.sweep.has_drives else 0,
             drive_steps=sum(drives) / len(drives) if drives else 0.0,
-            filmed=sim.wrap.holds or "wrap_turns" in self.sweep.axes or any(leg.wrap_turns for leg in self.sweep.legs),
-            placed_share=placed_shares(self.plans),
+            filmed=filmed,
+            **statics_of(self.plans)._asdict(),
         )
 
     def _leg_steps(self, leg: LegSpec) -> float:
@@ -378,14 +384,15 @@ class SweepPlan(Design):
 
     @property
     def _carried(self) -> int:
-        """Number of placements per plan in which boxes are carried to their places."""
+        """Number of placements per plan with errors in which boxes are carried to their places. With an axis
+        ``placing``, all placements by hand or tines count."""
         sim = self.sweep.simulation
         if not sim.may_carry:
             return 0
         if "placing" in self.sweep.axes:
             ways = self.sweep.axes["placing"].values
             return self.n_placements * sum(Way(str(way)) in (Way.HAND, Way.TINES) for way in ways) // len(ways)
-        return self._all_placements if sim.placing.carries else self._with_errors
+        return self._with_errors
 
     @property
     def _with_errors(self) -> int:

@@ -89,14 +89,16 @@ def is_stiff(physics: Physics) -> bool:
 
 
 def depth_m(physics: Physics, pull_m_s2: FloatArray | float) -> FloatArray:
-    """Depth of a contact at rest, m, for each value of A · f, m/s²: sum of the inverse masses × force, at least 0."""
+    """Depth of a contact at rest, m, for each given A · f, m/s² (sum of the inverse masses of the two bodies × force).
+    If A · f is 0 or negative, the depth is 0."""
     pulls = pulls_m_s2(physics.solref, physics.solimp, physics.timestep_s)
     return np.asarray(np.interp(pull_m_s2, pulls, DEPTHS_M, left=0.0))
 
 
 @lru_cache(maxsize=16)
 def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -> FloatArray:
-    """A · f (sum of the inverse masses × force) of a contact at rest at each of ``DEPTHS_M``, m/s²."""
+    """A · f (sum of the inverse masses of the two bodies × force), m/s², of a contact at rest at each depth of
+    ``DEPTHS_M``."""
     time_s, damping = solref
     low, high = np.minimum(solimp[:2], MOST_IMPEDANCE)
     x = np.minimum(DEPTHS_M / solimp[2], 1.0)
@@ -133,13 +135,14 @@ are far slower (``petmjx.Quiet``)."""
 
 RELAXATION: Final = 0.8
 """Share of the change of an excess that one iteration applies. Let p be μ² × (inverse mass along the tangent) /
-(inverse mass along the normal). With the whole change, the iteration would converge only if p is below 1, so not for
-tall boxes with friction above 0.5. With this share, it converges if p is at most 1.5, and takes hardly more steps."""
+(inverse mass along the normal). If the whole change were applied, the iteration would converge only if p is below 1, so
+not for tall boxes with friction above 0.5. With this share, the iteration converges if p is at most 1.5, and takes
+hardly more steps."""
 
 ENOUGH_M_S2: Final = 0.1
 """Largest change of any reference acceleration along a normal at which the iteration ends, m/s²: a hundredth of
-gravity. With 5 m/s², a box that tipped against its neighbour slid twice as far as with this value. With 1 m/s², it slid
-3 % less far."""
+gravity. With a limit of 5 m/s², a box that tipped against its neighbour slid twice as far as with this limit. With 1
+m/s², the box slid 3 % less far."""
 
 MOST_ROUNDS: Final = 6
 """Largest number of iterations per step. An iteration updates the excess between two calls of a solver. Bricks that
@@ -162,7 +165,8 @@ remain, other contacts have changed the excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
-    """Part of the excess of a sliding contact that is not corrected, m/s²; inf if contacts are never corrected."""
+    """Part of the excess of a sliding contact that is not corrected, m/s². It is infinite if no contact is
+    corrected."""
     if physics.cone is not Cone.ELLIPTIC or not physics.slip_correction:
         return math.inf
     return 0.0 if is_stiff(physics) else SLACK_M_S2
@@ -199,11 +203,13 @@ FAST_M_S: Final = 0.1
 AT_REST: Final = 2.0
 """Depth of contacts at the end of a landing, as a multiple of ``solimp``'s width. The depth of contacts at rest is 1.3
 times the width. The difference allows for contacts that push a little while a box rises out of them. With this value,
-boxes that fall 10 mm bounce with the wanted restitution, 0.1 to 0.3, within 0.03, wherever within a timestep they land.
-With a restitution of 0.1, such a box rises by a tenth of a millimetre."""
+the restitution of boxes that fall 10 mm differs by at most 0.03 from the restitution that was set (0.1 to 0.3). It does
+not matter at which moment of a timestep the boxes land. With a restitution of 0.1, such a box rises by a tenth of a
+millimetre."""
 
 _LONGER: Final = 2.0
-"""Duration of a landing as a multiple of ``landing_s``. It exceeds 1, since a second corner of a box may land later."""
+"""Duration of a landing as a multiple of ``landing_s``. The multiple exceeds 1, since a second corner of the box may
+touch down later than the first."""
 
 
 def lasts_steps(sim: Simulation) -> int:
@@ -246,8 +252,8 @@ def pull(
         before_m_s: (k,) speeds at which the contacts would close with the velocities before the landing, m/s.
         depth_m: (k,) depths of the contacts, m.
         normal_z: (k,) z components of the contacts' unit normals.
-        of_pair: (k, 2) restitution and landing time, s, of each contact, or ``USUAL``.
-        physics: values that replace ``USUAL``, gravity, timestep and ``solimp``.
+        of_pair: (k, 2) restitution and landing time, s, of each contact. ``USUAL`` stands for the value in ``physics``.
+        physics: gives restitution and landing time for contacts with ``USUAL``, gravity, timestep and ``solimp``.
     """
     usual, step_s = (physics.restitution, physics.landing_s), physics.timestep_s
     share, landing_s = np.where(of_pair == USUAL, usual, of_pair).T

@@ -38,7 +38,8 @@ errors."""
 
 
 class Edges(NamedTuple):
-    """Distances of the loads of n boxes from the nearest edge of their supports, m: positive inside, negative beyond.
+    """Distances of the loads of n boxes from the nearest edge of their supports, m: positive inside the edges, negative
+    beyond them.
 
     The distance is NaN if the box has no support or is not placed.
 
@@ -101,7 +102,7 @@ def _scenes(bearing: Bearing, boxes: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def _exact(edge_m: FloatArray) -> FloatArray:
-    """The same distances, but 0 for a load that is beyond the edge only because of rounding errors."""
+    """The distances ``edge_m``, but with 0 for each load that is beyond an edge only because of rounding errors."""
     return np.where((edge_m < 0) & (edge_m > -ROUNDING_M), 0.0, edge_m)
 
 
@@ -121,7 +122,8 @@ def rebalanced_loads(
     if result is None:
         return load[:, :3], edge_m
     balancing, beyond = result
-    # if no forces balance the boxes, loads that are inside keep their distances
+    # If no forces balance all boxes, loads inside the edges keep the distances given as ``edge_m``. Else, only loads
+    # that the programme has not changed keep these distances.
     is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
     balanced_m = bearing.edges_m(balancing)
     edges = np.where(~placed | is_unchanged, edge_m, np.maximum(balanced_m, 0.0))
@@ -142,8 +144,8 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
 
 MOST_PROGRAMMES: Final = 2
 """Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
-milliseconds, and more if a hundred boxes have several supports. For other placements, loads that seem to be beyond
-edges are ignored, since only a programme could prove that they are beyond edges."""
+milliseconds, and more if a hundred boxes have several supports. After all further placements, loads that seem to be
+beyond edges are ignored, since only a programme could prove that they are beyond edges."""
 
 
 class BuildingLoads(NamedTuple):
@@ -221,7 +223,8 @@ def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildin
 
 def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
     """The first placement after which the load of ``box`` is beyond an edge, and the next placement after which this
-    load is inside again. A placement is given by the number of the placed box, or -1 if there is no such placement."""
+    load is inside all edges again. A placement is given by the number of the placed box; -1 means that there is no such
+    placement."""
     built = building_loads_of(bearing_in_order(bearing_of(scene)), [scene.n_boxes])
     steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
     beyond = np.flatnonzero(edge < 0)
@@ -232,8 +235,8 @@ def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
 
 
 def bearing_in_order(bearing: Bearing) -> Bearing:
-    """The contacts with supports that are placed before the box above. A support that is placed later is too late: the
-    box above has already fallen."""
+    """The contacts of ``bearing`` in which the support is placed before the box above it. If a support is placed after
+    the box above, this box has already fallen."""
     before = bearing.lower < bearing.upper
     if before.all():
         return bearing
@@ -289,9 +292,11 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
 
 
 def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[IntArray, FloatArray]:
-    """(k,) keys and (k, 3) parts of weights that boxes with several supports carry, and the boxes below these.
+    """(k,) keys and (k, 3) parts of weights. The parts are those that boxes with several supports carry, and those that
+    the boxes below them carry.
 
-    A key is the number of the box that carries the part · n + the number of the box whose weight it is.
+    A key is a number that names a part: (number of the box that carries the part) · n + (number of the box to whose
+    weight the part belongs), for n boxes.
 
     Args:
         bearing: the contacts between boxes and their supports.
@@ -330,8 +335,8 @@ def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[
 
 
 def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray:
-    """(k, 3) the part of its box's load that each contact carries. The contact of a box with one support carries the
-    whole load.
+    """(k, 3) for each contact, the part of the upper box's load that the contact carries. If the upper box has only one
+    support, its contact carries the whole load.
 
     Args:
         bearing: the contacts between boxes and their supports.
@@ -438,9 +443,9 @@ def _contact_pushes(
 
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
-    """The smallest distance of a load from an edge in one scene. Every load that seems to be beyond an edge depends on
-    how supports share loads, so linear programmes decide whether the loads furthest beyond an edge are really beyond
-    it."""
+    """The smallest distance of a load from an edge in one scene, for scenes in which every load that seems to be beyond
+    an edge depends on how supports share loads. Linear programmes decide whether the loads that seem to be furthest
+    beyond an edge are really beyond it."""
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
         if not (edge < 0).any():
@@ -457,7 +462,7 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
 
 def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[IntArray, FloatArray]:
     """Indices in ``built`` of the loads that act in one scene after the placement ``step``, and (n,) the distances of
-    loads from edges, m, if supports share loads so that the loads are as far inside as possible."""
+    the loads from edges, m, if supports share loads so that all loads are as far inside the edges as possible."""
     n = len(bearing.boxes.mass)
     now = np.flatnonzero(built.step <= step)
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]

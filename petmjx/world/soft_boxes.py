@@ -41,24 +41,26 @@ POINTS: Final = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
 """(27, 3) the points of a box whose half sizes are 1."""
 
 ROUNDING_M: Final = 0.001
-"""Radius of a box's rounded edges and corners, and of the balls at its points, m. Without rounding, faces would
-overlap, and MuJoCo's collider finds no good normals for overlapping faces."""
+"""Radius of a box's rounded edges and corners, m. The balls (spheres for contacts) at the points of a box have the same
+radius. Without rounding, faces would overlap, and MuJoCo's collider finds no good normals for overlapping faces."""
 
 BALL_M: Final = 0.0002
-"""Depth of an element in another body, m, at which a contact begins. A contact of a ball begins at depth 0. This length
-is larger than the depth of contacts at rest. MuJoCo adds the margins of two partners: the margin of elements and rigid
-shapes is minus half of this length, and that of balls is plus half of this length."""
+"""Depth of an element (tetrahedron) in another body, m, at which a contact of the element begins. A contact of a ball
+begins at depth 0. ``BALL_M`` is larger than the depth of contacts at rest. MuJoCo adds the margins of the two shapes
+that touch: the margin of elements and rigid shapes is minus half of ``BALL_M``, and the margin of balls is plus half of
+``BALL_M``."""
 
 MOST_ROUNDING: Final = 0.1
 """Largest radius of rounded edges, as a share of the box's shortest half size."""
 
 IMPEDANCE: Final = 0.99
-"""Impedance of the constraints along edges. With 0.95, a box of the same stiffness trembles four times as much. With
-0.999, it takes 0.1 s to give way."""
+"""Impedance of the constraints along the edges of elements. With an impedance of 0.95, a box of the same stiffness
+trembles four times as much. With 0.999, the box takes 0.1 s to give way under a load."""
 
 MOST_RATE: Final = 0.05
-"""Largest k·dt² of an edge, where k is the constraint's stiffness and dt the timestep. The limit is needed since MuJoCo
-integrates edges explicitly. If a box is stiffer, the impedance of its edges is increased instead."""
+"""Largest k·dt² of an edge, where k is the stiffness of the edge's constraint and dt the timestep. The limit is needed
+since MuJoCo integrates these constraints explicitly. If a box should be stiffer than k allows, the impedance of its
+edges is increased instead."""
 
 CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
@@ -67,8 +69,8 @@ lightest points have only a 216th of the mass of a box. Under 1,000 times the bo
 deep."""
 
 _ALONE: Final = 1e9
-"""Weight (``solmix``) of soft boxes when MuJoCo mixes the contact laws of two partners. Rigid shapes have the weight 1,
-so the law of the soft box prevails."""
+"""Weight (``solmix``) of soft boxes when MuJoCo mixes the contact laws of the two shapes that touch. Rigid shapes have
+the weight 1, so the law of the soft box prevails."""
 
 _ELEMENTS: Final = 2
 _BALLS: Final = 4
@@ -115,7 +117,7 @@ def points_of(half_size: FloatArray) -> FloatArray:
 
 
 def shares() -> FloatArray:
-    """(27,) share of a box's mass at each point: weights of Simpson's rule."""
+    """(27,) share of a box's mass that each point has: the weights of Simpson's rule."""
     along = np.array([1.0, 4.0, 1.0]) / 6.0
     return np.asarray(np.einsum("i,j,k->ijk", along, along, along).ravel())
 
@@ -124,7 +126,7 @@ def check_soft(scene: Scene) -> None:
     """Check that MuJoCo can simulate the soft boxes of a scene.
 
     Raises:
-        InputError: MuJoCo cannot simulate them.
+        InputError: MuJoCo cannot simulate the soft boxes.
     """
     if scene.soft is None:
         return
@@ -145,8 +147,8 @@ class EdgeLaw:
 
 
 def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_s: float) -> EdgeLaw:
-    """The law with which a box between two plates acts like a spring of the given stiffness. If the stiffness is
-    infinite, the box is as stiff as the timestep allows."""
+    """The constraint law with which a box that is pressed between two plates acts like a spring of the given stiffness.
+    If the stiffness is infinite, the box is as stiff as the timestep allows."""
     most = MOST_RATE / timestep_s**2
     kappa = _mujocos_share() * stiffness_n_m / (mass * _network_kg(*half_size.tolist()))
     impedance, rate = IMPEDANCE, min(kappa * (1 - IMPEDANCE) / IMPEDANCE**2, most)
@@ -230,7 +232,8 @@ def _add_flex(spec: mujoco.MjSpec, box: str) -> mujoco.MjsFlex:
 def add_soft_box(
     spec: mujoco.MjSpec, scene: Scene, physics: Physics, box: int, friction: Triple, rgba: Sequence[float]
 ) -> None:
-    """Add a soft box to a spec, at its release place: 27 bodies at the end, with three slide joints each."""
+    """Add a soft box to a MuJoCo model, at the box's release place. The box becomes 27 bodies with three slide joints
+    each, which follow all bodies that ``spec`` has so far."""
     half, name = scene.half_size[box], f"box_{box}"
     (turn,) = rotations(scene.start_quat[box, None])
     places = scene.start_pos[box] + points_of(half) @ turn.T
@@ -255,8 +258,8 @@ def add_soft_box(
 
 
 def _set_contact(shape: mujoco.MjsGeom | mujoco.MjsFlex, friction: Triple) -> None:
-    """Set the contact law of soft boxes, which does not depend on the physics. MuJoCo mixes the laws of two partners by
-    weights."""
+    """Set the contact law of soft boxes, which does not depend on the physics. MuJoCo mixes the laws of the two shapes
+    that touch by weights."""
     shape.condim = 3
     shape.friction = np.array(friction)
     shape.solref, shape.solmix = np.array(CONTACT_SOLREF), _ALONE
@@ -271,7 +274,8 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
             continue
         geom.conaffinity |= _ELEMENTS | _BALLS
         sliding = frictions.of_geom(geom.parent.name)
-        # these values do not act between two rigid shapes: rigid shapes touch only as declared pairs with own values
+        # The values set here do not act between two rigid shapes: these touch only as declared pairs, which have their
+        # own values.
         if physics.has_own_friction:
             geom.margin -= BALL_M / 2
             geom.friction[0] = geom.friction[0] if sliding is None else sliding
@@ -279,8 +283,8 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
 
 @dataclass(frozen=True, eq=False)
 class SoftFriction:
-    """Coefficients of sliding friction for contacts with soft boxes. MuJoCo uses the larger coefficient of the two
-    partners.
+    """Coefficients of sliding friction for contacts with soft boxes. In a contact, MuJoCo uses the larger coefficient
+    of the two shapes that touch.
 
     Attributes:
         of_boxes: (n,) coefficients of the boxes.
@@ -298,10 +302,12 @@ class SoftFriction:
 
 
 def soft_friction(scene: Scene) -> SoftFriction:
-    """Coefficients with which contacts of soft boxes have the friction in the scene's table of pairs of surfaces.
+    """Coefficients of boxes and carrier with which contacts of soft boxes have the friction in the scene's table of
+    pairs of surfaces.
 
     Raises:
-        InputError: for some pairs, the table's coefficient cannot be the larger one of two coefficients.
+        InputError: for some pair, the table has a coefficient that is not the larger one of the coefficients of the two
+            surfaces.
     """
     box_friction = scene.friction[:, 0].copy()
     if scene.pair_friction is None or scene.surface is None or scene.soft is None:

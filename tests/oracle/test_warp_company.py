@@ -17,12 +17,13 @@ from petmjx.engines.mjx.world_state import SOFT_START_BEGIN
 from petmjx.engines.verdict import Outcome
 from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
+from petmjx.world.scene import build_scene
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 from support.fake_stepper import assert_same, run_all
 from support.job_streams import LateStream, feedback_stream, put
-from support.plans import heap, make_scene
+from support.plans import Box, heap, make_plan, make_scene
 from support.tiny_worlds import (
     LONG_NS,
     SHORT,
@@ -49,6 +50,9 @@ from petmjx.engines.warp.time_slices import Rollout
 from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
+
+TOWERS_AND_SHEET: list[Box] = [((200, 200, 100), (x, 0, 0), 5) for x in (0, 400)] + [((600, 200, 5), (0, 0, 100), 0.5)]
+WITH_SHEET = build_scene(replace(make_plan(boxes=TOWERS_AND_SHEET), kinds=("", "", "sheet")), SHORT)
 
 
 @pytest.mark.slow
@@ -183,6 +187,22 @@ def test_a_job_without_room_in_the_table_has_another_one(
     assert_equal_worlds({"nine": outcome_by_job[len(jobs)]}, alone)
     for first in (0, len(jobs) + 1):
         assert_equal_worlds({name: outcome_by_job[first + k] for k, name in enumerate(scenes)}, crowd)
+
+
+@pytest.mark.slow
+def test_a_sheet_of_several_pieces_has_another_table(crowd: dict[str, Outcome]) -> None:
+    """Its pieces are further shapes, for which a table of boxes alone has no room."""
+    scenes = tiny_scenes(TINY[:2])
+    jobs = [Job(scene) for scene in scenes.values()]
+    (alone,) = run_all(shared_engine(), [Job(WITH_SHEET)], SHORT)
+    for stream in (LateStream(jobs, [Job(WITH_SHEET), jobs[0]]), feedback_stream(jobs)):
+        outcome_by_job = {}
+        for outcome in engine(slice_ns=SOME_NS).run(stream, SHORT):
+            if stream.feedback and not outcome_by_job:
+                put(stream, Job(WITH_SHEET), jobs[0])
+            outcome_by_job[outcome.job] = outcome
+        assert_equal_worlds({"sheet": outcome_by_job[2]}, {"sheet": alone})
+        assert_equal_worlds({name: outcome_by_job[k] for k, name in enumerate(scenes)}, crowd)
 
 
 @pytest.mark.slow

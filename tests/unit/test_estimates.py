@@ -1,4 +1,4 @@
-"""Estimates of time and steps are compared with records of runs of many kinds, with 5 to 241 boxes, on all engines."""
+"""Estimates of time and steps are compared with records of runs of many kinds, with 5 to 140 boxes, on all engines."""
 
 from __future__ import annotations
 
@@ -19,14 +19,17 @@ RECORDS = [
     if line["case"] == "estimates" and not line.get("left_out")
 ]
 
+SHORTEST_S = 0.2
+"""Runs that take less CPU time than this are not compared: reading plans and writing results takes as long."""
+
 
 def work_of(line: dict[str, Any]) -> Work:
     """The work of a recorded run. If a run had many plans, the record has a few sizes that represent all plans."""
     values = dict(line["work"])
-    carrier = values.pop("carrier", "footprint")
-    sim = Simulation(check=values.pop("check"), schedule=values.pop("schedule"), carrier=carrier)
+    if (options := values.pop("sim", None)) is None:  # records on GPUs
+        options = {name: values.pop(name) for name in ("check", "schedule", "carrier") if name in values}
     boxes = values.pop("boxes")
-    return Work(sim, np.resize(boxes, values.pop("n_plans", len(boxes))).tolist(), **values)
+    return Work(Simulation(**options), np.resize(boxes, values.pop("n_plans", len(boxes))).tolist(), **values)
 
 
 def name_of(line: dict[str, Any]) -> str:
@@ -39,8 +42,9 @@ def test_estimates_are_within_a_factor_of_two(line: dict[str, Any]) -> None:
     costs = MEASURED.slowed(line.get("slowness", 1.0))
     start_s = costs.seconds(Work(work.sim, []), 1)[engine]
     expected_s = costs.seconds(work, line["threads"])[engine] - start_s
-    assert 1 / 2 < expected_s / line["cpu_s" if "cpu_s" in line else "seconds"] < 2
-    if "steps" in line:
+    seconds = line["cpu_s" if "cpu_s" in line else "seconds"]
+    assert seconds < SHORTEST_S or 1 / 2 < expected_s / seconds < 2
+    if "steps" in line and not work.share.min() < 1:
         soft_starts = 2 * SOFT_START_STEPS * work.placements * len(work.boxes)
         assert 1 / 2 < work.steps.sum() / (line["steps"] + soft_starts) < 2
 
@@ -53,4 +57,4 @@ def test_records_are_of_all_kinds() -> None:
         assert kinds >= errors | {"score", "static", "eumos", "eumos-search", "tilt"}
     boxes = [n for line in RECORDS for n in line["work"]["boxes"]]
     assert min(boxes) == 5
-    assert max(boxes) > 200
+    assert max(boxes) > 120

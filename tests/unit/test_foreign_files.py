@@ -64,8 +64,11 @@ KINDS = {
     "a.npz": (arrays(), "holds no array of boxes, whose shape must be (n, 6 to 64): a (3,)"),
     "a.zip": (archive("plans.json"), "is a ZIP archive: unpack it"),
     "a.pkl": (pickle.dumps([1]), "is a Python pickle, which is never read"),
-    "scene.xml": (b'<?xml version="1.0"?>\n<mujoco/>', "is a MuJoCo scene without a free body that is one box"),
-    "bare.xml": (b"\n <mujoco model='x'/>", "is a MuJoCo scene without a free body"),
+    "scene.xml": (
+        b'<?xml version="1.0"?>\n<mujoco/>',
+        "is a MuJoCo scene in which no free body consists of exactly one box",
+    ),
+    "bare.xml": (b"\n <mujoco model='x'/>", "is a MuJoCo scene in which no free body"),
     "page.csv": (b"<!DOCTYPE html><html>", "is a web page (HTML)"),
     "words.txt": (b"hello\nworld\n", "is text of another kind: plans are JSON, or tables whose names end in .csv"),
     "plans.csv": (b'{\n "a": []}', "is JSON: it is read as such if its name ends in .json"),

@@ -76,6 +76,21 @@ TABLES: dict[str, tuple[str, str]] = {
                "s,400,300,200,6.5,1,2\nl,600,400,250,12,1,1\n"),
     "titles": ("utf-8", "Packliste 17\n\nname,length,width,height,weight,qty\ns,400,300,200,6.5,2\nl,600,400,250,12,1\n"
                "total,,,,,3\n"),
+    "pieces in cells": ("utf-8", "Item;Size;Unit weight;Ordered\ns;400 x 300 x 200 mm;6.5 kg;2 pcs\n"
+                        "l;600 x 400 x 250 mm;12 kg;1 pcs\n"),
+    "spaces in names alone": ("utf-8", "Item #,Case Length (cm),Case Width (cm),Case Height (cm),Case Weight (kg),"
+                              "Cases Ordered\ns,40,30,20,6.5,2\nl,60,40,25,12,1\n"),
+    "compounds": ("utf-8", "Artikelnummer;Kartonlänge cm;Kartonbreite cm;Kartonhöhe cm;Kartongewicht kg;Kartons\n"
+                  "s;40;30;20;6,5;2\nl;60;40;25;12;1\n"),
+    "columns of units": ("utf-8", "sku,length,width,height,dim_unit,weight,weight_unit,qty\n"
+                         "s,40,30,20,cm,6500,g,2\nl,60,40,25,cm,12000,g,1\n"),
+    "names in rows": ("utf-8", "SKU,s,l\nLength mm,400,600\nWidth mm,300,400\nHeight mm,200,250\nWeight kg,6.5,12\n"
+                      "Qty,2,1\n"),
+    "a web page": ("utf-8", "<table><tr><td>SKU<td>L (cm)<td>W (cm)<td>H (cm)<td>kg/pc<td>Qty</tr><tr><td>s<td>40<td>30"
+                   "<td>20<td>6.5<td>2</tr><tr><td>l<td>60<td>40<td>25<td>12<td>1</tr></table>"),
+    "XML": ("utf-8", "<Order><Line><SKU>s</SKU><Length>400</Length><Width>300</Width><Height>200</Height><Weight>6.5"
+            "</Weight><Qty>2</Qty></Line><Line><SKU>l</SKU><Length>600</Length><Width>400</Width><Height>250</Height>"
+            "<Weight>12</Weight><Qty>1</Qty></Line></Order>"),
     "packingsolver": ("utf-8", "X,Y,Z,COPIES,WEIGHT\n400,300,200,2,6.5\n600,400,250,,12\n"),
     "no quantities": ("utf-8", "id,length,width,height,weight\n"
                       "1,400,300,200,6.5\n2,400,300,200,6.5\n3,600,400,250,12\n"),

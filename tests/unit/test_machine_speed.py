@@ -1,10 +1,15 @@
 """Tests of time estimates for this machine. Its speed is measured if it matters, and estimated CPU times are scaled
-accordingly."""
+accordingly. Kernels that it has compiled before start sooner."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
+from petmjx.common import compile_caches
+from petmjx.common.errors import EngineUnavailable
 from petmjx.engines import machine_speed
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.engines.engine_choice import Choice
@@ -18,11 +23,20 @@ from petmjx.world.scene import build_scene
 
 SIM = Simulation()
 SHORT, LONG = Work(SIM, [5]), Work(SIM, [40] * 1000)
+LOADED = replace(MEASURED, kernel_start_s=MEASURED.kernel_load_s)
+
+
+@pytest.fixture(autouse=True)
+def no_kernels(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A new folder for compiled programs."""
+    monkeypatch.delenv(compile_caches.VARIABLES["warp"], raising=False)
+    monkeypatch.setenv("PETMJX_CACHE_DIR", str(tmp_path))
+    return tmp_path / "warp"
 
 
 def test_times_of_cpus_grow_with_the_factor_and_those_of_gpus_do_not() -> None:
     work = Work(
-        Simulation(carrier="epal-1"), [40] * 9, placements=3, displaced=1, drives=4, drive_steps=700, filmed=True
+        Simulation(carrier="epal-1"), [40] * 9, placements=3, displaced=1, drives=4, drive_steps=700, filmed=1.0
     )
     usual, slow = MEASURED.seconds(work, 2), MEASURED.slowed(3.0).seconds(work, 2)
     times = {name: slow[name] / usual[name] for name in usual}
@@ -35,6 +49,45 @@ def test_only_runs_of_some_seconds_are_worth_a_measurement(monkeypatch: pytest.M
     assert machine_speed.costs_here(LONG, 1) == MEASURED.slowed(2.5)
     _, choice = resolve_engine(RunOptions(engine="mujoco", threads=1), LONG)
     assert choice == Choice("mujoco", "as asked for", MEASURED.slowed(2.5).seconds(LONG, 1)["mujoco"])
+
+
+def test_a_kernel_of_an_earlier_run_starts_sooner(monkeypatch: pytest.MonkeyPatch, no_kernels: Path) -> None:
+    usual, by_hand, giving = Work(SIM, [5]), Work(Simulation(placing="hand"), [5]), Work(SIM, [5], giving=[2])
+    filmed, still = (Work(SIM, [5], drives=drives, filmed=1.0) for drives in (1, 0))
+    machine_speed.note_compiled((False, False, False, SIM.physics.has_landings))
+    for work, costs in ((usual, LOADED), (still, LOADED), (by_hand, MEASURED), (giving, MEASURED), (filmed, MEASURED)):
+        assert machine_speed.costs_here(work, 1) == costs
+    machine_speed.note_compiled((True, False, False, SIM.physics.has_landings))
+    assert machine_speed.costs_here(by_hand, 1) == LOADED
+    # the kernels of another version are other kernels
+    real_code = machine_speed.kernel_code
+    monkeypatch.setattr(machine_speed, "kernel_code", lambda: "other")
+    assert machine_speed.costs_here(usual, 1) == MEASURED
+    monkeypatch.setattr(machine_speed, "kernel_code", real_code)
+    for note in no_kernels.iterdir():
+        note.unlink()
+    assert machine_speed.costs_here(usual, 1) == MEASURED
+
+
+def test_where_nothing_can_be_written_nothing_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(kind: str) -> Path:
+        raise EngineUnavailable("no folder for compiled programs")
+
+    monkeypatch.setattr(machine_speed, "cache_folder", refuse)
+    machine_speed.note_compiled((False, False, False, False))
+    assert machine_speed.costs_here(SHORT, 1) is MEASURED
+
+
+def test_an_engine_notes_the_kernels_that_it_loads(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("warp")
+    from petmjx.engines.warp import block_launch
+
+    launch = block_launch.Launch.of(block_launch.SIZES[0], hands=True)
+    monkeypatch.setattr(block_launch.wp, "force_load", lambda *_, **__: None)
+    monkeypatch.setattr(block_launch, "kernel", lambda launch: block_launch.pause)
+    block_launch.load_kernels([launch])
+    assert machine_speed._is_compiled(launch.traits) != block_launch.wp.get_device().is_cuda
+    assert not machine_speed._is_compiled((False, *launch.traits[1:]))
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_nobody_is_carried_where_nobody_waits(options: dict[str, Any]) -> None:
     [
         ({}, 0, 3),
         ({"placing": "exact"}, 3, 0),
-        ({"placing": "hand"}, 0, 4),
+        ({"placing": "hand"}, 0, 3),
         ({"placing": "exact", "schedule": "fixed"}, 0, 0),
         ({"check": "static"}, 0, 0),
     ],

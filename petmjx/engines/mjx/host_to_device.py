@@ -20,11 +20,12 @@ from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.job import Job
 
 GRANULE = 4
-"""The number of box columns of a table is a multiple of this, so that runs with different plans can share programs."""
+"""The number of box columns of a table is a multiple of this number, so that runs with different plans can share
+compiled programs."""
 
 PROFILE_GRANULE = 512
-"""The number of steps of a table of profiles is a multiple of this, so that the legs of a chain can share programs,
-although they differ in length."""
+"""The number of steps of a table of profiles is a multiple of this number, so that the legs of a chain can share
+compiled programs, although the legs differ in length."""
 
 
 @dataclass

@@ -1,8 +1,9 @@
-"""Sets up JAX for petmjx: it shares device memory with Warp, and keeps compiled programs in JAX's own cache.
+"""Sets up JAX for petmjx. JAX then leaves device memory for Warp, and keeps the programs that it compiles in a cache on
+disk (JAX's persistent compilation cache).
 
-The folder of this cache is a setting of the whole process. The first engine sets it. The setting remains, and also
-applies to the caller's own JAX programs. A folder that the caller has already set is not changed. For Warp, see
-petmjx/common/warp_setup.py.
+The folder of this cache is a setting of the whole process. The first engine that is built sets the folder. The setting
+remains, and also applies to the caller's own JAX programs. A folder that the caller has already set is not changed. The
+same settings for Warp are in petmjx/common/warp_setup.py.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from petmjx.common.compile_caches import VARIABLES, cache_folder, why_not_writte
 from petmjx.common.machine import jax_devices
 
 MIN_COMPILE_S = 0.0
-"""Programs that compile in less than this time, s, are not cached. A run has about a hundred small programs, which
-together take some seconds to compile."""
+"""Programs that compile in less than this time, s, are not cached. With 0, all programs are cached: a run has about a
+hundred small programs, which together take some seconds to compile."""
 
 CPU_COMPILER_OPTIONS = {
-    # With the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool
-    # (jaxlib 0.10.2, two cores: 7 of 7 runs hung; without it, 0 of 4).
+    # With the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool: with jaxlib
+    # 0.10.2 on two cores, 7 of 7 runs hung with this scheduler, and none of 4 runs without it.
     "xla_cpu_enable_concurrency_optimized_scheduler": False,
     # With the newer emitters of fused loops, compiling the programs of 12 plans takes 91 s of CPU time. Without
     # them, it takes 59 s (jaxlib 0.10.2). The programs run equally fast.
@@ -32,7 +33,8 @@ CPU_COMPILER_OPTIONS = {
 
 
 def set_up_jax() -> None:
-    """Start JAX's devices, and turn on its persistent compilation cache unless the user has set one."""
+    """Start JAX's devices, and turn on JAX's cache of compiled programs unless the user has set a usable folder for
+    it."""
     jax_devices()
     config: Any = jax.config
     if config.jax_compilation_cache_dir is None or (VARIABLES["jax"] in os.environ and why_not_written("jax")):
@@ -42,7 +44,7 @@ def set_up_jax() -> None:
 
 @functools.cache
 def compiler_options() -> dict[str, bool]:
-    """The ``compiler_options`` of ``jax.jit`` for large programs on this backend.
+    """The ``compiler_options`` of ``jax.jit`` for large programs on JAX's default backend (CPU or GPU).
 
     The options are passed with each program and not in ``XLA_FLAGS``. XLA reads those flags only once, perhaps before
     petmjx is imported, and ends the process if a flag is unknown.

@@ -1,4 +1,5 @@
-"""Outcomes of finished worlds, made on the host, and first states of worlds that start from a settled state."""
+"""Outcomes of finished worlds, and first states of worlds that start from the settled state of another world. Both are
+made on the host (in the CPU's memory)."""
 
 from __future__ import annotations
 
@@ -29,10 +30,12 @@ def outcomes(
     sim: Simulation,
     recorder: Recorder,
 ) -> Iterator[Outcome]:
-    """The outcomes, with histories, of the rows that ``read_back`` has fetched.
+    """The outcomes, with histories, of the rows (worlds in the device's table) that ``read_back`` has fetched.
 
     Args:
-        jobs, stream_numbers: row → job, and row → the job's ``Outcome.job``.
+        picked: the states of the rows on the host.
+        jobs: row → job of the world in this row.
+        stream_numbers: row → number of this job for ``Outcome.job``.
     """
     clock = Clock(sim.physics.timestep_s)
     for batch in picked:
@@ -81,7 +84,8 @@ def _outcomes(
             boxes=boxes,
             n_at_sign=int(m.sign_placed[i]) if has_culprit else 0,
             solver=sim.solver.value,
-            # The state has only the world's own columns, since a world that starts from it may be in a narrower table.
+            # The state is cut to the world's own boxes, since a world that starts from this state may be in a table for
+            # fewer boxes.
             state=jax.tree.map(lambda a, i=i: np.array(a[i]), narrow(host, n)) if job.keep_state else None,
             history=recorder.history(int(row), jax.tree.map(lambda a, i=i: a[i], host), seconds)
             if job.record
@@ -101,15 +105,17 @@ def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
 
 
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
-    """First states of jobs: the kept state for jobs with a start, else a fresh state.
+    """The states in which the worlds of jobs begin: the kept state ``Job.start`` if the job has one, else a fresh
+    state.
 
-    Kept states are on the host, and are copied there (see ``upload_worlds``). Fresh states are fetched from the device
-    only if a job needs them. Padding rows never run, so they may have any state.
+    Kept states are on the host, and are copied on the host (see ``upload_worlds``). Fresh states are fetched from the
+    device only if a job needs them. Rows without a job never run, so they may have any state.
 
     Args:
         fresh: fresh states. If all jobs start from kept states, shapes and types without values are enough.
     """
-    # a drive right after a placement begins on the device, where boxes cannot be moved to other poses
+    # A drive (the motion of the carrier in a test) that directly follows its placement starts from a state on the
+    # device. The boxes of such a state cannot be moved to other poses.
     assert all(job.poses is None or isinstance(job.start, State) for job in jobs)
     starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:

@@ -41,16 +41,19 @@ class _SampleInputs(NamedTuple):
 
 
 def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
-    """Last step of each drive. A drive ends earlier if its world comes to rest."""
+    """The step at which the drive of each world (the motion of its carrier in a test) ends at the latest. A drive ends
+    earlier if the world comes to rest."""
     return state.driven_from + worlds.drive_steps
 
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """The rules and their constants, for worlds with room for ``capacity`` boxes.
+    """The rules of a run, and the constants of these rules.
 
-    ``driven``: True: settled worlds are shaken. False: boxes are placed. ``carries``: whether boxes of some worlds fall
-    or are carried to their places, instead of appearing there.
+    Attributes:
+        capacity: number of boxes for which the arrays of a world have room.
+        driven: True if settled worlds are shaken; False if boxes are placed.
+        carries: whether boxes of some worlds fall to their places or are carried to them, instead of appearing there.
     """
 
     sim: Simulation
@@ -60,7 +63,7 @@ class Rules:
     carries: bool = False
 
     def parked_pose(self) -> Float[Array, "box 7"]:
-        """Poses in which boxes wait that are not in play."""
+        """Poses of boxes that are not in play (not placed, or in a world that has ended)."""
         quat = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (self.capacity, 4))
         return jnp.concatenate([parked_positions(self.capacity), quat], axis=-1)
 
@@ -80,8 +83,8 @@ class Rules:
         return standing & ~in_hand
 
     def park(self, state: State) -> State:
-        """Move boxes that are not in play to their waiting places, at rest. Carriers of ended worlds are lifted into
-        the air, too, since without contacts the solver has nothing to solve."""
+        """Move boxes that are not in play to the poses of ``parked_pose``, at rest. The carriers of ended worlds are
+        also lifted into the air, since the solver has nothing to solve in a world without contacts."""
         standing, ended = self.standing(state)[..., None], ~state.running[:, None]
         aloft = jnp.array([[0.0, 0.0, PARKING_HEIGHT_M, *IDENTITY_QUAT]])
         return state._replace(
@@ -94,7 +97,8 @@ class Rules:
         )
 
     def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " world"]) -> State:
-        """Release the next box: at rest at its release pose, or at the start of its fall or path."""
+        """Release the next box of each world with ``where``. The box is at rest, at its release pose or at the start of
+        its fall or path."""
         chosen = ((jnp.arange(self.capacity)[None] == state.placed[:, None]) & where[:, None])[..., None]
         release = worlds.start.at[..., 2].add(self._come_down(state, worlds))
         placed = state._replace(
@@ -118,7 +122,8 @@ class Rules:
         return next_state
 
     def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "world box"]:
-        """How far the support of each box is above its planned height, m; 0 for boxes without a support."""
+        """(world, box) height of each box's support above the support's planned height, m, limited to
+        ± ``worlds.most_followed``. It is 0 for boxes without a support."""
         boxes = motion.middles(state.qpos, worlds.middle)[..., 2] - worlds.target[..., 2]
         carrier = state.carrier_qpos[:, 2] - worlds.carrier_pos[:, 2]
         moved = jnp.take_along_axis(boxes, jnp.maximum(worlds.support, 0), axis=1)
@@ -130,7 +135,8 @@ class Rules:
         """Begin the drives of worlds whose placement has settled."""
         begins = (state.status == Status.SETTLED) & worlds.driven
         end = _drive_end(state, worlds)
-        # signs from the placement (such as a hard landing) are dropped if no box is beyond a threshold now
+        # signs of failure during the placement (such as a hard landing) are forgotten if no box is beyond a threshold
+        # now
         metrics = state.metrics.without_sign(begins & ~self._is_over(state, worlds)).without_rest(begins)
         middles = motion.middles(state.qpos, worlds.middle)
         anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
@@ -146,7 +152,7 @@ class Rules:
         )
 
     def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
-        """Whether a box of each world is beyond a threshold of shift or tilt now, or has dropped."""
+        """(world,) whether any box of the world is now beyond the threshold of shift or of tilt, or has dropped."""
         limits = self.sim.thresholds
         middles = motion.middles(state.qpos, worlds.middle)
         shift = motion.shift(middles, worlds.target, limits.shift_floor_m, worlds.sinks)
@@ -155,8 +161,8 @@ class Rules:
         return (self._placed(state) & (excess > 1)).any(-1)
 
     def _is_lost(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
-        """Whether a box of each world has dropped, or is tilted too far now. In a drive, a tilted box counts only if it
-        has also swayed as far as its drive allows."""
+        """(world,) whether any box of the world has dropped, or is now tilted beyond the threshold. In a drive, a
+        tilted box counts only if it has also moved sideways as far as the drive allows (``worlds.allowed_sway``)."""
         tilted = motion.tilt_deg(state.qpos[..., 3:]) > self.sim.thresholds.tilt_deg
         if self.driven:
             tilted &= state.metrics.sway(motion.middles(state.qpos, worlds.middle)) >= worlds.allowed_sway[:, None]
@@ -178,7 +184,7 @@ class Rules:
             seen_qpos: poses at the beginning of the step, to which the contacts and accelerations of the step belong.
             qacc: linear (m/s²) and angular (rad/s²) accelerations of each box in the step.
             top_force: force on each box's top, N.
-            presses: whether the ``top_force`` of each world counts even in a step without a sample.
+            presses: whether the ``top_force`` of each world's boxes is recorded even in a step without a sample.
         """
         before, in_hand = state.running, hand.carried_worlds(state)
         moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
@@ -223,8 +229,8 @@ class Rules:
         ang = jnp.sqrt((seen.qacc[..., 3:] ** 2).sum(-1))
         violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
         # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So
-        # samples right after a placement do not count. A violent sample is an explosion only if the following samples
-        # are violent, too.
+        # samples right after a placement do not count. A violent sample (accelerations above the thresholds) is an
+        # explosion only if the samples after it are violent, too.
         landing = self.sim.quiet.landing_steps
         counts = sample & (state.step - state.last_placed_at >= landing)
         if self.carries:
@@ -256,7 +262,7 @@ class Rules:
         tilted = looked & (tilt > limits.tilt_deg)
         lost = dropped | (tilted & worlds.ends_when_lost[:, None])
         if looks:
-            # in each world, the box that an earlier look found to be the culprit
+            # the culprit of each world: the box that crossed a threshold first, if an earlier check has found one
             first = jnp.arange(self.capacity)[None] == m.culprit[:, None]
             lost |= tilted & first & (m.sway(pos) >= worlds.allowed_sway[:, None])
         stopped = lost.any(-1) & self.sim.early_stop & ~last
@@ -272,14 +278,15 @@ class Rules:
         self, state: State, worlds: Worlds, poll: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> tuple[State, Bool[Array, " world"]]:
         """In worlds with ``poll``, count the steps for which all boxes were quiet. The count starts again if a box
-        creeps.
+        creeps (moves slowly without slowing down).
 
-        A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes are ignored, but the count
-        restarts at 0 when boxes are found to tremble. Trembling is looked for only in worlds whose waits end as soon as
-        the pallet is quiet.
+        A pallet is quiet if all boxes were quiet for ``quiet.steps`` steps and no box creeps. Trembling boxes count as
+        quiet. If a pallet is quiet although a box trembles, the stored count becomes 0, by which the world is later
+        recognised as still moving. Boxes are examined for trembling only in worlds with ``adapts``, whose waits end as
+        soon as the pallet is quiet.
 
         Returns:
-            The states, and whether each pallet is quiet.
+            The states, and for each world whether its pallet is quiet.
         """
         quiet = self.sim.quiet
         speed = jnp.where(self.standing(state), motion.speed(state.qvel, worlds.half), 0.0)
@@ -306,7 +313,8 @@ class Rules:
         return counted, enough & ~anew
 
     def _proceed(self, state: State, worlds: Worlds) -> State:
-        """In each world whose wait is over: place the next box, let it settle, or begin its rest window."""
+        """In each world whose wait is over, place the next box. If all boxes are placed, mark the world as settled, or
+        begin its rest window (the last steps, in which forces at rest are measured)."""
         quiet, table = self.sim.quiet, self.timetable
         has_more = (state.placed < worlds.n_boxes) & (not self.driven)
         in_drive = self._rests_in_drive(state)
@@ -320,7 +328,7 @@ class Rules:
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
         past_deadline = ~in_drive & (state.step >= self._deadline(state, worlds, has_more, adapts))
         go = waits & (past_deadline | (still & adapts & enough))
-        # these worlds begin their drive at once, without a check that the pallet rests
+        # worlds that begin their drive at once, without a check that the pallet rests
         settles = go & ~has_more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~has_more & ~settles
         moves = (settles | (go & has_more)) & ~failed & (state.quiet_steps < quiet.steps)
@@ -335,8 +343,8 @@ class Rules:
         return self.place_next(state, worlds, go & has_more)
 
     def rest_from(self, state: State) -> Int[Array, " world"]:
-        """The step after which the rest window of a quiet world begins. The world's last box must have landed by then;
-        in a drive, it has already landed."""
+        """The step after which the rest window of a quiet world begins. The window begins only after the world's last
+        box has landed. In a drive, all boxes have already landed."""
         if self.driven:
             return state.step
         return jnp.maximum(state.step, state.last_placed_at + self.sim.quiet.landing_steps)
@@ -351,17 +359,20 @@ class Rules:
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
-        """Whether each drive can end early if its pallet is quiet. A rest window that begins now must end before the
-        last possible rest window would begin."""
+        """(world,) whether the drive may end early if the pallet is quiet. It may end early only if a rest window that
+        begins now ends before the rest window at the drive's planned end begins."""
         early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
         return early & (self.driven and self._rests_first)
 
     def _deadline(
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> Int[Array, " world"]:
-        """The latest step for the next event. A long wait becomes a short one once a box has failed; the short wait
-        counts from the first sign. The wait before the next box is also short if an earlier wait ended while the
-        world was still moving."""
+        """The step at which the present wait of each world ends at the latest.
+
+        If worlds wait for rest, a wait may last ``longest_wait_s`` while no box has failed. When a box has failed, only
+        a short wait remains (such as ``interval_s`` before the next box), counted from the first sign of failure. The
+        wait before the next box is also short if an earlier wait ended while the world still moved.
+        """
         sim, table = self.sim, self.timetable
         hopeful = ~state.metrics.has_failed(sim.thresholds)
         plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)
@@ -379,15 +390,15 @@ class Rules:
         return jnp.where(patient & hopeful & ~restless, self._longest_wait(state, worlds), due)
 
     def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " world"]:
-        """The last step of the wait for a world that still moves. The wait is counted from the last placement, or from
-        the end of the drive."""
+        """The step at which the longest wait (``longest_wait_s``) of each world ends. The wait is counted from the last
+        placement or, in a drive, from the end of the drive."""
         if self.driven:
             return _drive_end(state, worlds) + self.timetable.longest_steps
         return jnp.asarray(self.timetable.longest)[state.last_placed_at]
 
     def _look_at_the_end(self, state: State, worlds: Worlds) -> State:
-        """Decide what follows the last step. A moving world gets more time if no box is lost, or if its drive may
-        continue. A world at rest may begin its drive."""
+        """Decide what follows the last step of a world. A world that still moves gets more time if no box is lost, or
+        if its drive has ended early and may continue. A world at rest may begin its drive. All other worlds end."""
         sim, table = self.sim, self.timetable
         ends = state.running & (state.step > 0) & (state.step >= state.end)
         moved = motion.moved(state.still_qpos, state.qpos, worlds.half)

@@ -50,7 +50,7 @@ def with_spare_rows(values: NDArray[Any], spare: int) -> NDArray[Any]:
 
 def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, spare: int = 0) -> Rows:
     """As ``rows_of``, for scenes that are all different."""
-    boards = max(boards, *(_n_shapes(scene) - scene.n_boxes for scene in scenes))
+    boards = max(boards, *map(more_shapes, scenes))
     n = len(scenes)
     rows = _empty(n + spare, width, boards)
     for name, values in _scene_values(scenes).items():
@@ -72,8 +72,9 @@ def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boar
     return rows
 
 
-def _n_shapes(scene: Scene) -> int:
-    return len(scene.shapes.body) if scene.pieces else scene.n_boxes + len(scene.carrier.half_size)
+def more_shapes(scene: Scene) -> int:
+    """Number of shapes beyond one per box: the shapes of the carrier, and further pieces of sheets and pallets."""
+    return len(scene.shapes.body) - scene.n_boxes if scene.pieces else len(scene.carrier.half_size)
 
 
 def _empty(n: int, width: int, boards: int) -> Rows:

@@ -1,8 +1,8 @@
 """The timetable of a run in whole steps. The steps are the same as in the reference implementation.
 
-MuJoCo's clock is a float64 running sum of the timestep. An event happens after the first step at which ``time − earlier
-time ≥ interval``. The batched engines count steps as integers. These tables give these engines the results of the
-float64 comparisons.
+MuJoCo's clock is a float64 running sum of the timestep. A wait ends after the first step at which ``time − time at
+which the wait began ≥ length of the wait``. The batched engines count steps as integers. The tables of this module give
+the batched engines the results of these float64 comparisons.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.approach_paths import MOST_STUCK_S, MOST_WAY_S
 
 KEPT: Final = 8
-"""Number of timetables that are kept. Each timetable takes up to 20 bytes per step: 25 MB for 250 boxes."""
+"""Number of timetables in the cache. Each timetable takes up to 20 bytes per step: 25 MB for 250 boxes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,17 +28,19 @@ class Timetable:
 
     Attributes:
         clock: time after each step, s.
-        due: a wait of ``interval_s`` that begins after step s ends at step ``due[s]``.
-        longest: as ``due``, for waits of ``longest_wait_s``.
-        settled: as ``due``, for waits of ``settle_s``. Rounding differs: the time (clock + ``settle_s``) is converted
-            to whole steps.
-        settled_nominally: by number of boxes, the step after which a drive starts with the fixed schedule. The
-            reference counts from the nominal moment of the last placement; rounding to steps delays the real moment a
-            little.
+        due: step at which a wait of ``interval_s`` ends that begins after step s, for each s.
+        longest: step at which a wait of ``longest_wait_s`` ends that begins after step s, for each s.
+        settled: step at which a wait of ``settle_s`` ends that begins after step s, for each s. It is rounded
+            differently: the time ``clock[s] + settle_s`` is converted to whole steps.
+        settled_nominally: for each number of boxes, the step after which a drive (the motion of the carrier in a test)
+            starts with the fixed schedule. As in the reference implementation, ``settle_s`` is counted from the nominal
+            time of the last placement. The actual placement is a little later, since its time is rounded to steps.
         sample_every, rest_steps: number of steps between two samples, and number of steps of the rest window.
         still_steps: number of steps before a world's end during which boxes must be still.
-        due_steps, longest_steps: number of steps of the same two waits after a drive, where waits are counted in steps.
-        one_by_one_end: last step of the fixed one-by-one check, by number of boxes.
+        due_steps, longest_steps: number of steps of a wait of ``interval_s`` and of ``longest_wait_s`` after a drive.
+            After a drive, waits are counted in steps, not by the clock.
+        one_by_one_end: for each number of boxes, the last step of a check that places boxes one by one with the fixed
+            schedule.
         static_end: last step of the static check.
     """
 
@@ -62,7 +64,7 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
     so they must not be changed."""
     dt = sim.physics.timestep_s
     wait_s = max(sim.interval_s, sim.longest_wait_s)
-    # a wait takes whole steps, and rounding of the clock may add one step
+    # every wait takes a whole number of steps, and rounding of the clock may add one step
     waits = 2 if sim.check is Check.STATIC else max_boxes + 2
     if sim.may_carry:
         wait_s += MOST_WAY_S + 2 * MOST_STUCK_S
@@ -90,11 +92,11 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
 
 
 def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float) -> Int32[np.ndarray, " step"]:
-    """For each step, the first step that is at least ``wait_s`` later. Beyond the end of the tables: the step after the
-    last one."""
+    """For each step, the first step that is at least ``wait_s`` later. If this step is beyond the end of the clock, it
+    is the step after the clock's last step."""
     n = len(clock) - 1
-    # searchsorted compares a time with (earlier time + wait). This rounds differently from the difference of times in
-    # the rule, so the result is corrected with the rule's own comparison.
+    # searchsorted compares a time with (start of the wait + wait_s). This sum rounds differently from the difference
+    # (time - start of the wait) in the rule, so the result is corrected with the rule's own comparison.
     after = np.searchsorted(clock, clock + wait_s - timestep_s / 2).astype(np.int64)
     for _ in range(2):
         inside = np.minimum(after, n)

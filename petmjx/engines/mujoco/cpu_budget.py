@@ -15,9 +15,12 @@ LEAST_S: Final = {Check.STATIC: 30.0, Check.ONE_BY_ONE: 300.0}
 """CPU time that every world may take at least, s. Third-party plans of up to 241 boxes, with all boxes placed at once,
 take up to 6 s."""
 
-MOST_TIMES: Final = 20.0
-"""Largest CPU time of a world, as a multiple of its expected time. The slowest collapsing plans take five times their
-expected time."""
+MOST_TIMES: Final = 32.0
+"""Largest CPU time of a world, as a multiple of its expected time. The slowest collapsing plans take fifteen times
+their expected time."""
+
+MOST_TIMES_CARRIED: Final = 70.0
+"""As ``MOST_TIMES``, for boxes that a hand or tines carry. They may be pressed into a pile that collapses."""
 
 LONG_S: Final = 5.0
 """Wall-clock time after which the user sees the progress of a single world, s."""
@@ -59,7 +62,8 @@ class Budget:
             self._is_exact = True
             soft = self._job.scene.soft is not None
             expected_s = float(MEASURED.of_jobs([self._job], self._sim)[0])
-            self._most_s = float("inf") if soft else max(self._most_s, MOST_TIMES * expected_s)
+            most_times = MOST_TIMES_CARRIED if self._job.scene.placing.carries else MOST_TIMES
+            self._most_s = float("inf") if soft else max(self._most_s, most_times * expected_s)
         return now_s - self._begin_s > self._most_s
 
     @property

@@ -70,6 +70,7 @@ def compile_kernel(build: KernelBuild) -> None:
     from petmjx.common.warp_setup import set_up_warp
 
     set_up_warp()
+    from petmjx.engines.machine_speed import note_compiled
     from petmjx.engines.warp.block_launch import FEW_BOXES, LAST, SIZES, Launch, kernel
     from petmjx.engines.warp.kernels.pause import pause
 
@@ -78,6 +79,7 @@ def compile_kernel(build: KernelBuild) -> None:
     if build.gpu is None:
         launch = Launch.of(size, build.hands, lands=build.lands, device=wp.get_device("cpu"))
         wp.compile_aot_module(kernel(launch).module, device="cpu")
+        note_compiled(launch.traits)
         return
     launch = Launch.of(size, build.hands, lands=build.lands, device=build.gpu)
     for module in (kernel(launch).module, pause.module):

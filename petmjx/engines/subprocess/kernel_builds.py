@@ -17,7 +17,8 @@ from typing import Final
 
 from petmjx.common.compile_caches import cache_folder
 from petmjx.common.errors import InputError
-from petmjx.common.machine import cpu_threads, cuda_limits, package_versions
+from petmjx.common.machine import cpu_threads, cuda_limits
+from petmjx.engines.machine_speed import kernel_code
 from petmjx.engines.subprocess.kernel_build_process import BuildAnswer, GpuLimits, KernelBuild
 from petmjx.engines.subprocess.task_pipe import Child
 from petmjx.options.simulation import Simulation
@@ -131,13 +132,6 @@ def note_kept(sim: Simulation, gpu: GpuLimits | None = None) -> None:
 
 
 def _note_of(sim: Simulation, gpu: GpuLimits) -> Path:
-    """The path of the note. Its name has a digest of what determines the kernels: their sources, the versions of
-    packages, and the GPU. The kernels themselves have names that only Warp can find, after a second or two."""
-    digest = hashlib.sha256(repr((usual_builds(sim, gpu), sorted(package_versions().items()))).encode())
-    for file in sorted((Path(__file__).parents[1] / "warp").rglob("*")):
-        if file.suffix in _SOURCES:
-            digest.update(file.read_bytes())
+    """The path of the note. Its name has a digest of what determines the kernels, including the GPU."""
+    digest = hashlib.sha256(f"{kernel_code()} {usual_builds(sim, gpu)}".encode())
     return cache_folder("warp") / f"usual-kernels-{digest.hexdigest()[:16]}"
-
-
-_SOURCES: Final = (".py", ".cu", ".cuh")

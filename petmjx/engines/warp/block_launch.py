@@ -28,6 +28,7 @@ from typing import Any, Final, Protocol
 import warp as wp
 
 from petmjx.common.warp_cpp import with_cpp
+from petmjx.engines.machine_speed import note_compiled
 from petmjx.engines.warp.kernels.pause import pause
 from petmjx.engines.warp.kernels.world_loop import run_worlds
 from petmjx.engines.warp.solver import newton
@@ -129,7 +130,11 @@ def load_kernels(launches: Sequence[Launch]) -> None:
     """Compile the kernels of these launches in parallel, or load them from Warp's cache."""
     kernels = [kernel(launch) for launch in launches] + own_kernels(len(launches))
     modules = list(dict.fromkeys(kernel.module for kernel in kernels))
-    wp.force_load(wp.get_device(), modules, max_workers=len(modules))
+    device = wp.get_device()
+    wp.force_load(device, modules, max_workers=len(modules))
+    if not device.is_cuda:
+        for launch in launches:
+            note_compiled(launch.traits)
 
 
 HEAD_START_NS = 50_000

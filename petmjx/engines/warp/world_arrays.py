@@ -5,10 +5,10 @@ The kernels and their C++ functions take whole records. Each array is declared o
 running_metrics.py. JAX passes these arrays, and the kernels change ``State`` in place. All other arrays are declared in
 this file. The workspace is one buffer, which is divided into arrays of the shapes that are declared here.
 
-Axes. ``world``: row of a table. ``block``: thread block, which has one world at a time. ``queue``: queue of worlds of
-one size. ``body``: the carrier, followed by the boxes in packing order. ``free_body``: body that can move. ``dof``:
-degree of freedom; each free body has six. ``geom``: the floor, followed by the shapes of the bodies. ``pair``: two
-geoms that are near each other. ``contact``: point in which the geoms of a pair touch. Units are SI.
+Axes. ``world``: row of a table of worlds. ``block``: thread block, which steps one world at a time. ``queue``: queue of
+worlds of one size. ``body``: the carrier, followed by the boxes in packing order. ``free_body``: body that can move.
+``dof``: degree of freedom; each free body has six. ``geom``: the floor, followed by the shapes of the bodies. ``pair``:
+two geoms that are near each other. ``contact``: point in which the geoms of a pair touch. Units are SI.
 """
 
 from __future__ import annotations
@@ -86,9 +86,9 @@ class Model:
     solref: wp.vec2
     solimp: wp.vec3  # d₀, d_width, width
     skin: float  # margin added to boxes in collision detection, m
-    carrier_skin: float  # the same margin for the carrier, m
+    carrier_skin: float  # margin added to the carrier in collision detection, m
     pyramidal: int  # 1 with pyramidal friction cones
-    friction_damping: float  # damping along a contact's tangents, 1/s; 0 if as along the normal
+    friction_damping: float  # damping along a contact's tangents, 1/s; 0: the same damping as along the normal
     slip_slack: float  # tangential acceleration up to which a slip is not corrected, m/s²; inf: no slip is corrected
     kinetic_share: float  # friction of contacts that slide fast, as a share of friction at rest
     impratio_invsqrt: wp.float64  # 1 / √impratio
@@ -98,12 +98,12 @@ class Model:
     ls_iterations: int  # largest number of iterations of the solver's line search
 
     queue: int  # the queue from which these blocks take worlds
-    most_idle: int  # largest number of lanes without a world; if more are empty, the other lanes stop for this call
-    most_placed: int  # largest number of boxes; a world with more boxes moves to other blocks in the next call
+    most_idle: int  # if more lanes (places for a world) than this number are empty, all lanes stop until the next call
+    most_placed: int  # a world with more placed boxes than this number moves to other blocks in the next call
     npairmax: int  # largest number of pairs of near geoms of a world
     nconmax: int  # largest number of contacts of a world
 
-    fixed: int  # 1 with the fixed schedule
+    fixed: int  # 1 with the fixed schedule (placements at fixed times)
     waits_for_rest: int
     extends: int  # 1 if a world that still moves at its planned end gets more time
     early_stop: int
@@ -166,7 +166,7 @@ class State:
 
 @record
 class Workspace:
-    """Arrays of a thread block for use within a step. Each array begins at a multiple of 16 bytes."""
+    """Arrays that thread blocks use during a step. Each array begins at a multiple of 16 bytes."""
 
     qacc: Annotated[wp.array2d[wp.float64], "block dof"]
     search: Annotated[wp.array2d[wp.float64], "block dof"]
@@ -182,31 +182,31 @@ class Workspace:
     qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
     drag: Annotated[wp.array3d[float], "block contact 2"]  # see contact.cuh
-    excess: Annotated[wp.array2d[float], "block contact"]  # excess of a slip (contact_laws.py); negative: no correction
+    excess: Annotated[wp.array2d[float], "block contact"]  # excess of a slip (contact_laws.py); negative: not corrected
     geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres of geoms
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
     geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of a geom's bounding box, along x, y, z
-    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # geom_xpos and geom_reach when pairs were listed
+    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # geom_xpos and geom_reach at the last search for pairs
     listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
     qpos_before: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
     top_force: Annotated[wp.array2d[float], "block box"]
     pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the geom with the smaller index
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
-    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # a contact point, and the distance there
-    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0 if both geoms are rigid
-    # for each geom: the first pair in which it is pair_geom1
+    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # contact point, and the two geoms' distance
+    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of the contacts, N/m; 0: both geoms are rigid
+    # for each geom: the first pair in which this geom is pair_geom1
     geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]
     geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs, sorted by pair_geom2
-    geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # for each geom: its first entry in geom2_pair
+    geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # for each geom: the geom's first entry in geom2_pair
     pair_ncon: Annotated[wp.array2d[int], "block pair"]  # contacts of each pair
     pair_conadr: Annotated[wp.array2d[int], "block pair_end"]  # the first contact of each pair
     contact_pair: Annotated[wp.array2d[int], "block contact"]
-    # the two free bodies, smaller index first; negative: that body does not move
+    # the two bodies of a contact, as indices of free bodies, the smaller one first; negative: a body that does not move
     contact_bodies: Annotated[wp.array3d[int], "block contact 2"]
     body_contact: Annotated[wp.array2d[int], "block link"]  # 2 × contact + side, grouped by body
     body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
-    body_level: Annotated[wp.array2d[int], "block body"]  # level of a body while bodies are put in order
+    body_level: Annotated[wp.array2d[int], "block body"]  # distance from the first body of the order, in contacts
     position: Annotated[wp.array2d[int], "block free_body"]  # position of a body in the solver's system
     # by position of a body: the lowest position among the body itself and the bodies that it touches
     lowest: Annotated[wp.array2d[int], "block free_body"]
@@ -214,7 +214,7 @@ class Workspace:
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # number of free bodies
     solver_niter: Annotated[wp.array[int], "block"]
-    solver_paused: Annotated[wp.array[int], "block"]  # iterations before the solver paused; 0 if it has ended
+    solver_paused: Annotated[wp.array[int], "block"]  # number of iterations before the solver paused; 0 if it has ended
     world: Annotated[wp.array[int], "block"]  # the world of a block; negative: no world
     frame: Annotated[wp.array[int], "block"]  # the frame that a block writes
 
@@ -223,7 +223,7 @@ class Workspace:
 class FrameBuffer:
     """Frames of recorded worlds, in the order in which blocks write them. All worlds of a call share this buffer."""
 
-    every: Annotated[wp.array[int], "world"]  # number of steps between two frames of a world; 0 if not recorded
+    every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: the world is not recorded
     used: Annotated[wp.array[int], "1"]
     of: Annotated[wp.array[int], "frame"]  # the world to which each frame belongs
     step: Annotated[wp.array[int], "frame"]
@@ -256,10 +256,10 @@ class Thread:
     placed: int  # number of placed boxes
     geoms: int  # number of geoms: the floor, and the shapes of the carrier and of the placed boxes
     held: int  # 1 if the carrier cannot move, and so is not a free body
-    hands: int  # 1 if a hand may carry boxes; if 0, the compiler leaves hands out
-    gives: int  # 1 if boxes may be compliant; if 0, the compiler leaves compliance out
-    wraps: int  # 1 if film may hold boxes; if 0, the compiler leaves film out
-    lands: int  # 1 if the law of landing boxes may act; if 0, the compiler leaves it out
+    hands: int  # 1 if a hand may carry boxes; if 0, the compiler leaves out the code for hands
+    gives: int  # 1 if boxes may be compliant; if 0, the compiler leaves out the code for compliance
+    wraps: int  # 1 if film may hold boxes; if 0, the compiler leaves out the code for film
+    lands: int  # 1 if the law of landing boxes may act; if 0, the compiler leaves out its code
     carried: int  # 1 if a hand holds the box that was placed last
 
 

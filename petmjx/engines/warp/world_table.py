@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.engines.mjx.host_to_device import Batch, padded_rows, tables
+from petmjx.engines.mjx.scene_rows import more_shapes
 from petmjx.engines.mjx.timetable import Timetable, build_timetable
 from petmjx.engines.mjx.world_constants import Worlds, device_array
 from petmjx.engines.mjx.world_state import State, Status, put_resized, put_rows, take_rows
@@ -138,7 +139,7 @@ class WorldTable(Batch):
         """Whether a job can get a row: the table, and the blocks of the job's size, have room for its world."""
         needs = self.run.needs
         has_blocks = job.scene.n_boxes <= needs.widths.get(size_of(job), 0)
-        has_blocks &= len(job.scene.carrier.half_size) <= self.boards
+        has_blocks &= more_shapes(job.scene) <= self.boards
         has_times = job.scene.n_boxes < len(self.run.timetable.one_by_one_end)
         excitation = _excitation(job)
         has_steps = excitation is None or len(excitation.samples) <= self.profiles.shape[1]

@@ -21,7 +21,7 @@ from petmjx.world.profiles.profile import MAX_PROFILE_S
 
 MAX_WINDOWS = 100_000
 MAX_FORCE = 10_000.0
-"""Largest component of a force, in units of total mass × 9.81 m/s². A larger component must be a typing error."""
+"""Largest component of a force, in units of total mass × 9.81 m/s². A larger component is probably a typing mistake."""
 MIN_DENSITY = 1e-30
 """Smallest density of a PSD, g²/Hz. With this limit, ratios of densities do not overflow."""
 MAX_RMS_G = 1000.0

@@ -5,24 +5,27 @@ accelerations without contacts, r (aref) the reference accelerations of the cont
 (MuJoCo's documentation, "Computation", section "Constraint model"). Newton's direction (search) solves H·x = gradient
 with H = M + Jᵀ·s″·J; a line search follows.
 
-Five things make it fast:
+Five things make this solver fast:
 
-- It starts where accelerations are heading: on the line through the accelerations of the last two steps. While boxes
-  come to rest, accelerations change smoothly, and the start is off only by the curvature.
-- A contact touches two bodies. So J is stored as 27 numbers per contact, and a product with J is as cheap.
-- H is sparse, and bodies are ordered by their contacts (kernels/elimination_order.py). So H has a narrow envelope: a
-  column is zero above the rows of the first body that its body touches, and the factor fills in only below these rows.
-  Cholesky runs within the envelope, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply them.
-- Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This bound shows before
-  each factorisation whether another iteration can help.
-- Friction of sliding contacts is an unknown of its own. The cost of sliding is nearly a norm of the residual j,
-  μ·p·|j|, with the normal force p. Its curvature μ·p/|j|·(I − j·jᵀ/|j|²) leaps from nothing (along j) to the curvature
-  of sticking within a tiny step. Line searches end at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and
-  more while a pallet slides. So j/|j| in the curvature is replaced by a vector w, |w| ≤ 1, that follows |j|·w = j
-  linearised (Chan, Golub and Mulet, "A nonlinear primal-dual method for total variation-based image restoration", SIAM
-  J. Sci. Comput. 20, 1999; Andersen and others, "An efficient primal-dual interior-point method for minimizing a sum of
-  Euclidean norms", SIAM J. Sci. Comput. 22, 2000). The minimum is the same, and each direction descends. Iterations are
-  nearly halved while a pallet slides, and a line search takes a quarter of the evaluations.
+- It starts from extrapolated accelerations: on the line through the accelerations of the last two steps. While boxes
+  come to rest, accelerations change smoothly, so the error of the start comes only from the curvature of this change.
+- A contact touches two bodies. So J is stored as 27 numbers per contact, and a product with J is cheap.
+- H is sparse, and bodies are ordered by their contacts (kernels/elimination_order.py), so that H has a narrow envelope.
+  Each column of H belongs to a body. Among this body and the bodies that it touches, take the first one in the order.
+  Above the rows of this first body, the column is zero in H and in the Cholesky factor. The factorisation computes only
+  the rest, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply tiles.
+- Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g, where g is the gradient.
+  This bound shows before each factorisation whether another iteration can help.
+- The direction of friction in sliding contacts is an unknown of its own. Let j be the part of J·a − r along the
+  tangents of a contact, p the normal force, and μ the coefficient of friction. While the contact slides, its cost is
+  nearly μ·p·|j|. Within a tiny change of j, the curvature of this cost, μ·p/|j|·(I − j·jᵀ/|j|²), leaps from zero (along
+  j) to the curvature of sticking. Line searches end at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and
+  more while a pallet slides. So j/|j| in the curvature is replaced by a vector w, |w| ≤ 1, which is updated with the
+  linearised equation |j|·w = j (Chan, Golub and Mulet, "A nonlinear primal-dual method for total variation-based image
+  restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others, "An efficient primal-dual interior-point method for
+  minimizing a sum of Euclidean norms", SIAM J. Sci. Comput. 22, 2000). The minimum is the same, and the cost decreases
+  along each direction. While a pallet slides, the number of iterations is nearly halved, and a line search takes a
+  quarter of the evaluations.
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
 the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a
@@ -51,8 +54,9 @@ two (by_two.cuh)."""
 
 SLIP_ROUNDS = 12
 """Number of iterations after the first that may change the excess of sliding contacts (petmjx/world/contact_laws.py).
-The other engines change it between two calls of their solver. With 12 rounds, steps of bricks that slide and tip take
-6.6 iterations (7.4 without the law), and steps of a heap 24.9 (21.8). With 40 rounds, steps of a heap take 40."""
+The other engines change the excess between two calls of their solver. With 12 rounds, steps of bricks that slide and
+tip take 6.6 iterations (7.4 without the law of sliding), and steps of a heap take 24.9 (21.8 without the law). With 40
+rounds, steps of a heap take 40 iterations."""
 
 SLIP_MACROS = {
     "PETMJX_SLIP_ROUNDS": SLIP_ROUNDS,
@@ -69,8 +73,8 @@ DRIVER_BYTES = 1 << 10
 
 
 def own_bytes(panels: int, worlds: int = 1) -> int:
-    """Shared memory, in bytes, of a world's threads for systems of up to ``panels`` panels, without strip and Hessian,
-    in blocks of ``worlds`` worlds. newton.cu checks that it is enough."""
+    """Shared memory, in bytes, that the threads of one world need besides strip and Hessian, for systems of up to
+    ``panels`` panels, in blocks of ``worlds`` worlds. newton.cu checks that this memory is enough."""
     parts = 4 if worlds > 1 else 8 if panels <= FEW_PANELS else 17
     return 4 * (PANEL + 4) * panels + (parts << 10)
 
@@ -81,7 +85,7 @@ def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int =
     Args:
         worlds: number of worlds of a block; if there are several, each has a warp.
         threads: number of threads of a world.
-        pause_after: number of iterations after which the solver pauses; 0: it never pauses.
+        pause_after: number of iterations after which the solver pauses. If 0, the solver never pauses.
     """
     numbers: dict[str, float] = {
         PANELS_MACRO: panels,

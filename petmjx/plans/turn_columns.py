@@ -1,0 +1,226 @@
+"""Columns with the rotations of boxes in other tools' tables (``turns_of``): numbers, degrees, letters and words;
+and the rotation matrices of poses."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.text import printable_name
+from petmjx.common.units import FloatArray
+from petmjx.plans.raw_cells import cell_number, cell_text
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """A column with the rotations of boxes.
+
+    Attributes:
+        column: name of the column.
+        rules: names of the rules that are possible with its values (``readings.ROTATION_RULES``).
+        codes: (n,) number of each rotation: 0 to 5 as in py3dbp, or the number of quarter turns; −1: unknown.
+        letters: (n, 3) the size that lies along each axis, if rotations are written as letters; None: rotations are not
+            written as letters.
+        words: the words for rotations 0 and 1, or all words if there is no rule; empty: the cells have numbers or words
+            of known meaning.
+    """
+
+    column: str
+    rules: tuple[str, ...]
+    codes: NDArray[np.int64]
+    letters: NDArray[np.int64] | None = None
+    words: tuple[str, ...] = ()
+
+
+def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[int, str], None]) -> Turns | None:
+    """The rotations in a column; None if the column is empty.
+
+    If the cells have two words of unknown meaning, either of them may be that of a turned box. If they have more such
+    words, there is no rule.
+
+    Args:
+        name: name of the column.
+        decimal: decimal sign of numbers stored as text.
+        on_fault: function that is called with the row and the fault of each bad cell.
+    """
+    filled_cells = [cell for cell in cells if cell not in (None, "")]
+    if not filled_cells:
+        return None
+    letters = [letters_of(cell) for cell in cells]
+    codes = np.full(len(cells), -1, np.int64)
+    if sum(turn is not None for turn in letters) * 2 > len(filled_cells):
+        array = np.zeros((len(cells), 3), np.int64)
+        for row, turn in enumerate(letters):
+            if turn is None:
+                on_fault(row, _shown_turn(cells[row], "three letters"))
+            else:
+                array[row], codes[row] = turn, 0
+        return Turns(name, ("letters",), codes, array)
+    values = _in_degrees([_turn_number(cell, decimal) for cell in cells])
+    used = {value for value in values if value is not None}
+    integers = {value for value in used if float(value).is_integer()}
+    in_degrees = sum(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
+    if in_degrees or name.lower() in ("yaw", "angle", "winkel"):
+        rules: tuple[str, ...] = ("degrees",)
+        allowed = [value is not None and value % 90 == 0 for value in values]
+        codes = np.array(
+            [
+                int(value // 90) % 4 if ok and value is not None else -1
+                for value, ok in zip(values, allowed, strict=True)
+            ]
+        )
+        kind = "a multiple of 90"
+    elif max(integers, default=0) <= 1:
+        rules, kind = ("swap", "py3dbp"), "0 or 1"
+        allowed = [value in (0, 1) for value in values]
+    elif 0 in integers or max(integers) <= 5:
+        from_1 = () if 0 in integers else ("py3dbp from 1", "permutations from 1")
+        rules, kind = ("py3dbp", "permutations", *from_1), "0 to 5"
+        allowed = [value is not None and value in range(6) for value in values]
+    else:
+        rules, kind = ("py3dbp from 1", "permutations from 1"), "1 to 6"
+        allowed = [value is not None and value in range(1, 7) for value in values]
+    if rules != ("degrees",):
+        codes = np.array(
+            [int(value) if ok and value is not None else -1 for value, ok in zip(values, allowed, strict=True)],
+            np.int64,
+        )
+    if sum(allowed) * 2 <= len(filled_cells):
+        texts = [cell_text(cell) for cell in cells]
+        words = tuple(sorted({*texts}))
+        rules = ("swap", "swap back") if len(words) == 2 else ()
+        codes = np.array([text == words[-1] for text in texts], np.int64)
+        return Turns(name, rules, codes, words=words) if len(words) > 1 else None
+    for row, ok in enumerate(allowed):
+        if not ok:
+            on_fault(row, _shown_turn(cells[row], kind))
+    return Turns(name, rules, codes)
+
+
+def letters_of(cell: Any) -> tuple[int, int, int] | None:
+    """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. None if the letters name no
+    orientation."""
+    text = cell_text(cell).upper().removeprefix("ROTATIONTYPE.").removeprefix("RT_").removeprefix("ORIENTATION.")
+    for letters in ("XYZ", "LWH", "WHD", "LBH", "LHD", "WDH", "ABC"):
+        if sorted(text) == sorted(letters):
+            return letters.index(text[0]), letters.index(text[1]), letters.index(text[2])
+    return None
+
+
+_YES: Final = frozenset(
+    ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "x", "y", "j", "1")
+)
+_NO: Final = frozenset(("false", "no", "nein", "non", "nie", "original", "none", "n", "0", "", "-"))
+
+
+def _turn_number(cell: Any, decimal: str) -> float | None:
+    if isinstance(cell, bool):
+        return float(cell)
+    number = cell_number(re.sub(r"\s*(°|deg|degrees|grad)$", "", cell) if isinstance(cell, str) else cell, decimal)
+    if number is not None and np.isfinite(number.value):
+        return number.value
+    text = cell_text(cell).lower()
+    return 1.0 if text in _YES else 0.0 if text in _NO else None
+
+
+def angles_of(columns: Sequence[Sequence[Any]], decimal: str) -> FloatArray:
+    """(n, k) angles in degrees, from the cells of k columns; NaN for cells without a number."""
+    values = [_turn_number(cell, decimal) for cells in columns for cell in cells]
+    angles = np.array([np.nan if value is None else value for value in _in_degrees(values)])
+    return angles.reshape(len(columns), -1).T
+
+
+def rotations_of_angles(angles: FloatArray) -> list[FloatArray]:
+    """(n, 3, 3) rotation matrices of (n, 3) angles about x, y and z, in degrees, if the turns about x, y and z follow
+    one another in this order, and in the reverse order. One array if both are the same but for signs."""
+    about = []
+    for axis in range(3):
+        cos, sin = np.cos(np.radians(angles[:, axis])), np.sin(np.radians(angles[:, axis]))
+        matrix = np.zeros((len(angles), 3, 3))
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        matrix[:, axis, axis] = 1.0
+        matrix[:, first, first] = matrix[:, second, second] = cos
+        matrix[:, first, second], matrix[:, second, first] = -sin, sin
+        about.append(matrix)
+    x, y, z = about
+    both = [z @ y @ x, x @ y @ z]
+    return both[:1] if np.allclose(np.abs(both[0]), np.abs(both[1]), equal_nan=True) else both
+
+
+def _in_degrees(values: list[float | None]) -> list[float | None]:
+    """Angles in radians as degrees. Other numbers are unchanged: they are radians only if some are not whole, and all
+    are quarter turns."""
+    quarters = [value / (math.pi / 2) for value in values if value is not None]
+    near = all(abs(quarter - round(quarter)) < _NEAR_QUARTER for quarter in quarters)
+    if not near or all(value is None or float(value).is_integer() for value in values):
+        return values
+    return [None if value is None else 90.0 * round(value / (math.pi / 2)) for value in values]
+
+
+_NEAR_QUARTER: Final = 5e-3
+"""Largest deviation of an angle in radians from quarter turns, in quarter turns. 1.57 is written with three digits."""
+
+
+def _shown_turn(cell: Any, kind: str) -> str:
+    return "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(cell_text(cell))}"'
+
+
+# Matrices.
+
+
+def tilt(rotation: FloatArray) -> FloatArray:
+    """(n,) largest deviation of the axes of rotations (n, 3, 3) from right angles."""
+    largest: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
+    return largest
+
+
+def is_rotation(cell: Any) -> bool:
+    """Whether a cell is a rotation matrix, (3, 3)."""
+    return (
+        isinstance(cell, list | tuple) and [len(row) if isinstance(row, list | tuple) else 0 for row in cell] == [3] * 3
+    )
+
+
+def is_matrix(cell: Any) -> bool:
+    """Whether a cell is the matrix of a pose."""
+    return isinstance(cell, list | tuple) and matrix_of(cell) is not None
+
+
+def matrix_of(cell: Any) -> FloatArray | None:
+    """The matrix of a pose, (4, 4) or (3, 4), in a cell; None if there is none."""
+    try:
+        array = np.asarray(cell, dtype=float)
+    except (TypeError, ValueError):
+        return None
+    if array.shape == (16,):
+        array = array.reshape(4, 4)
+    return array if array.shape in ((4, 4), (3, 4)) and np.isfinite(array).all() else None
+
+
+def bad_member(cell: Any) -> str:
+    """The text for messages about a bad matrix: the index, from 0, of its first member that is not a number; "" if the
+    shape of the matrix is wrong."""
+    flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
+    for index, value in enumerate(flat):
+        number = cell_number(value)
+        if number is None or not np.isfinite(number.value):
+            return f", got {printable_name(str(value))} as number {index}"
+    return ""
+
+
+def rotations_of_quaternions(quaternion: FloatArray) -> FloatArray:
+    """(n, 3, 3) rotation matrices of (n, 4) quaternions w, x, y, z."""
+    with np.errstate(invalid="ignore"):
+        w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)

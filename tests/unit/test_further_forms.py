@@ -1,0 +1,474 @@
+"""Forms and conventions of further tools: one pile of boxes, written in each of them, is read the same, or a note says
+what is not read."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openpyxl
+import pytest
+
+import petmjx
+
+pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
+
+PILE = ((0, 0, 0, 600, 400, 300, 12), (600, 0, 0, 600, 400, 300, 12), (0, 400, 0, 600, 400, 300, 12),
+        (600, 400, 0, 600, 400, 300, 12), (0, 0, 300, 400, 300, 250, 6.5), (400, 0, 300, 400, 300, 250, 6.5),
+        (0, 300, 300, 300, 400, 200, 5.25), (300, 300, 300, 500, 350, 180, 7.75))  # fmt: skip
+"""(x, y, z, length, width, height, kg) of boxes on a pallet, mm."""
+FIELDS = ("x", "y", "z", "length", "width", "height", "weight")
+NAMES = "abcdefgh"
+TURNED = (0, 1, 0, 1, 0, 1, 1, 0)
+"""Boxes that some tools turn: their sizes before the turn have length and width exchanged."""
+
+
+def load(tmp_path: Path, name: str, content: str | bytes, **options: Any) -> petmjx.PlanSet:
+    file = tmp_path / name
+    file.write_bytes(content.encode() if isinstance(content, str) else content)
+    return petmjx.load_plans(file, **options)
+
+
+def notes_of(plan_set: petmjx.PlanSet) -> str:
+    (reading,) = plan_set.readings.values()
+    return reading.line()
+
+
+def check_pile(plan: petmjx.Plan, weights: bool = True) -> None:
+    wanted = np.array(PILE, float)
+    np.testing.assert_allclose(plan.corner_mm, wanted[:, :3], atol=0.05)
+    np.testing.assert_allclose(plan.size_mm, wanted[:, 3:6], atol=0.05)
+    if weights:
+        np.testing.assert_allclose(plan.mass_kg, wanted[:, 6], rtol=1e-4)
+
+
+# Tables.
+
+Row = Callable[[int, list[float]], Sequence[Any]]
+
+
+def table(header: str, row: Row = lambda number, box: box, mark: str = ",", above: str = "") -> str:
+    """A table as text. ``row`` gives the cells of a box from its number and its seven values."""
+    lines = [mark.join(map(str, row(number, list(map(float, box))))) for number, box in enumerate(PILE)]
+    return above + "\n".join([mark.join(header.split(",")), *lines, ""])
+
+
+def named(number: int, box: list[float]) -> list[Any]:
+    return [NAMES[number], *box]
+
+
+def before_turn(number: int, box: list[float]) -> list[float]:
+    length, width, height = box[3:6]
+    return [width, length, height] if TURNED[number] else [length, width, height]
+
+
+def centre(box: list[float]) -> list[float]:
+    return [box[axis] + box[axis + 3] / 2 for axis in range(3)]
+
+
+def framed(lines: str, bar: str, cross: str, line: str) -> str:
+    """A printed table with frames. ``lines``: "all" rows have a line below them, or only the "header"."""
+    rows = [["box", *FIELDS], *([NAMES[number], *map(str, box)] for number, box in enumerate(PILE))]
+    between = cross + cross.join(line * 10 for _ in rows[0]) + cross
+    shown = [bar + bar.join(cell.rjust(9) + " " for cell in row) + bar for row in rows]
+    inner = f"\n{between}\n" if lines == "all" else "\n"
+    return "\n".join([between, shown[0], between, inner.join(shown[1:]), between, ""])
+
+
+def printed_frame(index: bool) -> str:
+    """pandas' ``print(frame)``, whose index has no name; or a table with lines of "=" as in reStructuredText."""
+    rows = [["box", *FIELDS], *([NAMES[number], *map(str, box)] for number, box in enumerate(PILE))]
+    shown = ["  ".join(cell.rjust(7) for cell in row) for row in rows]
+    if index:
+        return "\n".join([f"   {shown[0]}", *(f"{number:<3}{line}" for number, line in enumerate(shown[1:])), ""])
+    line = "  ".join("=" * 7 for _ in rows[0])
+    return "\n".join([line, shown[0], line, *shown[1:], line, ""])
+
+
+def transposed() -> str:
+    rows = [["Box", *NAMES], *([name, *values] for name, values in zip(FIELDS, zip(*PILE, strict=True), strict=True))]
+    return "\n".join(";".join(map(str, row)) for row in rows)
+
+
+def mixed_units(number: int, box: list[float]) -> list[Any]:
+    factor = 10 if number % 2 else 1
+    return [*(value / factor for value in box[:6]), box[6], "cm" if number % 2 else "mm"]
+
+
+def far_corners(number: int, box: list[float]) -> list[Any]:
+    return [box[axis] + box[axis + 3] for axis in range(3)] + box[3:]
+
+
+def two_corners_in_turns(number: int, box: list[float]) -> list[Any]:
+    return [value for axis in range(3) for value in (box[axis], box[axis] + box[axis + 3])] + [box[6]]
+
+
+SIZES = "length,width,height"
+TABLES = {
+    "words for boxes": table("LPN,Loc X,Loc Y,Loc Z,Ctn L,Ctn W,Ctn H,Gross Wt (kg)", named),
+    "short words": table("carton_id,x,y,z,len_mm,wid_mm,hgt_mm,wg", named),
+    "German compounds": table(
+        "Kartonnr,X,Y,Z,Artikellänge (mm),Kartonbreite (mm),Packstückhöhe (mm),Stückgewicht (kg)", named, mark=";"
+    ),
+    "Portuguese": table("Caixa,X,Y,Z,Comprimento,Largura,Altura,Peso", named, mark=";"),
+    "Dutch": table("Doos,X,Y,Z,Lengte,Breedte,Hoogte,Gewicht", named, mark=";"),
+    "units in camel case": table("boxId,posXmm,posYmm,posZmm,sizeXmm,sizeYmm,sizeZmm,massGrams",
+                                 lambda k, box: [NAMES[k], *box[:6], 1000 * box[6]]),
+    "comments above": table(f"box,x,y,z,{SIZES},weight", named, above="# by Packer 3\n# pallet: 1200 x 800\n"),
+    "headings with units": table("Box,L,B,H,X,Y,Z,[kg]", lambda k, box: [NAMES[k], *box[3:6], *box[:3], box[6]],
+                                 above=",Abmessungen (mm),,,Position (mm),,,Gewicht\n"),
+    "spaces in the header alone": table("Box #,X (mm),Y (mm),Z (mm),Case Length (mm),Case Width (mm),Case Height (mm),"
+                                        "Case Weight (kg)", named),
+    "frames of lines": framed("all", "│", "┼", "─"),
+    "frames of dashes": framed("header", "|", "+", "-"),
+    "lines of equals signs": printed_frame(index=False),
+    "a printed data frame": printed_frame(index=True),
+    "names in the first column": transposed(),
+    "letters of rotations": table(
+        "id,l,w,h,kg,x,y,z,how",
+        lambda k, box: [NAMES[k], *before_turn(k, box), box[6], *box[:3], "WLH" if TURNED[k] else "LWH"],
+        mark="|",
+    ),
+    "words of rotations": table(
+        f"name,x,y,z,{SIZES},mass,orientation",
+        lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "across" if TURNED[k] else "along"],
+    ),
+    "radians": table(
+        f"name,x,y,z,{SIZES},mass,yaw_rad",
+        lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], 1.5708 if TURNED[k] else 0.0],
+    ),
+    "angles about three axes": table(
+        f"name,x,y,z,rx,ry,rz,{SIZES},mass",
+        lambda k, box: [NAMES[k], *centre(box), 0, 0, 90 * TURNED[k], *before_turn(k, box), box[6]],
+    ),
+    "roll, pitch and yaw": table(
+        f"name,x,y,z,roll,pitch,yaw,{SIZES},mass",
+        lambda k, box: [NAMES[k], *centre(box), 0, 0, 1.5708 * TURNED[k], *before_turn(k, box), box[6]],
+    ),
+    "numbers of permutations": table(
+        "id,l,w,h,kg,x,y,z,rotation",
+        lambda k, box: [NAMES[k], box[5], *before_turn(k, box)[:2], box[6], *box[:3], 5 if TURNED[k] else 3],
+    ),
+    "tare and net": table(f"id,tare_kg,net_kg,x,y,z,{SIZES}", lambda k, box: [NAMES[k], 0.4, box[6], *box[:6]]),
+    "a column of units": table("x,y,z,l,w,h,kg,uom", lambda k, box: [*(v / 10 for v in box[:6]), box[6], "cm"]),
+    "rows in two units": table("x,y,z,l,w,h,kg,unit", mixed_units),
+    "net and gross": table(f"carton,net_kg,gross_kg,{SIZES},x,y,z",
+                           lambda k, box: [NAMES[k], 0.8 * box[6], box[6], *box[3:6], *box[:3]]),
+    "weights by their unit": table(f"box,x,y,z,{SIZES},how heavy", lambda k, box: [NAMES[k], *box[:6], f"{box[6]} kg"]),
+    "names of orders": table(f"order,box,x,y,z,{SIZES},weight", lambda k, box: ["ORD-7", *named(k, box)]),
+    "the number of an order": table(f"order,box,x,y,z,{SIZES},weight", lambda k, box: [4711, *named(k, box)]),
+    "unloading": table(f"unload_step,box,x,y,z,{SIZES},weight", lambda k, box: [8 - k, *named(k, box)]),
+    "picks of a robot": table(f"box,pick_x,pick_y,pick_z,place_x,place_y,place_z,{SIZES},weight",
+                              lambda k, box: [NAMES[k], -1500, 200, 900, *box]),
+    "far corners with sizes": table(f"end_x,end_y,end_z,{SIZES},weight", far_corners),
+    "tabs between cells with commas": table(
+        "Item;Pos(x,y,z) [mm];Dim(l,w,h) [mm];Mass [kg]".replace(",", "\0"),
+        lambda k, box: [NAMES[k], "({}, {}, {})".format(*box), "({3}, {4}, {5})".format(*box), box[6]],
+        mark="\t",
+    ).replace("\0", ",").replace(";", "\t"),
+    "sections of layers": table(f"box,x,y,z,{SIZES},weight", named, mark=";").replace("e;", "Layer 2;;;;;;;\ne;", 1)
+    .replace("a;", "Layer 1;;;;;;;\na;", 1),
+    "Markdown": "\n".join(
+        [f"| box | {' | '.join(FIELDS)} |", "|:---|" + "---:|" * len(FIELDS)]
+        + [f"| {NAMES[k]} | " + " | ".join(map(str, box)) + " |" for k, box in enumerate(PILE)]
+    ),
+    "centres of bases": table(f"box,center_x_mm,center_y_mm,bottom_z_mm,{SIZES.replace(',', '_mm,')}_mm,mass_kg",
+                              lambda k, box: [NAMES[k], *centre(box)[:2], *box[2:]]),
+    "sides": table("left,right,front,back,bottom,top,weight", two_corners_in_turns),
+    "letters in cells": table(
+        "box,position,size,kg",
+        lambda k, box: [NAMES[k], "z={2} y={1} x={0}".format(*box), "B={4} L={3} H={5}".format(*box), box[6]],
+    ),
+    "corners in turns": table("X1,X2,Y1,Y2,Z1,Z2,weight", two_corners_in_turns),
+    "a web page": "<html><body><table><tr>"
+    + "".join(f"<th>{name}</th>" for name in ("box", *FIELDS))
+    + "</tr>"
+    + "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in named(k, list(box)))}</tr>" for k, box in enumerate(PILE))
+    + "</table></body></html>",
+}  # fmt: skip
+
+
+WITHOUT_IDS = ("a column of units", "rows in two units", "far corners with sizes", "sides", "corners in turns")
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_in_further_conventions(name: str, tmp_path: Path) -> None:
+    plan_set = load(tmp_path, "pile.txt", TABLES[name])
+    assert not plan_set.skipped
+    (plan,) = plan_set.plans
+    check_pile(plan)
+    assert plan.item_ids == (("",) * 8 if name in WITHOUT_IDS else tuple(NAMES))
+
+
+# Documents.
+
+
+def boxes_by(fields: Callable[[list[float]], dict[str, Any]], ids: str = "id") -> list[dict[str, Any]]:
+    """The boxes as objects, with the fields that a function gives for the seven values of a box."""
+    return [{ids: name, **fields(list(map(float, box)))} for name, box in zip(NAMES, PILE, strict=True)]
+
+
+def plain(box: list[float]) -> dict[str, Any]:
+    return dict(zip(FIELDS, box, strict=True))
+
+
+def with_points(box: list[float]) -> dict[str, Any]:
+    """A placement with free points beside it, which look like boxes: a program that draws packings writes them."""
+    points = [{"x": box[0] + box[3], "y": box[1], "z": box[2], "dx": 300.0, "dy": 200.0, "dz": 100.0}] * 3
+    stackable = {"dx": box[3], "dy": box[4], "dz": box[5]}
+    return {"x": box[0], "y": box[1], "z": box[2], "stackable": stackable, "weight": box[6], "points": points}
+
+
+def with_pose(box: list[float]) -> dict[str, Any]:
+    """A collision object of a robot: the pose of a centre, m."""
+    pose = {
+        "position": dict(zip("xyz", (value / 1e3 for value in centre(box)), strict=True)),
+        "orientation": {"x": 0.0, "y": 0.0, "z": math.sqrt(0.5), "w": math.sqrt(0.5)},
+    }
+    dimensions = [box[4] / 1e3, box[3] / 1e3, box[5] / 1e3]
+    return {"primitive": {"type": 1, "dimensions": dimensions}, "pose": pose, "mass": box[6]}
+
+
+def turned(rotation: Any) -> list[dict[str, Any]]:
+    """Boxes turned by 90° about z, with this rotation in any form."""
+    return boxes_by(
+        lambda box: {"position": centre(box), "rotation": rotation, "size": [box[4], box[3], box[5]], "kg": box[6]}
+    )
+
+
+def sized(box: list[float]) -> dict[str, Any]:
+    return {"dims": box[3:6], "mass": box[6]}
+
+
+def stacks() -> Any:
+    """Boxes that have only a height, in stacks that have a place."""
+    by_place: dict[tuple[Any, ...], list[Any]] = {}
+    for box in boxes_by(plain):
+        by_place.setdefault((box.pop("x"), box.pop("y")), []).append(box)
+    return {"stacks": [{"x": x, "y": y, "boxes": boxes} for (x, y), boxes in by_place.items()]}
+
+
+def corners(box: list[float]) -> list[list[float]]:
+    ends = [(box[axis], box[axis] + box[axis + 3]) for axis in range(3)]
+    return [[x, y, z] for x in ends[0] for y in ends[1] for z in ends[2]]
+
+
+def layers(key: str = "layers") -> Any:
+    """Boxes without a z, in layers that have it."""
+    heights = sorted({box[2] for box in PILE})
+    by_height = {z: [box for box in boxes_by(plain) if box["z"] == z] for z in heights}
+    for boxes in by_height.values():
+        for box in boxes:
+            del box["z"]
+    return {"pallet": {"length": 1200, "width": 800}, key: [{"z": z, "boxes": boxes} for z, boxes in by_height.items()]}
+
+
+def printed(boxes: Sequence[dict[str, Any]]) -> str:
+    """Dictionaries as Python prints them, one in each line."""
+    shown = "\n".join(str({**box, "position": [box["x"], box["y"], 0.5]}) for box in boxes)
+    return re.sub(r"'(x|y|z)': ([\d.]+)", r"'\1': Decimal('\2')", shown)
+
+
+def in_units(box: list[float]) -> dict[str, Any]:
+    size = dict(zip(FIELDS[3:6], (value / 25.4 for value in box[3:6]), strict=True))
+    place = dict(zip("xyz", (value / 25.4 for value in box[:3]), strict=True))
+    return {
+        "dimensions": {**size, "unit": "in"},
+        "position": place,
+        "weight": {"amount": box[6] / 0.45359237, "unit": "lb"},
+    }
+
+
+def nested(tag: str, value: Any) -> str:
+    """XML with one element for each box."""
+    boxes = "".join(
+        f'<Box id="{box["id"]}"><Pos x="{box["x"]}" y="{box["y"]}" z="{box["z"]}"/><Size unit="mm">'
+        f"<Length>{box['length']}</Length><Width>{box['width']}</Width><Height>{box['height']}</Height></Size>"
+        f"<Weight>{box['weight']}</Weight></Box>"
+        for box in value
+    )
+    return f'<?xml version="1.0" encoding="UTF-8"?><{tag} xmlns="urn:packer">{boxes}</{tag}>'
+
+
+def scene() -> Any:
+    """A scene as exported by three.js and Unity: scaled unit cubes, given by their centres in metres, with y upwards.
+    It has no cube for the container."""
+    cubes = {}
+    for number, (x, y, z, length, width, height, kg) in enumerate(PILE):
+        middle = {"x": (x + length / 2) / 1e3, "y": (z + height / 2) / 1e3, "z": (y + width / 2) / 1e3}
+        scale = {"x": length / 1e3, "y": height / 1e3, "z": width / 1e3}
+        cubes[f"cube {number}"] = {"position": middle, "localScale": scale, "mass": kg}
+    return {"objects": cubes}
+
+
+def by_columns(hole: str = "") -> Any:
+    """JSON as written by ``to_json()`` of pandas: for each column, a value for each label of a row. The row ``hole``
+    has no z."""
+    columns = {name: {str(row): box[k] for row, box in enumerate(PILE)} for k, name in enumerate(FIELDS)}
+    columns["z"].pop(hole, None)
+    return columns
+
+
+def with_units() -> Any:
+    boxes = [dict(zip(FIELDS, [*(v / 25.4 for v in box[:6]), box[6] / 0.45359237], strict=True)) for box in PILE]
+    return {"units": {"length": "in", "weight": "lb"}, "boxes": boxes}
+
+
+DOCUMENTS = {
+    "scales of cubes": scene(),
+    "columns by labels": by_columns(),
+    "units beside the boxes": with_units(),
+    "units in the boxes": boxes_by(in_units),
+    "free points in the boxes": {"containers": [{"placements": boxes_by(with_points)}]},
+    "poses in the boxes": {"frame": "pallet", "collision_objects": boxes_by(with_pose)},
+    "eight corners": {"boxes": boxes_by(lambda box: {"vertices": corners(box), "weight": box[6]})},
+    "bounds": {"boxes": boxes_by(lambda box: {"bbox": corners(box)[0] + corners(box)[7], "weight": box[6]})},
+    "lists of angles": turned([0, 0, 90]),
+    "rotation matrices": turned([[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+    "poses of seven numbers": boxes_by(lambda box: {"pose": [*centre(box), 1, 0, 0, 0], **sized(box)}),
+    "poses of six numbers": boxes_by(lambda box: {"pose": [*centre(box), 0, 0, 180], **sized(box)}),
+    "poses of four numbers": boxes_by(lambda box: {"pose": [*centre(box), 0.0], **sized(box)}),
+    "boxes in stacks": {"stacks": [{"boxes": [box]} for box in boxes_by(plain)]},
+    "layers with z": layers(),
+    "layers by keys": {"tool": "a", "layer_1": boxes_by(plain)[:4], "layer_2": boxes_by(plain)[4:]},
+    "flags as numbers": {
+        "boxes": [*({**box, "placed": 1} for box in boxes_by(plain)), {**boxes_by(plain)[0], "x": None, "placed": 0}]
+    },
+    "masses by their unit": boxes_by(lambda box: {"at": plain(box), "item": {"kg": box[6]}} | {"at": {
+        name: value for name, value in plain(box).items() if name != "weight"}}),
+    "units in German": boxes_by(
+        lambda box: {**plain(box), "weight": {"value": box[6] * 1000, "Einheit": "g", "tara": 0}}
+    ),
+    "goals of moves": boxes_by(
+        lambda box: {"size": box[3:6], "kg": box[6], "to": dict(zip("xyz", centre(box), strict=True))}
+    ),
+    "Python's values": printed(boxes_by(plain)),
+    "XML": nested("Pallet", boxes_by(plain)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_documents_in_further_conventions(name: str, tmp_path: Path) -> None:
+    content = DOCUMENTS[name]
+    up = {"up": "y"} if name == "scales of cubes" else {}  # the boxes of the scene would also stand with z upwards
+    plan_set = load(tmp_path, "pile.json", content if isinstance(content, str) else json.dumps(content), **up)
+    assert not plan_set.skipped
+    (plan,) = plan_set.plans
+    check_pile(plan)
+
+
+def test_stacks_give_their_places(tmp_path: Path) -> None:
+    (plan,) = load(tmp_path, "pile.json", json.dumps(stacks())).plans
+    order = [NAMES.index(name) for name in plan.item_ids]
+    np.testing.assert_allclose(plan.corner_mm, np.array(PILE)[order, :3])
+
+
+def test_pairs_of_sizes_and_places_in_an_array(tmp_path: Path) -> None:
+    pile = np.array(PILE, float)
+    np.save(tmp_path / "pile.npy", np.stack([pile[:, 3:6], pile[:, :3]], axis=1))
+    (plan,) = petmjx.load_plans(tmp_path / "pile.npy").plans
+    check_pile(plan, weights=False)
+
+
+# Several plans.
+
+
+def sheets(**rows: Sequence[Sequence[Any]]) -> bytes:
+    book, content = openpyxl.Workbook(), io.BytesIO()
+    book.remove(book.active)
+    for title, cells in rows.items():
+        sheet = book.create_sheet(title)
+        for row in cells:
+            sheet.append(list(row))
+    book.save(content)
+    return content.getvalue()
+
+
+BOX_ROWS = [["box", *FIELDS], *(named(number, list(box)) for number, box in enumerate(PILE))]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "plans"),
+    [
+        ("by name.json", {"A": {"boxes": boxes_by(plain)}, "B": {"boxes": boxes_by(plain)}}, ("A", "B")),
+        ("by id.json", {"A": {"boxes": {box["id"]: box for box in boxes_by(plain)}},
+                        "B": {"boxes": {box["id"]: box for box in boxes_by(plain)}}}, ("A", "B")),
+        ("numbered.json", {"tool": "a", "pallet_1": boxes_by(plain), "pallet_2": boxes_by(plain)},
+         ("pallet_1", "pallet_2")),
+        ("remarks.xlsx", sheets(A=BOX_ROWS, B=[[*row, "remark"] for row in BOX_ROWS]), ("A", "B")),
+        ("stacks.csv", table(f"stack,box,x,y,z,{SIZES},weight", lambda k, box: [1, *named(k, box)])
+         + table("2", lambda k, box: [2, *named(k, box)]).partition("\n")[2], ("stacks/1", "stacks/2")),
+        ("loads.json", {"loads": [{"load_id": name, "x": 0, "y": 1000 * number, "z": 0, "length": 1200, "width": 800,
+                                   "height": 900, "units": boxes_by(plain)} for number, name in enumerate("AB")]},
+         ("A", "B")),
+    ],
+)  # fmt: skip
+def test_no_list_of_boxes_is_lost_beside_another(
+    name: str, content: Any, plans: tuple[str, ...], tmp_path: Path
+) -> None:
+    plan_set = load(tmp_path, name, content if isinstance(content, str | bytes) else json.dumps(content))
+    assert tuple(plan.plan_id for plan in plan_set.plans) == plans
+    for plan in plan_set.plans:
+        check_pile(plan)
+
+
+def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
+    other = [["box", *(f"{name} [cm]" for name in FIELDS[:6])], *(row[:7] for row in BOX_ROWS[1:])]
+    twice = [["box", "box", *FIELDS], *([row[0], *row] for row in BOX_ROWS[1:])]
+    line = notes_of(load(tmp_path, "load.xlsx", sheets(A=BOX_ROWS, B=other, C=twice)))
+    assert "8 boxes in B not read: other columns" in line
+    assert "sheet C not read: column box occurs twice" in line
+    quantities = table(f"box,x,y,z,{SIZES},weight,qty", lambda k, box: [*named(k, box), 2 if k == 3 else 1])
+    assert "qty is above 1 in some rows, but each row is read as one box" in notes_of(
+        load(tmp_path, "a.csv", quantities)
+    )
+    of_article = table(f"sku,x,y,z,{SIZES},weight,qty", lambda k, box: ["A", *box, 8])
+    assert "above 1" not in notes_of(load(tmp_path, "b.csv", of_article))
+    loads = table(f"box,x,y,z,{SIZES},max_load", lambda k, box: [NAMES[k], *box[:6], "50 kg"])
+    assert "no weights: 300 kg/m³" in notes_of(load(tmp_path, "c.csv", loads))
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (table(f"box,x,y,z,{SIZES},weight", lambda k, box: [NAMES[k], box[0], 3e9 if k == 5 else box[1], *box[2:]]),
+         "row 7 (f): y must be from -20000 to 20000 (millimetres), got 3000000000.0"),
+        (transposed().replace("300;300;300;300;250;", "300;300;300;300;25O;"),
+         'column 6 (e): height must be a number, got "25O"'),
+        ("box;dimensions;location\na;400 x nan x 200;0, 0, 0\nb;400 x 300 x 200;0, 0, 200\n",
+         'row 2 (a): dimensions must be three finite numbers, got "400 x nan x 200"'),
+        (json.dumps({"boxes": boxes_by(lambda box: {"vertices": [[9, 9, 9], *corners(box)[1:]]})}),
+         "boxes[0] (a): vertices.min[0] must be a number"),
+        (printed(boxes_by(plain)).replace("12.0", "nan", 1), "line 1 (a): weight must be finite, got nan"),
+        (nested("Pallet", boxes_by(plain)).replace("12.0", "", 1), "Pallet.Box[0] (a): Weight is missing"),
+        ("\n".join(" ".join(map(str, [*box[3:6], *box[:3], (-1) ** (k == 3) * box[6]])) for k, box in enumerate(PILE)),
+         "row 4: column 7 must be > 0, got -12"),
+        (table(f"box,x,y,z,{SIZES},kg,orientation", lambda k, box: [*named(k, box), ("front", "side", "top")[k % 3]]),
+         "orientation has rotations of unknown meaning (front, side, top); if sizes are those of the boxes as placed"),
+        (json.dumps([*turned([0, 0, 90])[:4], *turned([0, 0, 30])[4:]]),
+         "[4] (e): rotation[0] is turned by 30° out of right angles"),
+        (json.dumps([*turned([0, 0, 90])[:4], *turned([0, 0, "9O"])[4:]]),
+         '[4] (e): rotation[2] must be a number, got "9O"'),
+        (table(f"stack,box,x,y,z,{SIZES},kg", lambda k, box: [k % 2, *named(k, box)]),
+         "stack may name pallets, or stacks of one pallet; say which with --columns plan=stack or --columns plan=-"),
+        (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
+    ],
+)  # fmt: skip
+def test_a_damaged_value_is_named_with_its_place(text: str, fault: str, tmp_path: Path) -> None:
+    plan_set = load(tmp_path, "pile.txt", text)
+    assert not plan_set.plans
+    (skipped,) = plan_set.skipped
+    assert "\n" not in skipped.message
+    assert fault in skipped.message
+
+
+def test_xml_with_entities_is_not_read(tmp_path: Path) -> None:
+    text = nested("Pallet", boxes_by(plain)).replace("<Pallet", '<!DOCTYPE a [<!ENTITY b "c">]><Pallet', 1)
+    (skipped,) = load(tmp_path, "pile.xml", text).skipped
+    assert "is XML" in skipped.message
