@@ -18,7 +18,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan_warnings import shared_length
 from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray
 from petmjx.world.edge_distances import bearing_in_order, building_loads_of, depends_on_sharing
-from petmjx.world.scene import build_scene
+from petmjx.world.scene import build_scenes
 from petmjx.world.supports import find_bearings
 
 AT_ONCE: Final = 128
@@ -86,66 +86,109 @@ def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0)
 
 
 def _balances(drafts: Sequence[Draft], sim: Simulation, spare_mm: float) -> list[Balance]:
-    scenes = [build_scene(draft.as_plan(), sim) for draft in drafts]
+    scenes = [*build_scenes((draft.as_plan() for draft in drafts), sim)]
     bearing = bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
     built = building_loads_of(bearing, [scene.n_boxes for scene in scenes])
     perhaps = depends_on_sharing(bearing, built)
     first = bearing.boxes.first
-    ends = np.searchsorted(built.box, first)
-    results = []
-    for number, draft in enumerate(drafts):
-        rows, start = slice(ends[number], ends[number + 1]), int(first[number])
-        edge_mm = MM_PER_M * built.edge_m[rows] - spare_mm
-        results.append(_balance(draft, built.box[rows] - start, built.step[rows] - start, edge_mm, perhaps[rows]))
-    return results
+    edge_mm = MM_PER_M * built.edge_m - spare_mm
+    rows = np.flatnonzero(~np.isnan(edge_mm))  # a box that floats or overlaps may bear a load although nothing bears it
+    loads = _loads(built.box[rows], built.step[rows], edge_mm[rows], perhaps[rows])
+    ends = np.searchsorted(loads.box, first)
+    return [
+        _balance(draft, loads.take(slice(*ends[k : k + 2]), int(first[k])), missing_room)
+        for k, (draft, missing_room) in enumerate(zip(drafts, _missing_room(drafts), strict=True))
+    ]
 
 
-def _balance(draft: Draft, box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> Balance:
-    """The balance of a draft from the edges of its loads, sorted by box and step."""
-    order = np.array(draft.order)
-    has_edge = ~np.isnan(edge_mm)  # a box that floats or overlaps may bear a load although nothing bears the box
-    box, step, edge_mm, perhaps = box[has_edge], step[has_edge], edge_mm[has_edge], perhaps[has_edge]
-    boxes, begins = np.unique(box, return_index=True)
+class _Loads(NamedTuple):
+    """The loads of all boxes of several drafts while these are built, one row for each box. Boxes and steps count on
+    over all drafts.
+
+    Attributes:
+        box: (k,) the boxes, sorted.
+        step: (k,) first step at which the load is beyond an edge; some step if it is always inside.
+        least_mm, last_mm: (k,) smallest and last distance from the edge, mm; negative beyond.
+        is_sure: (k,) whether the load is beyond an edge under each sharing of loads.
+    """
+
+    box: IntArray
+    step: IntArray
+    least_mm: FloatArray
+    last_mm: FloatArray
+    is_sure: BoolArray
+
+    def take(self, rows: slice, first: int) -> _Loads:
+        """Some rows, with boxes and steps that are counted from ``first``."""
+        box, step = self.box[rows] - first, self.step[rows] - first
+        return _Loads(box, step, self.least_mm[rows], self.last_mm[rows], self.is_sure[rows])
+
+
+def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> _Loads:
+    """The loads from their distances from edges at all steps, sorted by box and step."""
+    begins = np.flatnonzero(np.diff(box, prepend=-1))
+    if not len(begins):
+        return _Loads(box, step, edge_mm, edge_mm, perhaps)
     ends = np.append(begins[1:], len(box))
-    rows, missing_room = [], _missing_room(draft)
+    beyond = edge_mm < 0
+    first_beyond = np.minimum.reduceat(np.where(beyond, np.arange(len(box)), len(box) - 1), begins)
+    return _Loads(
+        box[begins],
+        step[first_beyond],
+        np.minimum.reduceat(edge_mm, begins),
+        edge_mm[ends - 1],
+        np.logical_or.reduceat(beyond & ~perhaps, begins),
+    )
+
+
+def _balance(draft: Draft, loads: _Loads, missing_room: FloatArray) -> Balance:
+    """The balance of a draft from its loads. ``missing_room``: (n,) as from ``_missing_room``."""
+    order = np.array(draft.order)
+    beyond = loads.least_mm < 0
     weakness = float(missing_room.sum())
-    for position, begin, end in zip(boxes.tolist(), begins.tolist(), ends.tolist(), strict=True):
-        edges = edge_mm[begin:end]
-        beyond = np.flatnonzero(edges < 0)
-        if len(beyond):
-            at = begin + int(beyond[0])
-            sure = bool((~perhaps[begin:end][beyond]).any())
-            rows.append((int(step[at]), int(order[position]), float(-edges.min()), float(edges[-1]), sure))
-        else:
-            weakness += max(1 - float(edges.min()) / SAFE_MM, 0.0)
-    rows.sort()
-    depth = np.array([row[2] for row in rows], float)
-    weight = np.where([row[4] for row in rows], 1.0, PERHAPS)
-    steps = np.array([row[0] for row in rows], np.intp)
+    for edge_mm in loads.least_mm[~beyond & (loads.least_mm < SAFE_MM)].tolist():
+        weakness += 1 - edge_mm / SAFE_MM
+    rows = np.flatnonzero(beyond)
+    rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]
+    depth_mm, steps = -loads.least_mm[rows], loads.step[rows].astype(np.intp)
+    weight = np.where(loads.is_sure[rows], 1.0, PERHAPS)
     return Balance(
-        box=np.array([row[1] for row in rows], np.intp),
+        box=order[loads.box[rows]].astype(np.intp),
         step=steps,
-        cause=order[steps] if len(rows) else steps,
-        depth_mm=depth,
-        last_mm=np.array([row[3] for row in rows], float),
-        trouble=float((weight * (1 + np.minimum(depth / DEEP_MM, 1.0))).sum()),
+        cause=order[steps].astype(np.intp),
+        depth_mm=depth_mm,
+        last_mm=loads.last_mm[rows],
+        trouble=float((weight * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))).sum()),
         weakness=weakness,
         squeezed=tuple(order[missing_room > 0].tolist()),
     )
 
 
-def _missing_room(draft: Draft) -> FloatArray:
-    """(n,) weight of each box, in packing order: the sum over the axes x and y along which the box is lowered between
-    two others. The weight of an axis is 1 without room to 0 with ``ROOM_MM`` of room."""
-    order = list(draft.order)
-    low, high = draft.corner_mm[order], (draft.corner_mm + draft.size_mm)[order]
-    stands = np.triu(np.ones((len(order), len(order)), bool), k=1)  # the row's box is placed before the column's
-    stands &= (high[:, None, 2] > low[None, :, 2] + TOLERANCE_MM) & (low[:, None, 2] < high[None, :, 2] - TOLERANCE_MM)
-    missing = np.zeros(len(order))
+def _missing_room(drafts: Sequence[Draft]) -> list[FloatArray]:
+    """For each draft, (n,) weight of each box, in packing order: the sum over the axes x and y along which the box is
+    lowered between two others. The weight of an axis is 1 without room to 0 with ``ROOM_MM`` of room."""
+    results: dict[int, FloatArray] = {}
+    for n in {len(draft.order) for draft in drafts}:
+        numbers = [k for k, draft in enumerate(drafts) if len(draft.order) == n]
+        orders = [list(drafts[k].order) for k in numbers]
+        low = np.stack([drafts[k].corner_mm[order] for k, order in zip(numbers, orders, strict=True)])
+        high = low + np.stack([drafts[k].size_mm[order] for k, order in zip(numbers, orders, strict=True)])
+        results |= dict(zip(numbers, _missing(low, high), strict=True))
+    return [results[k] for k in range(len(drafts))]
+
+
+def _missing(low: FloatArray, high: FloatArray) -> FloatArray:
+    """(c, n) weights as in ``_missing_room``, for boxes with these (c, n, 3) corners, mm."""
+    n = low.shape[1]
+    before = np.triu(np.ones((n, n), bool), k=1)  # the row's box is placed before the column's
+    stands = before & (high[:, :, None, 2] > low[:, None, :, 2] + TOLERANCE_MM)
+    stands &= low[:, :, None, 2] < high[:, None, :, 2] - TOLERANCE_MM
+    missing = np.zeros(low.shape[:2])
     for axis, across in ((0, 1), (1, 0)):
-        beside = stands & (shared_length(low[:, across], high[:, across]) > TOLERANCE_MM)
-        room = np.zeros(len(order))
-        for gap in (low[None, :, axis] - high[:, None, axis], low[:, None, axis] - high[None, :, axis]):
-            room += np.maximum(np.where(beside & (gap > -TOLERANCE_MM), gap, np.inf).min(axis=0), 0.0)
+        beside = stands & (shared_length(low[..., across], high[..., across]) > TOLERANCE_MM)
+        room = np.zeros(low.shape[:2])
+        ends, begins = high[:, :, None, axis], low[:, None, :, axis]
+        for gap in (begins - ends, low[:, :, None, axis] - high[:, None, :, axis]):
+            room += np.maximum(np.where(beside & (gap > -TOLERANCE_MM), gap, np.inf).min(axis=1, initial=np.inf), 0.0)
         missing += np.maximum(1 - room / ROOM_MM, 0.0)
     return missing

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, zip_longest
 from typing import Final
@@ -21,7 +21,7 @@ from petmjx.repairs.proposals import MOST_TARGETS, Limits, Proposal, Target, pro
 from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.states import Candidate, State, key_of, n_counted, way_of
-from petmjx.repairs.trials import Asked, Trial
+from petmjx.repairs.trials import Asked, Steps, Trial
 
 MOST_RANKED: Final = 168
 """Largest number of allowed changes of a plan that are kept: the most promising ones."""
@@ -54,6 +54,7 @@ class Candidates:
     Attributes:
         plan: the plan.
         film_turns: number of turns of film around the plan.
+        is_wide: whether many plans are judged at once, for an engine that judges many as fast as a few.
         n_trials: number of plans that were simulated.
     """
 
@@ -61,6 +62,7 @@ class Candidates:
     sim: Simulation
     options: RepairOptions
     film_turns: float = 0.0
+    is_wide: bool = False
     n_trials: int = 0
 
     def __post_init__(self) -> None:
@@ -69,6 +71,7 @@ class Candidates:
         self.rules = Rules(self.plan, self.sim, options.max_height_mm, options.built)
         self._start = Draft.of(self.plan, self.film_turns)
         self._seen: set[bytes] = set()
+        self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # of each draft, by the number of the world
 
     # ------------------------------------------------------------------ proposals
 
@@ -156,20 +159,24 @@ class Candidates:
 
     # ------------------------------------------------------------------ simulations
 
-    def _simulated(
-        self, drafts: Sequence[Draft], *, judged: bool = False
-    ) -> Generator[list[Asked], list[Trial], list[Trial]]:
+    def _simulated(self, drafts: Sequence[Draft], *, judged: bool = False) -> Steps[list[Trial]]:
+        """The trials of drafts."""
         self.n_trials += len(drafts)
-        return (yield [Asked(draft, judged) for draft in drafts])
+        return (yield [Asked(draft, judged) for draft in drafts]) if drafts else []
 
-    def _judged(self, batch: Sequence[Candidate]) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _scored(self, states: Sequence[State]) -> Steps[list[State]]:
+        """States that were judged, with their scores."""
+        self.n_trials += len(states)
+        requests = [Asked(state.draft, is_judged=False, judged=state.trial) for state in states]
+        trials = (yield requests) if requests else []
+        return [replace(state, trial=trial) for state, trial in zip(states, trials, strict=True)]
+
+    def _judged(self, batch: Sequence[Candidate]) -> Steps[list[State]]:
         """The states of candidates that are only judged."""
-        trials = (yield from self._simulated([c.draft for c in batch], judged=True)) if batch else []
+        trials = yield from self._simulated([c.draft for c in batch], judged=True)
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 
-    def _trials_of(
-        self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False
-    ) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _trials_of(self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False) -> Steps[list[State]]:
         """The simulated states with these lists of changes. Lists that are impossible or not allowed are left out."""
         made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
         allowed = self.rules.allow([draft for draft, _ in made])
@@ -179,15 +186,14 @@ class Candidates:
         trials = yield from self._simulated([draft for draft, _ in made], judged=judged)
         return [State(draft, changes, trial) for (draft, changes), trial in zip(made, trials, strict=True)]
 
-    def _judged_in(
-        self, states: Sequence[State], worlds: Iterable[int]
-    ) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _judged_in(self, states: Sequence[State], worlds: Iterable[int]) -> Steps[list[State]]:
         """The states with their trials in these worlds with errors. A world in which a state was judged before is not
         simulated again."""
-        pairs = [(k, world) for k, state in enumerate(states) for world in worlds if world not in state.errors]
+        known = [{**self._in_worlds.get(key_of(state.draft), {}), **state.errors} for state in states]
+        pairs = [(k, world) for k in range(len(states)) for world in worlds if world not in known[k]]
         self.n_trials += len(pairs)
         trials = (yield [Asked(states[k].draft, True, world) for k, world in pairs]) if pairs else []
-        by_world = [dict(state.errors) for state in states]
         for (k, world), trial in zip(pairs, trials, strict=True):
-            by_world[k][world] = trial
-        return [replace(state, errors=errors) for state, errors in zip(states, by_world, strict=True)]
+            known[k][world] = trial
+        self._in_worlds.update((key_of(state.draft), errors) for state, errors in zip(states, known, strict=True))
+        return [replace(state, errors=errors) for state, errors in zip(states, known, strict=True)]

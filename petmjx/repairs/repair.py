@@ -26,7 +26,7 @@ from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import run_searches
 from petmjx.repairs.states import State
-from petmjx.repairs.trials import OF_RUN, Asked, OutOfTime, Question, Share, Trial
+from petmjx.repairs.trials import OF_RUN, Asked, Question, Share, Trial, TrialStream
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.share_intervals import wilson_interval
@@ -300,17 +300,11 @@ def repair(
 def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions) -> Iterator[Repaired]:
     """The repair of each plan. The searches of several plans share runs of the engine."""
     end_s = math.inf if options.seconds is None else time.monotonic() + options.seconds
-
-    def ask(asked: list[Asked]) -> list[Trial]:
-        if time.monotonic() > end_s:
-            raise OutOfTime
-        return question.trials(asked, end_s)
-
     waiting = iter(plans)
     while group := list(islice(waiting, AT_ONCE)):
-        searches = [Search(plan, question.sim, options, question.film_turns) for plan in group]
+        searches = [Search(plan, question.sim, options, question.film_turns, question.is_wide) for plan in group]
         try:
-            run_searches(searches, ask, question.threads)
+            run_searches(searches, TrialStream(question, end_s), question.threads)
             late = [search for search in searches if search.before is None]
             drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=False) for search in late]
             for search, trial in zip(late, question.trials(drafts) if late else [], strict=True):

@@ -7,14 +7,15 @@ short simulation each. Plans that stand are scored. Then needless changes are ta
 needed: without it, the plan falls. Worlds with errors decide which of the repairs with the fewest changes is chosen. If
 this repair falls in too many of these worlds, it is changed further at the places where it falls there.
 
-``search`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans can
-share runs of an engine. The simulated plans depend only on the plan and the options, not on time.
+``Search.run`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans
+can share runs of an engine. Parts of a search that do not depend on each other run side by side (``Together``). The
+simulated plans depend only on the plan, the options and the kind of engine, not on time.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -23,9 +24,7 @@ from petmjx.repairs.changes import Film, Kind, LeaveOut, applied
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.proposals import Limits, lifted_with
 from petmjx.repairs.states import AT_ONCE, Candidate, Node, State, batch_of, key_of, n_counted, shortest, way_of
-from petmjx.repairs.trials import ERROR_WORLDS, Asked, Trial
-
-Asking = Generator[list[Asked], list[Trial], None]
+from petmjx.repairs.trials import ERROR_WORLDS, Steps, Together, Trial
 
 BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
@@ -68,6 +67,10 @@ COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
 MOST_LOST: Final = 3
 """The changes of a plan are first judged in at most this many of the worlds with errors in which the plan falls."""
 
+WIDE: Final = 2
+"""A GPU judges many plans as fast as a few. So there a search judges this many times as many plans at once, and goes on
+in fewer rounds."""
+
 STRENGTHENED: Final = 0.33
 """Share of all trials in which a repair is changed further, so that it stands in more worlds with errors."""
 
@@ -77,7 +80,7 @@ MORE_TO_COMPARE: Final = 24
 MOST_UNDONE: Final = 8
 """Limit of the total number of changes in all repairs that are compared. Each change is taken back for a trial, and the
 trial is scored. So fewer repairs are compared if repairs are long. If one repair alone has more changes, its trials are
-only judged."""
+only judged. On a GPU, all such trials are only judged: scores of plans that fall would keep all searches waiting."""
 
 PER_DRIVE: Final = 6
 """A plan that is scored with a drive counts as this many trials. With a drive, every plan is scored, because no short
@@ -107,22 +110,33 @@ class Search(Candidates):
         self.before, self.repairs, self.n_trials = other.before, other.repairs, other.n_trials
         self.complete = other.complete
 
+    @property
+    def _scale(self) -> int:
+        """How many times as many plans as usual are judged at once."""
+        return WIDE if self.is_wide else 1
+
     def begin(self, before: Trial) -> None:
         """Note the simulation of the plan as it is."""
         self.before = before
         if before.stands:
             self.repairs, self.complete = (State(self._start, (), before),), True
 
-    def run(self) -> Asking:
+    def run(self) -> Steps[None]:
         """Yields drafts to be simulated, and is sent their trials."""
-        (before,) = yield from self._simulated([self._start])
-        self.begin(before)
-        if not before.stands:
-            yield from self._mended(State(self._start, (), before))
+        is_driven = self.options.profile is not None
+        (trial,) = yield from self._simulated([self._start], judged=not is_driven)
+        start = State(self._start, (), trial)
+        if not is_driven:
+            (scored,), (faults,) = yield Together([self._scored([start]), self._faults([start], math.inf)])
+            start = scored if start.trial.stands else replace(start, faults=faults)
+            trial = scored.trial
+        self.begin(trial)
+        if not trial.stands:
+            yield from self._mended(start)
             self._seen.clear()
             self.complete = True
 
-    def _mended(self, start: State) -> Asking:
+    def _mended(self, start: State) -> Steps[None]:
         """Search for repairs of a plan that falls."""
         kinds = self.options.kinds
         standing: list[State] = []
@@ -130,10 +144,6 @@ class Search(Candidates):
             standing = yield from self._wrapped(start)
         promising, kinds_with_all_boxes = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
         most = self.options.trials if self.options.profile is None else self.options.trials // PER_DRIVE
-        if not standing and self.options.profile is None:
-            (judged,) = yield from self._simulated([self._start], judged=True)
-            if not judged.stands:
-                promising = [State(self._start, (), judged)]
         if not standing and kinds_with_all_boxes:
             standing, promising = yield from self._changed(promising, kinds_with_all_boxes, most)
         if not standing and Kind.LEAVE_OUT in kinds:
@@ -149,7 +159,7 @@ class Search(Candidates):
 
     # ------------------------------------------------------------------ film
 
-    def _wrapped(self, start: State) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _wrapped(self, start: State) -> Steps[list[State]]:
         """The plan with the fewest turns of film with which it survives the profile; empty: it survives with no allowed
         number of turns."""
         low, high = math.floor(self.film_turns), self.options.most_turns
@@ -175,14 +185,15 @@ class Search(Candidates):
 
     def _changed(
         self, start: Sequence[State], kinds: frozenset[Kind], most_trials: int
-    ) -> Generator[list[Asked], list[Trial], tuple[list[State], list[State]]]:
+    ) -> Steps[tuple[list[State], list[State]]]:
         """Two lists: plans that stand after changes of these kinds, and the most promising of the plans that still
         fall."""
         options = self.options
         limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
         last, alone = self.n_trials + most_trials, self.n_trials + int(ALONE * most_trials)
-        faults = yield from self._faults(start, math.inf)
-        nodes = [Node(replace(state, faults=count)) for state, count in zip(start, faults, strict=True)]
+        unknown = [state for state in start if math.isinf(state.faults)]
+        counts = iter((yield from self._faults(unknown, math.inf)))
+        nodes = [Node(replace(state, faults=next(counts)) if math.isinf(state.faults) else state) for state in start]
         ways = {way_of(node.state) for node in nodes}
         standing: list[State] = []
         judged: list[State] = []  # states that stand
@@ -201,19 +212,21 @@ class Search(Candidates):
             queues = self._queues(useful, limits, anew=is_late)
             if not queues:
                 break
-            batch = batch_of(queues, min(2 * AT_ONCE if is_late else AT_ONCE, last - self.n_trials))
+            batch = batch_of(queues, min(self._scale * (2 * AT_ONCE if is_late else AT_ONCE), last - self.n_trials))
             states = yield from self._judged(batch)
             if any(state.trial.stands for state in states):  # other plans may stand in more worlds with errors
-                next_candidates = batch_of(queues, min(AT_ONCE, last - self.n_trials))
-                batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
+                if not self.is_wide:
+                    next_candidates = batch_of(queues, min(AT_ONCE, last - self.n_trials))
+                    batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
                 judged += [state for state in states if state.trial.stands]
-                confirmed = yield from self._confirmed(states)
-                shortened = yield from self._pruned(confirmed, judged=True)
-                if shortened and not standing:
-                    last = min(last, self.n_trials + int(SHORTER * most_trials))
-                standing = shortest([*standing, *shortened])
-                self.repairs = tuple(standing)
-            states = yield from self._counted(states, batch)
+            (states, shortened), faults = yield Together([self._shortened(states), self._counted(states, batch)])
+            if shortened and not standing:
+                last = min(last, self.n_trials + int(SHORTER * most_trials))
+            standing = shortest([*standing, *shortened])
+            self.repairs = tuple(standing)
+            # a plan that stands only when judged has a fault
+            least = [0.0 if state.trial.stands else 1.0 for state in states]
+            states = [replace(state, faults=max(two)) for state, *two in zip(states, faults, least, strict=True)]
             for state in sorted(states, key=lambda state: Node(state).key):
                 if self._is_short(state) and not state.trial.stands and (way := way_of(state)) not in ways:
                     ways.add(way)
@@ -227,9 +240,7 @@ class Search(Candidates):
         nodes.sort(key=lambda node: (node.n_expected, node.key))
         return standing, [node.state for node in nodes[:BEAM]]
 
-    def _compared(
-        self, scored: Sequence[State], judged: Sequence[State]
-    ) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _compared(self, scored: Sequence[State], judged: Sequence[State]) -> Steps[list[State]]:
         """Of repairs with the same number of changes, those that stand most often in a few worlds with errors.
 
         Args:
@@ -237,24 +248,26 @@ class Search(Candidates):
         """
         different = [*{key_of(state.draft): state for state in (*judged, *scored)}.values()]
         chosen = [different[k] for k in self._safest(different)[:MOST_COMPARED]]
-        counted = yield from self._judged_in(chosen, COMPARED_IN)
+        counted: list[State] = []
+        at_once = MOST_COMPARED if self.is_wide else MOST_FINALISTS
+        for begin in range(0, len(chosen), at_once):
+            counted += yield from self._judged_in(chosen[begin : begin + at_once], COMPARED_IN)
+            if sum(state.n_good == len(COMPARED_IN) for state in counted) >= _n_finalists(counted):
+                break  # no other repair stands more often
         counted.sort(key=lambda state: -state.n_good)
         best, sure = counted[: 2 * MOST_FINALISTS], {key_of(state.draft) for state in scored}
         unsure = [k for k, state in enumerate(best) if key_of(state.draft) not in sure]
-        scores = (yield from self._simulated([best[k].draft for k in unsure])) if unsure else []
-        for k, trial in zip(unsure, scores, strict=True):
-            best[k] = replace(best[k], trial=trial)
+        for k, state in zip(unsure, (yield from self._scored([best[k] for k in unsure])), strict=True):
+            best[k] = state
         return [state for state in best if state.trial.stands] or [*scored]
 
-    def _nearly(self, nodes: Sequence[Node]) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _nearly(self, nodes: Sequence[Node]) -> Steps[list[State]]:
         """Of the plans with a single fault, the shortest ones that stand when scored. In such a plan, a box tilts, but
         then leans on something."""
         if self.options.profile is not None:
             return []
         chosen = sorted((node.state for node in nodes if node.state.faults <= 1), key=lambda state: len(state.changes))
-        chosen = chosen[:MOST_NEARLY]
-        trials = (yield from self._simulated([state.draft for state in chosen])) if chosen else []
-        scored = [replace(state, trial=trial) for state, trial in zip(chosen, trials, strict=True)]
+        scored = yield from self._scored(chosen[:MOST_NEARLY])
         return shortest([state for state in scored if state.trial.stands])
 
     def _queues(self, nodes: Sequence[Node], limits: Limits, *, anew: bool) -> list[list[Candidate]]:
@@ -279,10 +292,8 @@ class Search(Candidates):
                 break
         return queues
 
-    def _counted(
-        self, states: Sequence[State], batch: Sequence[Candidate]
-    ) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The states with their numbers of faults. For each way to change a plan, only the faults of the most promising
+    def _counted(self, states: Sequence[State], batch: Sequence[Candidate]) -> Steps[list[float]]:
+        """The number of faults of each state. For each way to change a plan, only the faults of the most promising
         state are counted. All other states are assumed to have as many faults as the plan before the change."""
 
         def rank(k: int) -> tuple[bool, int, int, float]:
@@ -293,37 +304,34 @@ class Search(Candidates):
         different: dict[tuple[object, ...], int] = {}
         for k in sorted(range(len(states)), key=rank):
             different.setdefault(way_of(states[k]), k)
-        chosen = [*different.values()][:MOST_COUNTED]
+        chosen = [*different.values()][: self._scale * MOST_COUNTED]
         faults = [0.0 if state.trial.stands else c.parent.faults for state, c in zip(states, batch, strict=True)]
         counts = yield from self._faults([states[k] for k in chosen], max((faults[k] for k in chosen), default=0.0))
         for k, count in zip(chosen, counts, strict=True):
             faults[k] = count
-        return [replace(state, faults=count) for state, count in zip(states, faults, strict=True)]
-
-    def _faults(self, states: Sequence[State], most: float) -> Generator[list[Asked], list[Trial], list[float]]:
-        """The number of faults of each plan, counted up to the limit ``most``. Boxes that fall are taken off one by
-        one, with all boxes that need them, until the rest stands. With a drive, this would be too expensive, so only
-        the boxes that fell are counted."""
-        faults = [0.0] * len(states)
-        falling = {k: (state.draft, state.trial) for k, state in enumerate(states) if not state.trial.stands}
-        while falling:
-            drafts = {}
-            for k, (draft, trial) in falling.items():
-                if self.options.profile is not None:
-                    faults[k] = max(1.0, len(trial.fallen) / PILE)
-                    continue
-                lifted = lifted_with(draft, _lost(draft, trial))
-                faults[k] += max(1.0, len(lifted) / PILE)
-                if faults[k] > most or min(lifted) < self.rules.built or len(lifted) == len(draft.order):
-                    continue
-                drafts[k] = replace(draft, order=tuple(box for box in draft.order if box not in lifted))
-            trials = (yield from self._simulated([*drafts.values()], judged=True)) if drafts else []
-            falling = {
-                k: (draft, trial) for (k, draft), trial in zip(drafts.items(), trials, strict=True) if not trial.stands
-            }
         return faults
 
-    def _stripped(self, state: State) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _faults(self, states: Sequence[State], most: float) -> Steps[list[float]]:
+        """The number of faults of each plan, counted up to the limit ``most``."""
+        faults: list[float] = yield Together([self._faults_of(state, most) for state in states])
+        return faults
+
+    def _faults_of(self, state: State, most: float) -> Steps[float]:
+        """The number of faults of a plan. Boxes that fall are taken off one by one, with all boxes that need them,
+        until the rest stands. With a drive, this would be too expensive, so only the boxes that fell are counted."""
+        draft, trial, faults = state.draft, state.trial, 0.0
+        if self.options.profile is not None and not trial.stands:
+            return max(1.0, len(trial.fallen) / PILE)
+        while not trial.stands:
+            lifted = lifted_with(draft, _lost(draft, trial))
+            faults += max(1.0, len(lifted) / PILE)
+            if faults > most or min(lifted) < self.rules.built or len(lifted) == len(draft.order):
+                break
+            draft = replace(draft, order=tuple(box for box in draft.order if box not in lifted))
+            (trial,) = yield from self._simulated([draft], judged=True)
+        return faults
+
+    def _stripped(self, state: State) -> Steps[list[State]]:
         """The state without the boxes that fall. They are left out one by one, with all boxes on them, until the
         remaining boxes stand. Empty: a box that is already built, or the last box, would have to be left out. The loop
         always ends, since each step leaves out a box."""
@@ -341,24 +349,30 @@ class Search(Candidates):
             state = State(draft, changes, trial)
         return [state]
 
-    def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _shortened(self, states: Sequence[State]) -> Steps[tuple[list[State], list[State]]]:
+        """Two lists: all states, with the scores of those that stand when judged, as far as needed; and the ones that
+        stand when scored, without their needless changes."""
+        every, confirmed = yield from self._confirmed(states)
+        return every, (yield from self._pruned(confirmed, judged=True))
+
+    def _confirmed(self, states: Sequence[State]) -> Steps[tuple[list[State], list[State]]]:
         """Score states that stand when judged, those with the fewest changes first, until some of them also stand when
-        scored. Returns these. In ``states``, all scored states get the trial of their score. With a drive, nothing is
-        scored here, because all trials are scores."""
+        scored. Returns all states, and those that stand when scored. With a drive, nothing is scored here, because all
+        trials are scores."""
+        every = list(states)
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
         safest = [numbers[n] for n in self._safest([states[k] for k in numbers])]
         queue = sorted(safest, key=lambda k: len(states[k].changes))
         if self.options.profile is not None:
-            return [states[k] for k in queue]
+            return every, [states[k] for k in queue]
         for begin in range(0, len(queue), CONFIRMED_AT_ONCE):
             chosen = queue[begin : begin + CONFIRMED_AT_ONCE]
-            trials = yield from self._simulated([states[k].draft for k in chosen])
-            for k, trial in zip(chosen, trials, strict=True):
-                states[k] = replace(states[k], trial=trial)
-            confirmed = [states[k] for k in chosen if states[k].trial.stands]
+            for k, state in zip(chosen, (yield from self._scored([states[k] for k in chosen])), strict=True):
+                every[k] = state
+            confirmed = [every[k] for k in chosen if every[k].trial.stands]
             if confirmed:
-                return confirmed
-        return []
+                return every, confirmed
+        return every, []
 
     def _is_short(self, state: State) -> bool:
         """Whether a state may be changed further."""
@@ -366,26 +380,26 @@ class Search(Candidates):
 
     # ------------------------------------------------------------------ the end
 
-    def _finished(self, standing: Sequence[State]) -> Asking:
+    def _finished(self, standing: Sequence[State]) -> Steps[None]:
         """Take back needless changes, and keep the repairs with the fewest changes."""
         fewest = min(len(state.changes) for state in standing)
-        reduced = []
-        for state in shortest(standing)[: min(MOST_FINALISTS, max(MOST_UNDONE // fewest, 1))]:
-            reduced.append((yield from self._reduced(state)))
-        pruned = shortest((yield from self._pruned(reduced, judged=fewest > MOST_UNDONE)))
+        finalists = shortest(standing)[: _n_finalists(standing)]
+        reduced: list[State] = yield Together([self._reduced(state) for state in finalists])
+        pruned = shortest((yield from self._pruned(reduced, judged=self.is_wide or fewest > MOST_UNDONE)))
         different = [*{key_of(state.draft): state for state in pruned}.values()]
         ranks = [(-state.n_good, *risk) for state, risk in zip(different, self._risks(different), strict=True)]
         self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
 
-    def _strengthened(self) -> Asking:
+    def _strengthened(self) -> Steps[None]:
         """Put the repair first that stands most often in worlds with errors. Then change it further until it stands in
         the wanted share of these worlds. It is changed where it falls in them, just as a plan that falls without errors
         is changed where it falls."""
         options = self.options
         wanted = math.ceil(options.share * ERROR_WORLDS)
         compared: list[State] = []
-        for state in self.repairs:
-            compared += yield from self._judged_in([state], ALL_WORLDS)
+        at_once = len(self.repairs) if self.is_wide else 1
+        for begin in range(0, len(self.repairs), at_once):
+            compared += yield from self._judged_in(self.repairs[begin : begin + at_once], ALL_WORLDS)
             if compared[-1].n_good == ERROR_WORLDS:
                 break
         compared.sort(key=lambda state: -state.n_good)
@@ -405,36 +419,63 @@ class Search(Candidates):
                 nodes.remove(node)
                 continue
             node.n_judged += AT_ONCE
-            judged = yield from self._judged(batch_of([node.queue], AT_ONCE))
-            standing = [state for state in judged if state.trial.stands]
-            chosen = [standing[k] for k in self._safest(standing)[:MOST_COMPARED]]
-            chosen = yield from self._judged_in(chosen, [*node.state.lost][:MOST_LOST])
-            chosen = sorted((state for state in chosen if state.n_good), key=lambda state: -state.n_good)
-            chosen = yield from self._judged_in(chosen[:MOST_FINALISTS], ALL_WORLDS)
-            better = [state for state in chosen if state.n_good > node.state.n_good]
+            better = yield from self._stronger(node.state, batch_of([node.queue], self._scale * AT_ONCE), wanted)
             nodes += [Node(state) for state in better]
             if better and (most := max(better, key=lambda state: state.n_good)).n_good > best.n_good:
-                (trial,) = yield from self._simulated([most.draft])
-                best = replace(most, trial=trial) if trial.stands else best
+                (most,) = yield from self._scored([most])
+                best = most if most.trial.stands else best
         if best is not compared[0]:
             best = yield from self._needed(best, min(wanted, best.n_good))
             self.repairs = (best, *compared)
 
-    def _needed(self, state: State, n_good: int) -> Generator[list[Asked], list[Trial], State]:
+    def _stronger(self, weak: State, batch: Sequence[Candidate], wanted: int) -> Steps[list[State]]:
+        """The candidates that stand, and stand in more worlds with errors than the plan ``weak`` from which they were
+        made.
+
+        A world with errors has five times as many steps as one without errors, in which no hand lowers the boxes. So
+        few worlds are simulated that a candidate does not need. Candidates that stand without errors are judged in
+        worlds in which ``weak`` falls, one world after the other, until enough of them stand. The best are judged in
+        all worlds, one after the other, until one stands in ``wanted`` of them.
+        """
+        judged = yield from self._judged(batch)
+        standing = [state for state in judged if state.trial.stands]
+        falling = [standing[k] for k in self._safest(standing)[: self._scale * MOST_COMPARED]]
+        worlds, good = [*weak.lost][:MOST_LOST], list[State]()
+        for world in worlds:
+            states = yield from self._judged_in(falling, worlds if self.is_wide else [world])
+            good += [state for state in states if state.errors[world].stands]
+            falling = [state for state in states if not state.errors[world].stands]
+            if len(good) >= MOST_FINALISTS:
+                break
+        good = yield from self._judged_in(good[: self._scale * 2 * MOST_FINALISTS], worlds)
+        good.sort(key=lambda state: -state.n_good)
+        better: list[State] = []
+        at_once = WIDE * MOST_FINALISTS if self.is_wide else 1
+        for begin in range(0, self._scale * MOST_FINALISTS, at_once):
+            states = yield from self._judged_in(good[begin : begin + at_once], ALL_WORLDS)
+            better += [state for state in states if state.n_good > weak.n_good]
+            if any(state.n_good >= wanted for state in better):
+                break
+        return better
+
+    def _needed(self, state: State, n_good: int) -> Steps[State]:
         """The state without needless changes. A change is needless if the plan stands without it, in at least
         ``n_good`` of the worlds with errors, too."""
         while len(state.changes) > 1:
             lists = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
-            shorter = yield from self._trials_of(lists, judged=len(lists) > MOST_UNDONE)
-            shorter = yield from self._judged_in([one for one in shorter if one.trial.stands], ALL_WORLDS)
-            shorter = sorted((one for one in shorter if one.n_good >= n_good), key=lambda one: one.cost)
-            trials = (yield from self._simulated([shorter[0].draft])) if shorter else []
-            if not trials or not trials[0].stands:
+            shorter = yield from self._trials_of(lists, judged=self.is_wide or len(lists) > MOST_UNDONE)
+            shorter = [one for one in shorter if one.trial.stands]
+            for n_worlds in (ERROR_WORLDS // 2, ERROR_WORLDS):
+                shorter = yield from self._judged_in(shorter, ALL_WORLDS[:n_worlds])
+                shorter = [one for one in shorter if one.n_good >= n_good - (ERROR_WORLDS - n_worlds)]
+            shorter.sort(key=lambda one: one.cost)
+            scored = yield from self._scored(shorter[:1])
+            if not scored or not scored[0].trial.stands:
                 break
-            state = replace(shorter[0], trial=trials[0])
+            state = scored[0]
         return state
 
-    def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
+    def _reduced(self, state: State) -> Steps[State]:
         """The state without groups of needless changes, if it has many changes. Halves of the changes are tried first,
         then smaller groups."""
         size = len(state.changes) // 2 if len(state.changes) > MOST_UNDONE else 0
@@ -447,12 +488,12 @@ class Search(Candidates):
                 shorter = min(standing, key=lambda one: one.cost)
             size = min(size if standing else size // 2, len(shorter.changes) // 2)
         if shorter is not state:
-            (trial,) = yield from self._simulated([shorter.draft])
-            if trial.stands:
-                return replace(shorter, trial=trial)
+            (scored,) = yield from self._scored([shorter])
+            if scored.trial.stands:
+                return scored
         return state
 
-    def _pruned(self, states: Sequence[State], *, judged: bool) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _pruned(self, states: Sequence[State], *, judged: bool) -> Steps[list[State]]:
         """The given states, which stand, without their needless changes. Changes are taken back one by one.
 
         Args:
@@ -477,12 +518,16 @@ class Search(Candidates):
                     if len(shorter[k].changes) > 1:
                         remaining.append(k)
         changed = [k for k, state in enumerate(states) if judged and shorter[k] is not state]
-        trials = (yield from self._simulated([shorter[k].draft for k in changed])) if changed else []
-        for k, trial in zip(changed, trials, strict=True):
-            shorter[k] = replace(shorter[k], trial=trial) if trial.stands else states[k]
+        for k, scored in zip(changed, (yield from self._scored([shorter[k] for k in changed])), strict=True):
+            shorter[k] = scored if scored.trial.stands else states[k]
         return shorter
 
 
 def _lost(draft: Draft, trial: Trial) -> int:
     """The box that fell first; if none is known, the one that was placed last."""
     return draft.order[min(trial.n_placed, len(draft.order)) - 1] if trial.culprit is None else trial.culprit
+
+
+def _n_finalists(states: Sequence[State]) -> int:
+    """Of repairs, the number of those whose changes are taken back one by one."""
+    return min(MOST_FINALISTS, max(MOST_UNDONE // min(len(state.changes) for state in states), 1))

@@ -1,138 +1,259 @@
-"""Searches of many plans in several processes, whose trials share runs of one engine.
+"""Searches of many plans: parts of a search run side by side, and searches run in several processes.
 
 Proposals and statics take as long as a GPU takes for the trials, and more. So searches are dealt out to processes. Each
-process sends what its searches ask for; this process gives the engine what all that wait have asked for, while the
-others go on. Which searches share a run changes no result: the outcome of a world does not depend on those beside it.
+process sends the drafts that its searches need, and gets the trials of each request as soon as they are known. The
+process that has the engine simulates the drafts of all searches in one stream. Which worlds are simulated at the same
+time changes no result: the outcome of a world does not depend on other worlds.
 """
 
 from __future__ import annotations
 
 import pickle
 import queue
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from typing import Any, Final
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol
 
 from petmjx.engines.subprocess.task_pipe import Child, next_of, own_pipes
-from petmjx.repairs.search import Asking, Search
-from petmjx.repairs.trials import Asked, OutOfTime, Trial
+from petmjx.repairs.search import Search
+from petmjx.repairs.trials import Answer, Asked, OutOfTime, Steps, Together
 
 PLANS_EACH: Final = 4
 """Plans for which a process is worth its start, of two seconds."""
 
-LOOK_S: Final = 0.05
-"""Seconds to wait for further processes before the engine starts."""
-
-Ask = Callable[[list[Asked]], list[Trial]]
-"""Simulates drafts. Raises ``OutOfTime`` if the time is up."""
+LOOK_S: Final = 0.005
+"""While all processes are busy, and the engine is idle, messages are looked for at intervals of this length, s."""
 
 
-def run_searches(searches: Sequence[Search], ask: Ask, processes: int) -> None:
-    """Run searches to their ends.
+class Simulator(Protocol):
+    """Simulates drafts while further ones are requested (``TrialStream``)."""
+
+    def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
+        """Request the trials of drafts."""
+
+    def answers(self) -> Iterator[Answer | None]:
+        """The answers, until no request is left. Raises ``OutOfTime`` if the time is up."""
+        ...
+
+
+@dataclass(eq=False)
+class _Task:
+    """A search, or a part of one.
+
+    Attributes:
+        whole: the task of which this is a part; None: a whole search.
+        place: position among the parts of ``whole``.
+        results: the results of its own parts that run side by side.
+        n_running: number of these parts that have not ended.
+    """
+
+    steps: Steps[Any]
+    whole: _Task | None = None
+    place: int = 0
+    results: list[Any] = field(default_factory=list)
+    n_running: int = 0
+
+
+class Tasks:
+    """Searches, and their parts that run side by side.
+
+    Attributes:
+        requests: ticket and drafts of the requests that were not sent yet.
+    """
+
+    def __init__(self, searches: Iterable[Steps[Any]]) -> None:
+        self.requests: list[tuple[int, list[Asked]]] = []
+        self._waiting: dict[int, _Task] = {}
+        self._n_requests = 0
+        for steps in searches:
+            self._go_on(_Task(steps), None)
+
+    def take(self, answer: Answer) -> None:
+        """Continue the task whose request is answered."""
+        self._go_on(self._waiting.pop(answer.ticket), answer.trials)
+
+    def send_to(self, simulator: Simulator) -> None:
+        """Send the requests that were not sent yet."""
+        requests, self.requests = self.requests, []
+        for ticket, drafts in requests:
+            simulator.put(ticket, drafts)
+
+    def _go_on(self, task: _Task, results: Any) -> None:
+        """Continue a task with the trials or results for which it waits, until it waits for others."""
+        try:
+            wants = task.steps.send(results)
+            while isinstance(wants, Together) and not wants.parts:
+                wants = task.steps.send([])
+        except StopIteration as end:
+            self._end(task, end.value)
+            return
+        if isinstance(wants, Together):
+            task.results, task.n_running = [None] * len(wants.parts), len(wants.parts)
+            for place, part in enumerate(wants.parts):
+                self._go_on(_Task(part, task, place), None)
+        else:
+            self._waiting[self._n_requests] = task
+            self.requests.append((self._n_requests, wants))
+            self._n_requests += 1
+
+    def _end(self, task: _Task, result: Any) -> None:
+        """Note the result of a task. The task of which it is a part continues after its last part."""
+        whole = task.whole
+        if whole is not None:
+            whole.results[task.place] = result
+            whole.n_running -= 1
+            if not whole.n_running:
+                self._go_on(whole, whole.results)
+
+
+def run_searches(searches: Sequence[Search], simulator: Simulator, processes: int) -> None:
+    """Run searches to their ends, or until the time is up.
 
     Args:
-        ask: simulates drafts.
         processes: number of processes at most; this one alone if there are few searches for each.
     """
     processes = min(processes, len(searches) // PLANS_EACH)
     if processes < 2:
-        _run_here(searches, ask)
+        _run_here(searches, simulator)
         return
     parts = [list(searches[k::processes]) for k in range(processes)]
     children = [Child(__name__) for _ in parts]
     try:
         for child, part in zip(children, parts, strict=True):
             child.tasks.put(pickle.dumps(part))
-        _serve(children, parts, ask)
+        for number in _Server(children, parts, simulator).serve():
+            _run_here(parts[number], simulator)
     finally:
         for child in children:
             child.end()
 
 
-def _run_here(searches: Sequence[Search], ask: Ask) -> None:
+def _run_here(searches: Sequence[Search], simulator: Simulator) -> None:
     """Run searches side by side in this process."""
-    running: list[tuple[Asking, list[Asked]]] = []
-    for search in searches:
-        steps = search.run()
-        running.append((steps, next(steps)))
-    while running:
-        try:
-            trials = ask([asked for _, drafts in running for asked in drafts])
-        except OutOfTime:
-            return
-        left, begin = [], 0
-        for steps, drafts in running:
-            with suppress(StopIteration):
-                left.append((steps, steps.send(trials[begin : begin + len(drafts)])))
-            begin += len(drafts)
-        running = left
+    tasks = Tasks(search.run() for search in searches)
+    tasks.send_to(simulator)
+    with suppress(OutOfTime):
+        for answer in simulator.answers():
+            if answer is not None:
+                tasks.take(answer)
+                tasks.send_to(simulator)
 
 
-def _serve(children: Sequence[Child], parts: Sequence[list[Search]], ask: Ask) -> None:
-    """Simulate what processes ask for, until all of their searches have ended.
+class _Server:
+    """Simulates the drafts that processes request, until all of their searches have ended.
 
-    An interrupt ends them as if the time were up, so that searches that have ended are known here; then it is raised. A
-    second one is raised at once.
+    An interrupt ends the searches as if the time were up, so that searches that have ended are known here; then it is
+    raised. A second one is raised at once.
     """
-    working = set(range(len(children)))
-    stop: KeyboardInterrupt | None = None
-    while working:
-        asked: dict[int, list[Asked]] = {}
-        while not asked and working:
-            for number in sorted(working):
-                try:
-                    answer = children[number].answers.get(timeout=LOOK_S)
-                except queue.Empty:
-                    continue
-                except KeyboardInterrupt as interrupt:
-                    if stop is not None:
-                        raise
-                    stop = interrupt
-                    continue
-                if answer is None:  # the process has died: its searches begin anew here
-                    if stop is None:
-                        _run_here(parts[number], ask)
-                    working.discard(number)
-                elif answer[1]:
-                    for search, ended in zip(parts[number], answer[0], strict=True):
-                        search.take(ended)
-                    working.discard(number)
-                else:
-                    asked[number] = answer[0]
-        trials: list[Trial] | None = None
+
+    def __init__(self, children: Sequence[Child], parts: Sequence[list[Search]], simulator: Simulator) -> None:
+        self._children, self._parts, self._simulator = children, parts, simulator
+        self._working = set(range(len(children)))
+        self._dead: list[int] = []
+
+    def serve(self) -> list[int]:
+        """Returns the numbers of the processes that have died: their searches begin anew."""
         try:
-            if stop is None:
-                trials = ask([one for some in asked.values() for one in some]) if asked else []
+            while self._working:
+                self._collect(wait=True)
+                for answer in self._simulator.answers():
+                    if answer is not None:
+                        number, ticket = answer.ticket
+                        self._send(number, Answer(ticket, answer.trials))
+                    self._collect()
         except OutOfTime:
-            pass
-        except KeyboardInterrupt as interrupt:
-            stop = interrupt
-        begin = 0
-        for number, some in asked.items():
-            part = None if trials is None else trials[begin : begin + len(some)]
-            children[number].tasks.put(pickle.dumps((part,)))
-            begin += len(some)
-    if stop is not None:
-        raise stop
+            self._end()
+        except KeyboardInterrupt:
+            self._end()
+            raise
+        return self._dead
+
+    def _collect(self, *, wait: bool = False) -> None:
+        """Take the messages of all processes.
+
+        Args:
+            wait: whether to wait for a message.
+        """
+        while not self._take_messages() and wait and self._working:
+            time.sleep(LOOK_S)
+
+    def _take_messages(self) -> bool:
+        """Take the messages that have arrived; returns whether there was any."""
+        any_message = False
+        for number in sorted(self._working):
+            with suppress(queue.Empty):
+                while number in self._working:
+                    self._take(number, self._children[number].answers.get_nowait())
+                    any_message = True
+        return any_message
+
+    def _take(self, number: int, message: Any) -> None:
+        if message is None:  # the process has died
+            self._dead.append(number)
+            self._working.discard(number)
+            return
+        content, has_ended = message
+        if has_ended:
+            for search, ended in zip(self._parts[number], content, strict=True):
+                search.take(ended)
+            self._working.discard(number)
+        else:
+            for ticket, drafts in content:
+                self._simulator.put((number, ticket), drafts)
+
+    def _send(self, number: int, message: Answer | None) -> None:
+        self._children[number].tasks.put(pickle.dumps(message))
+
+    def _end(self) -> None:
+        """Let the processes end, and take the results of their searches."""
+        for number in self._working:
+            self._send(number, None)
+        while self._working:
+            self._collect(wait=True)
+
+
+class _Pipe:
+    """The simulator of a process: the other process simulates."""
+
+    def __init__(self) -> None:
+        self._tasks, self._answers = own_pipes(0)
+        self._requests: list[tuple[int, Sequence[Asked]]] = []
+        self._n_open = 0
+
+    def searches(self) -> list[Search] | None:
+        """The searches of this process."""
+        searches: list[Search] | None = next_of(self._tasks)
+        return searches
+
+    def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
+        """See ``Simulator``."""
+        self._requests.append((ticket, drafts))
+        self._n_open += 1
+
+    def answers(self) -> Iterator[Answer]:
+        """See ``Simulator``."""
+        while self._n_open:
+            if self._requests:
+                self.send(self._requests, has_ended=False)
+                self._requests = []
+            answer: Answer | None = next_of(self._tasks)
+            if answer is None:
+                raise OutOfTime
+            self._n_open -= 1
+            yield answer
+
+    def send(self, content: Any, *, has_ended: bool) -> None:
+        """Send a message: requests, or the searches once they have ended."""
+        pickle.dump((content, has_ended), self._answers)
+        self._answers.flush()
 
 
 def main() -> None:
-    """The process: searches come first, then the trials of what they ask for."""
-    tasks, answers = own_pipes(0)
-
-    def send(answer: Any, has_ended: bool) -> None:
-        pickle.dump((answer, has_ended), answers)
-        answers.flush()
-
-    def ask(asked: list[Asked]) -> list[Trial]:
-        send(asked, False)
-        message = next_of(tasks)
-        if message is None or message[0] is None:
-            raise OutOfTime
-        trials: list[Trial] = message[0]
-        return trials
-
-    searches = next_of(tasks)
+    """The process: the first message has its searches, all others the answers to their requests."""
+    pipe = _Pipe()
+    searches = pipe.searches()
     if searches is not None:
-        _run_here(searches, ask)
-        send(searches, True)
+        _run_here(searches, pipe)
+        pipe.send(searches, has_ended=True)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -15,11 +18,14 @@ import pandas as pd
 from petmjx.common.errors import InputError
 from petmjx.common.machine import cpu_threads, why_no_warp, why_no_warp_on_cpu
 from petmjx.common.text import printable_name
-from petmjx.engines.attempts import Engines
+from petmjx.engines.attempt_runner import run_engine
+from petmjx.engines.attempts import Engines, may_go_on
+from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.engine_choice import make_engine, options_of
+from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.protocol import Engine, Progress
-from petmjx.engines.verdict import Outcome, Signs, Verdict, failures
+from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, failures, margins_of
 from petmjx.options.run_options import AUTO, Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation, Thresholds
 from petmjx.packers.pack_flow import TableEngine
@@ -52,10 +58,22 @@ tilt by more, so the world ends then. Of 133 generated plans that stand, one has
 5.4°)."""
 
 ON_A_GPU: Final = "mjx-warp"
-TABLE: Final = 512, 32
-"""Smallest number of rows of a table on a GPU; and the number of box columns is a multiple of the second value. Batches
-of trials differ in their numbers of worlds and boxes, and each size of a table takes seconds to compile. With these
-values, there are few sizes."""
+ROWS: Final = 256
+GPU_ROWS: Final = 4096
+"""Number of rows of an engine's table: the number of worlds that are in the engine at the same time."""
+
+GPU_GRANULE: Final = 32
+"""The number of box columns of tables on a GPU is a multiple of this. Plans differ in their numbers of boxes, and each
+size of a table takes seconds to compile."""
+
+SHEETS_MORE: Final = 2
+"""Room in tables for this many tie sheets in a plan. A world with more sheets needs another table."""
+
+MOST_LISTED: Final = 1024
+"""Largest number of worlds at once for an engine that takes no stream."""
+
+SWITCH: Final = 4
+"""Scores begin while drafts are being judged only if at least this many requests wait for them."""
 
 ERROR_WORLDS: Final = 8
 """Largest number of worlds with random errors in which a repair is judged."""
@@ -68,11 +86,13 @@ class Asked(NamedTuple):
         is_judged: True: the draft is only judged, that is, simulated once until a box is lost. False: it is scored.
         world: number of the world with random errors in which the draft is judged, from 1 to ``ERROR_WORLDS``; 0: the
             draft is simulated without errors.
+        judged: the trial of a draft that was judged before it is scored; None: it was not.
     """
 
     draft: Draft
     is_judged: bool
     world: int = 0
+    judged: Trial | None = None
 
 
 class Trial(NamedTuple):
@@ -85,6 +105,9 @@ class Trial(NamedTuple):
         n_placed: number of boxes that were placed before the world ended.
         n_held: number of boxes that were placed before the first box crossed a limit, as far as that is known.
         margin: as in the table ``worlds``; NaN: no margin.
+        is_score: whether a score on the same engine has this trial, too. A judged draft that stands and did not move
+            when a wait was over is simulated in the same way when it is scored (waits are shorter only for a draft of
+            which a box crossed a threshold at a sample, and came back).
     """
 
     verdict: str
@@ -94,6 +117,7 @@ class Trial(NamedTuple):
     n_placed: int
     n_held: int
     margin: float
+    is_score: bool = False
 
     @property
     def stands(self) -> bool:
@@ -123,12 +147,23 @@ class OutOfTime(Exception):
     """The time for the search is up: what is known so far counts."""
 
 
+class Together(NamedTuple):
+    """Parts of a search that run side by side. The search goes on when all of them have ended, and is sent the list of
+    their results."""
+
+    parts: Sequence[Steps[Any]]
+
+
+Result = TypeVar("Result")
+Steps = Generator[list[Asked] | Together, Any, Result]
+"""A search, or a part of a search. It yields drafts and is sent the list of their trials; or it yields ``Together``."""
+
+
 class Question:
     """The requirement on plans: to stand at rest, or after a drive.
 
     Attributes:
         sim: options of the simulation.
-        n_simulated: worlds that were simulated so far.
 
     Args:
         how: fields of ``petmjx.Simulation``, ``errors``, and the run's options of ``OF_RUN``.
@@ -150,7 +185,6 @@ class Question:
             raise InputError("errors needs worlds > 0")
         self.sim, self._run = Simulation(**of_simulation), RunOptions(**of_run)
         self._of_simulation, self._errors, self._options = of_simulation, sure.get("errors"), options
-        self.n_simulated = 0
         self._engine, self._second = _engines(self._run)
         self._owns = isinstance(self._run.engine, str)
         self._threads = self._run.threads or cpu_threads()
@@ -162,7 +196,8 @@ class Question:
             self._error_sweep = confidence_sweep(ERROR_WORLDS, self._errors, of_simulation)
             # The first one is exact.
             self._variants = [placement for placement, _ in Design(self._error_sweep).placements()]
-            self._quick[1] = _quick(self._error_sweep.simulation)
+            with_errors = _quick(self._error_sweep.simulation)
+            self._quick[1] = self._quick[0] if with_errors == self._quick[0] else with_errors
 
     @property
     def threads(self) -> int:
@@ -170,13 +205,22 @@ class Question:
         return self._threads
 
     @property
+    def is_wide(self) -> bool:
+        """Whether the engine judges many plans as fast as a few."""
+        return self._engine.name == ON_A_GPU
+
+    @property
+    def rows(self) -> int:
+        """Number of worlds that are in the engine at the same time."""
+        return GPU_ROWS if self.is_wide else ROWS
+
+    @property
     def film_turns(self) -> float:
         """Number of turns of film around plans before they are changed."""
         return self.sim.wrap.turns
 
     def trials(self, asked: Sequence[Asked], end_s: float = math.inf) -> list[Trial]:
-        """The trial of each draft. Drafts with the same number of turns of film are simulated together. If pallets must
-        survive a profile, all drafts are scored, except in worlds with errors, which are not shaken.
+        """The trial of each draft.
 
         Args:
             end_s: time of ``time.monotonic`` at which drafts are judged no longer.
@@ -184,18 +228,23 @@ class Question:
         Raises:
             OutOfTime: drafts were still being judged at ``end_s``.
         """
+        stream = TrialStream(self, end_s)
+        stream.put(None, asked)
+        return next(answer.trials for answer in stream.answers() if answer is not None)
+
+    def is_known(self, one: Asked) -> bool:
+        """Whether a draft need not be simulated, because its judged trial is its score."""
+        return one.judged is not None and one.judged.is_score and self._second is None
+
+    def scores(self, asked: Sequence[Asked]) -> list[Trial]:
+        """The scores of drafts. Drafts with the same number of turns of film are simulated together."""
         drafts = [one.draft for one in asked]
-        self.n_simulated += len(drafts)
-        results = self._judged(asked, end_s)
-        turns = dict.fromkeys(draft.film_turns for draft in drafts)
-        for film_turns in turns:
-            numbers = [n for n, draft in enumerate(drafts) if draft.film_turns == film_turns and n not in results]
-            if not numbers:
-                continue
-            results |= self._scored(drafts, numbers, self._run)
+        results = {n: one.judged for n, one in enumerate(asked) if one.judged is not None and one.judged.is_score}
+        for film_turns in dict.fromkeys(draft.film_turns for draft in drafts):
+            numbers = [n for n, draft in enumerate(drafts) if draft.film_turns == film_turns]
+            results |= self._scored(drafts, [n for n in numbers if n not in results], self._run)
             if self._second is not None:
-                standing = [number for number in numbers if results[number].stands]
-                results |= self._scored(drafts, standing, self._second)
+                results |= self._scored(drafts, [n for n in numbers if results[n].stands], self._second)
         return [results[number] for number in range(len(drafts))]
 
     def _scored(self, drafts: Sequence[Draft], numbers: Sequence[int], run: RunOptions) -> dict[int, Trial]:
@@ -211,32 +260,36 @@ class Question:
             for number in numbers
         }
 
-    def _judged(self, asked: Sequence[Asked], end_s: float) -> dict[int, Trial]:
-        """Trials of the drafts that are only judged, by their numbers.
+    def job(self, one: Asked) -> Job | None:
+        """The world in which a draft is judged; None: the draft is scored. If pallets must survive a profile, all
+        drafts are scored, except in worlds with errors, which are not shaken.
 
         Most drafts fall, and falling boxes are the costliest part of a simulation. So a world ends when a box is lost,
         like a world with errors. It then takes a quarter of the time. No draft is simulated again with other settings,
-        as a score would do (docs/rules.md, section 9). So a standing draft is scored before it counts as standing.
+        as a score would do (docs/rules.md, section 9).
         """
-        jobs: dict[tuple[int, bool], list[tuple[int, Job]]] = {}
-        engines: dict[int, Engine] = {}
-        for number, one in enumerate(asked):
-            if one.world or (one.is_judged and self._options.profile is None):
-                job = Job(self._scene(one), has_errors=True)
-                engine = self._engines.for_job(job, self.sim, doubles=False, soft=job.scene.soft is not None)
-                engines[id(engine)] = engine
-                jobs.setdefault((id(engine), one.world > 0), []).append((number, job))
-        results: dict[int, Trial] = {}
-        for (key, with_errors), numbered in jobs.items():
-            sim = self._quick[int(with_errors)]
-            for outcome in engines[key].run([job for _, job in numbered], sim):
-                number = numbered[outcome.job][0]
-                results[number] = _trial_of(outcome, asked[number].draft.order, sim)
-                if time.monotonic() > end_s:
-                    break  # the engine's run ends here
-            if time.monotonic() > end_s:
-                raise OutOfTime
-        return results
+        if one.world or (one.is_judged and self._options.profile is None):
+            return Job(self._scene(one), has_errors=True)
+        return None
+
+    def lane(self, one: Asked, job: Job) -> Lane:
+        """The engine and the options with which a draft is judged."""
+        engine = self._engines.for_job(job, self.sim, doubles=False, soft=job.scene.soft is not None)
+        return Lane(engine, self._quick[int(one.world > 0)])
+
+    def judged(self, outcome: Outcome, one: Asked, job: Job, sim: Simulation) -> Trial:
+        """The trial of a draft that was judged.
+
+        Args:
+            sim: the options with which it was judged.
+        """
+        trial = _trial_of(outcome, one.draft.order, sim)
+        if one.world or not trial.stands or outcome.flags & Flag.MOVING:
+            return trial
+        (outcome,) = note_penetration([outcome], [job], self.sim)
+        (margin,) = margins_of([outcome], self.sim.thresholds)
+        is_score = outcome.verdict is Verdict.STABLE and not may_go_on(outcome, self.sim)
+        return trial._replace(margin=margin, is_score=is_score)
 
     def _scene(self, asked: Asked) -> Scene:
         """The scene in which a draft is judged. All drafts of a plan have the same errors, others than a score has."""
@@ -257,7 +310,6 @@ class Question:
         sweep = confidence_sweep(self._options.worlds, self._errors, self._of_simulation)
         study = partial(SweepStudy, sweep, confidence=self._options.worlds)
         run = simulate(study, sweep.simulation, list(plans), self._run)
-        self.n_simulated += len(plans) * (1 + self._options.worlds)
         assert run.summary is not None
         rows = run.summary.set_index("plan_id")
         return [
@@ -287,6 +339,160 @@ class Question:
         return sweep_of_tables({"name": "repair", "axes": axes}, Path("repair"), True, simulation)
 
 
+class Lane(NamedTuple):
+    """Worlds that are simulated in one run of an engine.
+
+    Attributes:
+        sim: the options of the run.
+    """
+
+    engine: Engine
+    sim: Simulation
+
+
+class Answer(NamedTuple):
+    """The trials of all drafts of a request."""
+
+    ticket: Any
+    trials: list[Trial]
+
+
+@dataclass(eq=False)
+class _Request:
+    """Drafts whose trials are wanted at the same time."""
+
+    ticket: Any
+    drafts: Sequence[Asked]
+    trials: dict[int, Trial] = field(default_factory=dict)
+
+    @property
+    def answer(self) -> Answer:
+        return Answer(self.ticket, [self.trials[number] for number in range(len(self.drafts))])
+
+
+@dataclass(eq=False)
+class _Queue:
+    """Requests that wait for one kind of simulation, each with the numbers of its drafts and their jobs.
+
+    Attributes:
+        lane: the engine's run that judges them; None: they are scored.
+    """
+
+    lane: Lane | None
+    entries: deque[tuple[_Request, list[tuple[int, Job | None]]]] = field(default_factory=deque)
+
+
+class TrialStream:
+    """Simulates drafts while further ones are requested. A request is answered as soon as its own drafts are simulated.
+    So a search does not wait for the trials of other searches.
+
+    Judged drafts join the worlds that an engine is simulating. Scores have other options, so they need a run of their
+    own. It begins when no draft is being judged, or when at least ``SWITCH`` requests and a quarter of all requests
+    wait for it.
+
+    Args:
+        end_s: time of ``time.monotonic`` at which the stream ends.
+    """
+
+    def __init__(self, question: Question, end_s: float = math.inf) -> None:
+        self._question, self._end_s = question, end_s
+        self._queues: dict[object, _Queue] = {}
+        self._complete: deque[_Request] = deque()
+        self._last: _Queue | None = None
+        self._n_open = 0
+
+    def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
+        """Request the trials of at least one draft.
+
+        Args:
+            ticket: comes back with the answer.
+        """
+        request = _Request(ticket, drafts)
+        self._n_open += 1
+        numbered: dict[object, list[tuple[int, Job | None]]] = {}
+        for number, one in enumerate(drafts):
+            if self._question.is_known(one):
+                assert one.judged is not None
+                self._take(request, number, one.judged)
+                continue
+            job = self._question.job(one)
+            lane = None if job is None else self._question.lane(one, job)
+            key = None if lane is None else (id(lane.engine), id(lane.sim))
+            self._queues.setdefault(key, _Queue(lane))
+            numbered.setdefault(key, []).append((number, job))
+        for kind, jobs in numbered.items():
+            self._queues[kind].entries.append((request, jobs))
+
+    def answers(self) -> Iterator[Answer | None]:
+        """The answers, until no request is left. None: the engine pauses, so further requests can be put.
+
+        Raises:
+            OutOfTime: the time is up.
+        """
+        while self._n_open:
+            self._check_time()
+            yield from self._answered()
+            waiting = [queue for queue in self._queues.values() if queue.entries]
+            if waiting:
+                queue = max(waiting, key=lambda queue: (queue is not self._last, len(queue.entries)))
+                self._last = queue
+                yield from self._scored(queue) if queue.lane is None else self._judged(queue, queue.lane)
+
+    def _scored(self, queue: _Queue) -> Iterator[Answer]:
+        """Score all drafts that wait for it."""
+        waiting = [(request, number) for request, jobs in queue.entries for number, _ in jobs]
+        queue.entries.clear()
+        trials = self._question.scores([request.drafts[number] for request, number in waiting])
+        for (request, number), trial in zip(waiting, trials, strict=True):
+            self._take(request, number, trial)
+        yield from self._answered()
+
+    def _judged(self, queue: _Queue, lane: Lane) -> Iterator[Answer | None]:
+        """Judge the drafts of a queue, until none is left or the engine is needed for others."""
+        most = max(one.draft.plan.n_boxes for request, _ in queue.entries for one in request.drafts) + SHEETS_MORE
+        bounds = JobBounds(self._question.rows, range(1, most + 1), drive_steps=0, excitations=None)
+        stream = JobStream[tuple[_Request, int, Job]](feedback=True, bounds=bounds)
+        stream.close()  # for the engine, all further jobs follow from outcomes
+        self._feed(stream, queue)
+        with closing(run_engine(lane.engine, stream, lane.sim, Progress(pauses=True), MOST_LISTED)) as outcomes:
+            for outcome in outcomes:
+                self._check_time()
+                if outcome is None:
+                    yield None
+                else:
+                    request, number, job = stream.answered(outcome.job)
+                    trial = self._question.judged(outcome, request.drafts[number], job, lane.sim)
+                    self._take(request, number, trial)
+                yield from self._answered()
+                self._feed(stream, queue)
+                stream.followed()
+
+    def _feed(self, stream: JobStream[tuple[_Request, int, Job]], queue: _Queue) -> None:
+        """Give the engine what waits in a queue, unless the engine is needed for other queues."""
+        n_others = sum(len(other.entries) for other in self._queues.values() if other is not queue)
+        if n_others >= max(SWITCH, self._n_open / 4):
+            return
+        while queue.entries:
+            request, jobs = queue.entries.popleft()
+            for number, job in jobs:
+                assert job is not None
+                stream.put(job, (request, number, job))
+
+    def _take(self, request: _Request, number: int, trial: Trial) -> None:
+        request.trials[number] = trial
+        if len(request.trials) == len(request.drafts):
+            self._complete.append(request)
+
+    def _answered(self) -> Iterator[Answer]:
+        while self._complete:
+            self._n_open -= 1
+            yield self._complete.popleft().answer
+
+    def _check_time(self) -> None:
+        if time.monotonic() > self._end_s:
+            raise OutOfTime
+
+
 def _quick(sim: Simulation) -> Simulation:
     """The options for drafts that are only judged."""
     return sim.changed(
@@ -308,8 +514,10 @@ def _engines(run: RunOptions) -> tuple[Engine, RunOptions | None]:
         name = ON_A_GPU if why_no_warp() is None else "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"
     second = RunOptions(engine="mujoco", threads=run.threads) if run.engine == AUTO and name != "mujoco" else None
     engine = make_engine(name, **options_of(name, run))
+    if isinstance(engine, TableEngine):
+        engine.least_rows = GPU_ROWS if engine.name == ON_A_GPU else ROWS
     if engine.name == ON_A_GPU and isinstance(engine, TableEngine):
-        engine.least_rows, engine.granule = TABLE
+        engine.granule = GPU_GRANULE
     return engine, second
 
 

@@ -3,11 +3,9 @@ changed plan stands."""
 
 from __future__ import annotations
 
-import math
 import time
 import warnings
-from collections.abc import Callable, Generator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from support.plans import Box, make_plan, stack
 import petmjx
 from petmjx.cli.main import main
 from petmjx.common.errors import InputError
+from petmjx.engines.attempt_runner import run_engine
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
@@ -29,9 +28,9 @@ from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
-from petmjx.repairs.search_processes import run_searches
-from petmjx.repairs.states import Candidate, State, batch_of
-from petmjx.repairs.trials import Asked, OutOfTime, Question, Trial
+from petmjx.repairs.search_processes import Tasks, run_searches
+from petmjx.repairs.states import Candidate, State, batch_of, key_of
+from petmjx.repairs.trials import Answer, Asked, OutOfTime, Question, Steps, Together, Trial, TrialStream
 
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
 """Options for repairs without worlds with errors, whose simulation takes the most time."""
@@ -297,19 +296,22 @@ def test_statics_names_the_box_that_is_too_much() -> None:
 
 
 def test_a_search_asks_for_the_same_worlds_again() -> None:
-    """Two searches simulate the same worlds, since the worlds depend only on the plan and the options."""
+    """Two searches simulate the same worlds, since the worlds depend only on the plan and the options, not on which
+    worlds are simulated first."""
     plan, requests = make_plan(boxes=TOWER), []
-    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     for _ in range(2):
-        search = Search(plan, Simulation(), RepairOptions(worlds=0))
-        steps = search.run()
-        first = next(steps)
-        requests.append([first, steps.send(question.trials(first))])
-    assert [len(part) for part in requests[0]] == [len(part) for part in requests[1]]
-    for (one, judged, _), (other, _, _) in zip(requests[0][1], requests[1][1], strict=True):
-        assert judged
-        assert one.order == other.order
-        assert np.array_equal(one.corner_mm, other.corner_mm)
+        question = Question({"engine": "mujoco", "threads": 1 + len(requests)}, RepairOptions(worlds=0))
+        search = Search(plan, Simulation(), RepairOptions(worlds=0, trials=20))
+        drafts: list[bytes] = []
+
+        def ask(some: list[Asked], question: Question = question, drafts: list[bytes] = drafts) -> list[Trial]:
+            drafts.extend(key_of(one.draft) for one in some)
+            return question.trials(some)
+
+        result_of(search.run(), ask)
+        requests.append(drafts)
+    assert requests[0] == requests[1]
+    assert len(requests[0]) > 20
 
 
 def test_a_draft_is_judged_as_it_is_scored() -> None:
@@ -325,18 +327,111 @@ def test_a_draft_is_judged_as_it_is_scored() -> None:
     assert judged[0].n_held == 3 <= judged[0].n_placed, "the third box is too much for the second one"
 
 
-def answered(steps: Generator[list[Asked], list[Trial], Any], stands: Callable[[Draft], bool]) -> tuple[Any, int]:
-    """The result of a part of a search, and the number of trials that it requests. ``stands`` answers in place of a
-    simulation."""
-    count = 0
-    try:
-        requests = next(steps)
-        while True:
-            count += len(requests)
-            good = [stands(draft) for draft, *_ in requests]
-            requests = steps.send([Trial("stable" if g else "unstable", "", None, (), 1, 1, 0.0) for g in good])
-    except StopIteration as end:
-        return end.value, count
+def test_a_judged_plan_that_stands_is_not_simulated_again_for_its_score(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its judged world and the first attempt of its score are the same world, so the margin is the same, too."""
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
+    drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (stack(2), stack(3, 90.0), TOWER)]
+    judged = question.trials([Asked(draft, True) for draft in drafts])
+    scored = question.trials([Asked(draft, False) for draft in drafts])
+    assert [trial.is_score for trial in judged] == [True, True, False]
+    assert [trial._replace(is_score=False) for trial in judged[:2]] == scored[:2]
+    monkeypatch.setattr(question, "scores", None)
+    known = [Asked(draft, False, judged=trial) for draft, trial in zip(drafts, judged, strict=True)][:2]
+    assert question.trials(known) == judged[:2]
+
+
+def test_drafts_join_the_worlds_that_are_being_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A request that follows from an answer is simulated in the same run of the engine. Scores have a run of their
+    own, once no draft is being judged."""
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
+    runs = []
+
+    def counted(*arguments: Any) -> Iterator[Any]:
+        runs.append("judged")
+        return run_engine(*arguments)
+
+    scores = question.scores
+    monkeypatch.setattr("petmjx.repairs.trials.run_engine", counted)
+    monkeypatch.setattr(question, "scores", lambda asked: [runs.append("scored"), *scores(asked)][1:])
+    draft = Draft.of(make_plan(boxes=stack(2)))
+    stream = TrialStream(question)
+    stream.put("score", [Asked(draft, False)])
+    stream.put("first", [Asked(draft, True)] * 2)
+    tickets = []
+    for answer in stream.answers():
+        if answer is not None:
+            tickets.append(answer.ticket)
+            assert all(trial.stands for trial in answer.trials)
+            if answer.ticket == "first":
+                stream.put("second", [Asked(draft, True)])
+    assert sorted(tickets) == ["first", "score", "second"]
+    assert sorted(runs) == ["judged", "scored"]
+    assert tickets.index("first") < tickets.index("second")
+
+
+Ask = Callable[[list[Asked]], list[Trial]]
+
+
+def result_of(steps: Steps[Any], ask: Ask) -> Any:
+    """What a part of a search returns, if its drafts have the trials that ``ask`` returns."""
+    results = []
+
+    def noting() -> Steps[None]:
+        results.append((yield from steps))
+
+    tasks = Tasks([noting()])
+    while tasks.requests:
+        requests, tasks.requests = tasks.requests, []
+        for ticket, drafts in requests:
+            tasks.take(Answer(ticket, ask(drafts)))
+    return results[0]
+
+
+class Simulated:
+    """A simulator of searches: a function instead of an engine."""
+
+    def __init__(self, ask: Ask) -> None:
+        self._ask, self._requests = ask, list[tuple[Any, Sequence[Asked]]]()
+
+    def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
+        self._requests.append((ticket, drafts))
+
+    def answers(self) -> Iterator[Answer | None]:
+        while self._requests:
+            requests, self._requests = self._requests, []
+            for ticket, drafts in requests:
+                yield Answer(ticket, self._ask([*drafts]))
+            yield None
+
+
+def test_parts_of_a_search_wait_only_for_their_own_trials() -> None:
+    draft = Draft.of(make_plan(boxes=stack(2)))
+
+    def part(name: str, n_requests: int) -> Steps[str]:
+        for number in range(n_requests):
+            (trial,) = yield [Asked(draft, True, number)]
+            assert trial == (name, number)
+        return name
+
+    def whole() -> Steps[list[str]]:
+        assert (yield Together([])) == []
+        results: list[str] = yield Together([part("long", 3), part("short", 1), part("none", 0)])
+        return results
+
+    results = []
+
+    def noting() -> Steps[None]:
+        results.append((yield from whole()))
+
+    tasks = Tasks([noting()])
+    (long_part, _), (short_part, _) = tasks.requests
+    for number in range(3):
+        tasks.take(Answer(long_part, [("long", number)]))  # type: ignore[list-item]
+        long_part, (request,) = tasks.requests[-1]
+        assert request.world == min(number + 1, 2)
+    assert not results
+    tasks.take(Answer(short_part, [("short", 0)]))  # type: ignore[list-item]
+    assert results == [["long", "short", "none"]]
 
 
 def test_only_changes_that_are_needed_are_left() -> None:
@@ -351,10 +446,17 @@ def test_only_changes_that_are_needed_are_left() -> None:
     def stands(draft: Draft) -> bool:
         return bool((draft.corner_mm[[3, 12], 0] == plan.corner_mm[[3, 12], 0] + 20).all())
 
-    _, count = answered(search._finished([State(draft, changes, Trial("stable", "", None, (), 16, 16, 0.0))]), stands)
+    requests = list[Asked]()
+
+    def ask(drafts: list[Asked]) -> list[Trial]:
+        requests.extend(drafts)
+        good = [stands(one.draft) for one in drafts]
+        return [Trial("stable" if g else "unstable", "", None, (), 1, 1, 0.0) for g in good]
+
+    result_of(search._finished([State(draft, changes, Trial("stable", "", None, (), 16, 16, 0.0))]), ask)
     (repair,) = search.repairs
     assert [change.boxes for change in repair.changes] == [(12,), (3,)]
-    assert count < 50, "one by one it is up to 16 + 15 + … + 3 = 133"
+    assert len(requests) < 50, "one by one it is up to 16 + 15 + … + 3 = 133"
 
 
 def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_first() -> None:
@@ -368,15 +470,37 @@ def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_firs
     trials = question.trials([Asked(draft, is_judged=False) for draft in drafts])
     assert [trial.stands for trial in trials] == [True, True]
     states = [State(draft, (move,), trial) for draft, move, trial in zip(drafts, moves, trials, strict=True)]
-    steps = search._compared(states, states[:1])
-    requests = next(steps)
+    requests = list[Asked]()
+
+    def ask(drafts: list[Asked]) -> list[Trial]:
+        requests.extend(drafts)
+        return question.trials(drafts)
+
+    best, worst = result_of(search._compared(states, states[:1]), ask)
     assert sorted({one.world for one in requests}) == [1, 2, 3, 4]
     assert len(requests) == 8
-    with pytest.raises(StopIteration) as end:
-        steps.send(question.trials(requests))
-    best, worst = end.value.value
     assert (best.changes, worst.changes) == ((moves[1],), (moves[0],))
     assert best.n_good == 4 > worst.n_good
+
+
+def test_repairs_are_compared_until_enough_of_them_stand() -> None:
+    """The first four repairs stand in all four worlds. No other one can stand more often, so none is simulated."""
+    plan = make_plan(boxes=stack(2))
+    search, stands = Search(plan, Simulation(), RepairOptions(worlds=4)), Trial("stable", "", None, (), 2, 2, 0.5)
+    moves = [Move(box, float(length), 0.0) for box in (0, 1) for length in range(5, 30, 5)]
+    drafts = [draft for move in moves if (draft := move.applied(Draft.of(plan))) is not None]
+    states = [State(draft, (move,), stands) for draft, move in zip(drafts, moves, strict=True)]
+    requests = list[Asked]()
+
+    def ask(some: list[Asked]) -> list[Trial]:
+        requests.extend(some)
+        return [stands] * len(some)
+
+    assert len(result_of(search._compared(states, states), ask)) == 4
+    assert len(requests) == 16
+    assert len({key_of(one.draft) for one in requests}) == 4
+    result_of(search._compared(states, states), ask)
+    assert len(requests) == 16, "no world is simulated twice"
 
 
 def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
@@ -394,10 +518,7 @@ def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
     for share in (0.25, 1.0):
         search = Search(plan, Simulation(), RepairOptions(share=share, forbid=("exchange", "place", "turn", "order")))
         search.repairs = (State(draft, moves, trial),)
-        steps, answers = search._strengthened(), None
-        with suppress(StopIteration):
-            while True:
-                answers = question.trials(steps.send(answers) if answers else next(steps))
+        result_of(search._strengthened(), question.trials)
         repairs[share] = search.repairs[0]
     assert repairs[0.25].changes == moves
     assert 2 <= repairs[0.25].n_good < 8, "about half of the worlds"
@@ -407,6 +528,35 @@ def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
     assert repairs[1.0].n_good == 8
     (balance,) = balances([repairs[1.0].draft], Simulation())
     assert balance.weakness < 0.5
+
+
+@pytest.mark.parametrize(("is_wide", "rounds"), [(False, [6, 6, 5, 4, 3, 5, 5]), (True, [6, 18, 10])])
+def test_few_worlds_with_errors_are_simulated_for_changes_that_do_not_help(is_wide: bool, rounds: list[int]) -> None:
+    """The weak plan falls in worlds 2, 5 and 7. Of six moves, the first one stands in worlds 2 and 7, and the third one
+    in world 5. A GPU has fewer rounds, with more worlds."""
+    plan = make_plan(boxes=stack(2))
+    search, start = Search(plan, Simulation(), RepairOptions(), is_wide=is_wide), Draft.of(plan)
+    stands = Trial("stable", "", None, (), 2, 2, 0.5)
+    falls = dict.fromkeys((2, 5, 7), Trial("unstable", "tilt", 1, (1,), 2, 1, -1.0))
+    weak = State(start, (), stands, errors={world: falls.get(world, stands) for world in range(1, 9)})
+    moves = [Move(1, float(length), 0.0) for length in (5, 10, 15, 20, 25, 30)]
+    drafts = {move: draft for move in moves if (draft := move.applied(start)) is not None}
+    batch = [Candidate(draft, (move,), (move,), 0.0, 0.0, weak) for move, draft in drafts.items()]
+    sizes = []
+
+    def ask(requests: list[Asked]) -> list[Trial]:
+        sizes.append(len(requests))
+        trials = []
+        for one in requests:
+            number = next(k for k, draft in enumerate(drafts.values()) if key_of(draft) == key_of(one.draft))
+            helps = {2: number == 0, 5: number == 2, 7: number == 0}.get(one.world, True)
+            trials.append(stands if helps else falls[one.world])
+        return trials
+
+    better = result_of(search._stronger(weak, batch, 8), ask)
+    assert [state.changes for state in better] == [(moves[0],), (moves[2],)]
+    assert [state.n_good for state in better] == [7, 6]
+    assert sizes == rounds
 
 
 def test_a_box_that_is_lowered_between_two_others_gets_room() -> None:
@@ -423,6 +573,18 @@ def test_a_box_that_is_lowered_between_two_others_gets_room() -> None:
     assert [balance.squeezed for balance in balances(drafts, Simulation())] == [(), ()]
 
 
+def test_statics_of_a_draft_does_not_depend_on_the_drafts_beside_it() -> None:
+    drafts = [
+        Draft.of(make_plan(boxes=boxes)) for boxes in (COUNTERWEIGHT, stack(1), TOWER, stack(2, 190.0), TOWER[:3])
+    ]
+    for spare_mm in (0.0, 12.0):
+        together = balances(drafts, Simulation(), spare_mm=spare_mm)
+        for draft, balance in zip(drafts, together, strict=True):
+            (alone,) = balances([draft], Simulation(), spare_mm=spare_mm)
+            assert all(np.array_equal(one, other) for one, other in zip(alone, balance, strict=True))
+    assert together[3].last_mm[0] == pytest.approx(10 - 12, abs=0.2), "200 mm of 400 may hang over, 190 do"
+
+
 TWO_FAULTS: Sequence[Box] = (*stack(3, 230.0), *stack(2, 230.0, at_mm=(0.0, 600.0)))
 """Two stacks, each with a box that has more than half of its length beyond the box below. In the first stack, a third
 box lies on this box."""
@@ -434,22 +596,36 @@ def test_faults_are_counted_by_taking_off_what_falls() -> None:
     moves = (), (Move(1, -60.0, 0.0),), (Move(1, -60.0, 0.0), Move(4, -60.0, 0.0))
     drafts = [draft for changes in moves if (draft := applied(Draft.of(search.plan), changes)) is not None]
     trials = question.trials([Asked(draft, True) for draft in drafts])
-    steps = search._faults([State(draft, (), trial) for draft, trial in zip(drafts, trials, strict=True)], 9.0)
-    requests = next(steps)
-    assert [draft.order for draft, *_ in requests] == [(0, 3, 4), (0, 1, 2, 3)], (
-        "with the box on it, which loses its hold"
-    )
-    second = steps.send(question.trials(requests))
-    assert [draft.order for draft, *_ in second] == [(0, 3)]
-    with pytest.raises(StopIteration) as end:
-        steps.send(question.trials(second))
-    assert end.value.value == [2, 1, 0]
+    requests = []
+
+    def ask(drafts: list[Asked]) -> list[Trial]:
+        requests.append([one.draft.order for one in drafts])
+        return question.trials(drafts)
+
+    states = [State(draft, (), trial) for draft, trial in zip(drafts, trials, strict=True)]
+    assert result_of(search._faults(states, 9.0), ask) == [2, 1, 0]
+    # with the box on it, which loses its hold
+    assert requests == [[(0, 3, 4)], [(0, 1, 2, 3)], [(0, 3)]], "the plans do not wait for one another"
 
 
 def test_two_faults_are_mended_by_two_changes() -> None:
     result = repaired(TWO_FAULTS, trials=60)
     assert len(result.changes) == 2
     assert verdict(result.plan) == "stable"
+
+
+def test_a_gpu_judges_more_plans_at_once() -> None:
+    search = Search(make_plan(boxes=TWO_FAULTS), Simulation(), RepairOptions(worlds=0, trials=60), is_wide=True)
+    question, sizes = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0)), list[int]()
+
+    def ask(drafts: list[Asked]) -> list[Trial]:
+        sizes.append(len(drafts))
+        return question.trials(drafts)
+
+    result_of(search.run(), ask)
+    assert search.repairs[0].trial.stands
+    assert len(search.repairs[0].changes) == 2
+    assert max(sizes) == 48
 
 
 def test_each_way_to_change_a_box_is_judged_before_other_amounts() -> None:
@@ -487,28 +663,28 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
     ]
 
     def ask(requests: list[Asked]) -> list[Trial]:
-        good = [bool((draft.corner_mm[1, :2] > draft.plan.size_mm[0, 2] - 100).all()) for draft, *_ in requests]
+        good = [bool((one.draft.corner_mm[1, :2] > one.draft.plan.size_mm[0, 2] - 100).all()) for one in requests]
         return [Trial("stable" if g else "unstable", "", None if g else 1, () if g else (1,), 2, 1, 0.0) for g in good]
 
     ends = []
     for processes in (1, 2):
         searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
-        run_searches(searches, ask, processes)
+        run_searches(searches, Simulated(ask), processes)
         ends.append([([state.changes for state in s.repairs], s.n_trials, s.before, s.complete) for s in searches])
     assert ends[0] == ends[1]
     assert all(changes for changes, *_ in ends[0])
     searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
 
     def ask_until_stopped(requests: list[Asked]) -> list[Trial]:
-        if any(is_judged and draft.plan.plan_id == "2" for draft, is_judged, _ in requests):
-            raise KeyboardInterrupt  # plan 0, which is in the same process, has got its answer before
+        if any(one.draft.plan.plan_id == "2" and len(one.draft.order) == 1 for one in requests):
+            raise KeyboardInterrupt  # plan 0, which is in the same process, had all of its answers before
         trials = zip(requests, ask(requests), strict=True)
         return [
             trial._replace(verdict="stable") if draft.plan.plan_id == "0" else trial for (draft, *_), trial in trials
         ]
 
     with pytest.raises(KeyboardInterrupt):
-        run_searches(searches, ask_until_stopped, 2)
+        run_searches(searches, Simulated(ask_until_stopped), 2)
     assert [search.complete for search in searches[::2]] == [True, False, False, False]
 
 
@@ -600,7 +776,7 @@ def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.Capt
     assert capsys.readouterr().err.startswith("petmjx: --without must be one of order, move")
 
 
-@pytest.mark.parametrize(("n_calls", "names"), [(0, []), (1, ["stands"]), (None, ["stands", "falls"])])
+@pytest.mark.parametrize(("n_calls", "names"), [(0, []), (3, ["stands"]), (None, ["stands", "falls"])])
 def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     n_calls: int | None,
     names: list[str],
@@ -608,22 +784,24 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The interrupt comes after this number of runs of the engine, or, if it is None, while the shares with errors are
-    simulated."""
+    """The interrupt comes after this number of answers of the engine, or, if it is None, while the shares with errors
+    are simulated."""
     source, out = tmp_path / "plans.json", tmp_path / "repaired.json"
     petmjx.save_plans([make_plan("stands", stack(2)), make_plan("falls", COUNTERWEIGHT)], source)
-    trials, requests = Question.trials, []
+    answers, n_answers = TrialStream.answers, 0
 
-    def stopped(question: Question, drafts: Sequence[Any], end_s: float = math.inf) -> list[Trial]:
-        if len(requests) == n_calls:
-            raise KeyboardInterrupt
-        requests.append(drafts)
-        return trials(question, drafts, end_s)
+    def stopped(stream: TrialStream) -> Iterator[Answer | None]:
+        nonlocal n_answers
+        for answer in answers(stream):
+            if n_answers == n_calls:
+                raise KeyboardInterrupt
+            n_answers += answer is not None
+            yield answer
 
     def no_shares(question: Question, plans: Sequence[Plan]) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Question, "trials", stopped)
+    monkeypatch.setattr(TrialStream, "answers", stopped)
     monkeypatch.setattr(Question, "shares", no_shares)
     assert main(["repair", str(source), "-o", str(out), "--engine", "mujoco", "--threads", "1"]) == 130
     shown = capsys.readouterr()
