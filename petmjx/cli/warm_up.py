@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from petmjx.cli.console import results_console
 from petmjx.common.errors import EngineUnavailable, InputError
-from petmjx.common.text import count_text
+from petmjx.common.text import count_text, printable
 
 
 def warm_up(
@@ -32,13 +33,15 @@ def warm_up(
 
     Compiled kernels are kept in ~/.cache/petmjx, or in the folder that PETMJX_CACHE_DIR names.
     """
-    from petmjx.common.compile_caches import cache_folder
+    from petmjx.common.compile_caches import cache_folder, why_not_written
     from petmjx.common.machine import why_no_warp_on_cpu
     from petmjx.engines.subprocess.kernel_builds import KernelBuilds, all_builds, gpu_here, gpu_of, note_kept
     from petmjx.options.simulation import Simulation
 
     if problem := why_no_warp_on_cpu():
         raise EngineUnavailable(problem)
+    if why := why_not_written("warp"):
+        print(f"note: {why}; kernels are kept in {printable(str(cache_folder('warp')))}", file=sys.stderr)
     here = gpu_here()
     gpus = [gpu_of(number) for number in _numbers(arch)] if arch is not None else [here] if here is not None else []
     builds, begin, console, faults = all_builds(gpus), time.perf_counter(), results_console(), []

@@ -214,6 +214,9 @@ def draw_order(seed: int, index: int) -> Order:
         free = of_all < volumes[bulkiest]
         free[chosen] = False
         smaller = np.flatnonzero(free)
+        if not len(smaller):  # no article is smaller: the order has one of its boxes less
+            quantity[bulkiest] -= 1
+            continue
         chosen[bulkiest] = int(smaller[int(rng.integers(len(smaller)))])
         volumes[bulkiest] = of_all[chosen[bulkiest]]
     return Order(target, tuple(articles[j] for j, q in zip(chosen, quantity, strict=True) for _ in range(int(q))))

@@ -10,7 +10,7 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Any, Final
@@ -518,7 +518,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
     The sizes, places and weights of the last row must all be sums, or all be means. At least two of these numbers must
     clearly be sums or means. A single sum or mean is not enough: a box on two smaller boxes may have the sum of their
     lengths, and a box in the middle of a layer of equal boxes has their mean place. In a table with petmjx's own column
-    names and no places, a last row is never taken as means: it is more likely a medium-sized box.
+    names and no places, a last row is never taken as means: it is more likely a medium-sized box. Nor is it taken
+    as means if it has an article of its own, as all rows above it have.
     """
     if len(rows) > 1 and _is_total(table.rows[rows[-1]], _geometric(table.header)):
         return "the total"
@@ -531,8 +532,9 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if meaning is not None and meaning.kind in _COMPUTED and not meaning.of_container
     ]
     last = table.rows[rows[-1]]
+    has_article = any(_names_box(table.rows[row][index] for row in rows) for index in _article_columns(meanings))
     has_places = any(kind in _PLACES for kind, _ in columns)
-    sums, means = True, has_places or not {*OWN_COLUMNS} <= {*table.header}
+    sums, means = True, not has_article and (has_places or not {*OWN_COLUMNS} <= {*table.header})
     n_sums = n_means = n_goods = 0
     for kind, index in columns:
         number = cell_number(last[index], table.decimal)
@@ -556,6 +558,16 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if not sums and not means:
             return ""
     return "the sums" if sums and n_sums > 1 else "the means" if means and n_means > 1 and n_goods else ""
+
+
+def _article_columns(meanings: Sequence[ColumnMeaning | None]) -> list[int]:
+    return [index for index, meaning in enumerate(meanings) if meaning is not None and meaning.kind == "article"]
+
+
+def _names_box(articles: Iterable[Any]) -> bool:
+    """Whether all these cells of a column have text, and the last text is no sign for a mean."""
+    texts = [plain_text(cell).strip() if isinstance(cell, str) else "" for cell in articles]
+    return all(texts) and texts[-1].lower() not in ("ø", "o", "x")
 
 
 _PLACES: Final = ("position", "low", "high")

@@ -75,7 +75,7 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
                 for value, ok in zip(values, allowed, strict=True)
             ]
         )
-        kind = "a multiple of 90"
+        kind = "a multiple of 90 degrees"
     elif max(integers, default=0) <= 1:
         rules, kind = ("swap", "py3dbp"), "0 or 1"
         allowed = [value in (0, 1) for value in values]
@@ -154,17 +154,31 @@ def rotations_of_angles(angles: FloatArray) -> list[FloatArray]:
 
 
 def _in_degrees(values: list[float | None]) -> list[float | None]:
-    """Angles in radians as degrees. Other numbers are unchanged: they are radians only if some are not whole, and all
-    are quarter turns."""
-    quarters = [value / (math.pi / 2) for value in values if value is not None]
-    near = all(abs(quarter - round(quarter)) < _NEAR_QUARTER for quarter in quarters)
-    if not near or all(value is None or float(value).is_integer() for value in values):
+    """Angles in radians as degrees. Quarter turns become whole multiples of 90 degrees. Other numbers are unchanged.
+
+    Numbers are radians if some are not whole, none is more than a whole turn, and some turn a box. So a box that is
+    turned by 1.5 radians counts as crooked, and not as nearly unturned.
+    """
+    numbers = [value for value in values if value is not None]
+    turned = any(abs(value) > _LEVEL_RAD for value in numbers)
+    if not turned or max(map(abs, numbers)) > _MOST_RAD or all(float(value).is_integer() for value in numbers):
         return values
-    return [None if value is None else 90.0 * round(value / (math.pi / 2)) for value in values]
+    return [None if value is None else _degrees(value) for value in values]
+
+
+def _degrees(angle_rad: float) -> float:
+    quarters = angle_rad / (math.pi / 2)
+    return 90.0 * (round(quarters) if abs(quarters - round(quarters)) < _NEAR_QUARTER else quarters)
 
 
 _NEAR_QUARTER: Final = 5e-3
 """Largest deviation of an angle in radians from quarter turns, in quarter turns. 1.57 is written with three digits."""
+
+_LEVEL_RAD: Final = 0.1
+"""Smaller angles do not turn a box, whether they are radians or degrees: boxes that have settled lie so."""
+
+_MOST_RAD: Final = 2 * math.pi + 0.01
+"""Largest angle in radians: a whole turn, which may be rounded up."""
 
 
 def _shown_turn(cell: Any, kind: str) -> str:

@@ -616,3 +616,12 @@ def test_bad_rows_of_orders_for_episodes_are_named(text: str, message: str, tmp_
     ):
         with pytest.raises(InputError, match=f"^orders: {fault}"):
             Orders(frame)
+
+
+def test_an_article_with_the_means_of_the_others_is_no_mean(tmp_path: Path) -> None:
+    """In metres with one decimal, a medium-sized article has the rounded means of two others."""
+    rows = "sku;length [m];width [m];height [m];weight [kg]\na;0.6;0.4;0.2;9\nb;0.4;0.3;0.3;7\n"
+    for last, count in (("c", 3), ("", 2), ("Ø", 2)):
+        (tmp_path / "order.csv").write_text(f"{rows}{last};0.5;0.4;0.2;8\n")
+        (order,) = read(tmp_path / "order.csv").values()
+        assert len(order.items) == count

@@ -95,6 +95,15 @@ def test_packed_plans_hold_43_plus_minus_14_boxes(plans: dict[str, Plan]) -> Non
     assert counts.max() <= MAX_BOXES
 
 
+def test_an_order_of_the_smallest_articles_that_is_still_too_much_has_fewer_boxes() -> None:
+    """Order 4029 of this seed has no smaller article left to exchange."""
+    drawn = draw_order(33446, 4029)
+    length, width = TARGET_EXTENT_MM[drawn.target]
+    volume_m3 = sum(item.volume_m3 for item in drawn.items)
+    assert MIN_BOXES <= len(drawn.items) <= MAX_BOXES
+    assert volume_m3 <= 0.7 * length * width * 2000 * 1e-9
+
+
 def test_orders_have_about_half_as_many_distinct_articles_as_boxes() -> None:
     shares = []
     for index in range(N):
