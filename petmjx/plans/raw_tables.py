@@ -605,8 +605,12 @@ def _n_distinct(names: Sequence[str]) -> int:
     return len({(meaning.kind, meaning.axis) for meaning in column_meanings(names) if meaning is not None})
 
 
+_NO_MEASURE: Final = ("", "-", "–", "°", "deg", "grad", "st", "pcs", "stk", "szt", "ud", "qty")
+"""Units of angles and of numbers, and signs for no unit."""
+
+
 def _is_unit_cell(cell: Any) -> bool:
-    return isinstance(cell, str) and (is_unit(cell) or cell.strip() in ("-", "–", "[-]", "°", "deg", "pcs", "Stk"))
+    return isinstance(cell, str) and (is_unit(cell) or plain_text(cell).strip(" []().").lower() in _NO_MEASURE)
 
 
 def _names_unit(name: str) -> bool:
