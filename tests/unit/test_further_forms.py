@@ -156,10 +156,10 @@ TABLES = {
         lambda k, box: [NAMES[k], box[5], *before_turn(k, box)[:2], box[6], *box[:3], 5 if TURNED[k] else 3],
     ),
     "tare and net": table(f"id,tare_kg,net_kg,x,y,z,{SIZES}", lambda k, box: [NAMES[k], 0.4, box[6], *box[:6]]),
-    "units of angles and numbers below": table(
+    "units of angles below": table(
         f"name,x,y,z,{SIZES},mass,rotation",
         lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], 90 * TURNED[k]],
-    ).replace("\n", "\n[szt.],[mm],[mm],[mm],[mm],[mm],[mm],[kg],[°]\n", 1),
+    ).replace("\n", "\n[-],[mm],[mm],[mm],[mm],[mm],[mm],[kg],[°]\n", 1),
     "a column of units": table("x,y,z,l,w,h,kg,uom", lambda k, box: [*(v / 10 for v in box[:6]), box[6], "cm"]),
     "rows in two units": table("x,y,z,l,w,h,kg,unit", mixed_units),
     "net and gross": table(f"carton,net_kg,gross_kg,{SIZES},x,y,z",
