@@ -19,7 +19,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.column_names import OWN_COLUMNS, column_meanings, is_unit, plain_text, split_unit
+from petmjx.plans.column_names import OWN_COLUMNS, ColumnMeaning, column_meanings, is_unit, plain_text, split_unit
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 
