@@ -1,5 +1,5 @@
-"""The speed of this machine, and the kernels that it has compiled, for estimates. The constants of
-petmjx/engines/cost_model.py were measured on another machine.
+"""The speed of this machine, for estimates. The constants of petmjx/engines/cost_model.py were measured on another
+machine.
 
 The speed is measured in CPU time of the thread, so that other programs on the machine have little effect.
 """
@@ -7,19 +7,14 @@ The speed is measured in CPU time of the thread, so that other programs on the m
 from __future__ import annotations
 
 import functools
-import hashlib
 import time
-from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from petmjx.common.compile_caches import cache_folder
-from petmjx.common.errors import EngineUnavailable
-from petmjx.common.machine import package_versions
 from petmjx.engines.cost_model import MEASURED, Costs, Work
+from petmjx.engines.kernel_notes import Traits, are_noted, cpu_kernel
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.job import Job
@@ -40,10 +35,6 @@ SLOWEST, FASTEST = 8.0, 0.125
 """Bounds of the measured slowness. A value beyond these bounds cannot be the speed of the machine."""
 
 
-Traits = tuple[bool, bool, bool, bool]
-"""The features for which a kernel is compiled (``Launch.traits`` in petmjx/engines/warp/block_launch.py)."""
-
-
 def costs_here(work: Work, threads: int) -> Costs:
     """The costs on this machine. Its speed is measured only for runs of at least a second. Kernels that it has
     compiled before start sooner.
@@ -53,7 +44,7 @@ def costs_here(work: Work, threads: int) -> Costs:
         threads: number of CPU threads that simulate it.
     """
     costs = MEASURED
-    if _is_compiled(_traits(work)):
+    if are_noted(cpu_kernel(_traits(work))):
         costs = replace(costs, kernel_start_s=costs.kernel_load_s)
     seconds = costs.seconds(work, threads)
     if min(seconds["mujoco"], seconds["mjx-warp-cpu"]) < WORTH_S:
@@ -61,43 +52,11 @@ def costs_here(work: Work, threads: int) -> Costs:
     return costs.slowed(slowness())
 
 
-def note_compiled(traits: Traits) -> None:
-    """Note that the kernel with these traits is now in Warp's cache. If nothing can be written, nothing is noted."""
-    with suppress(OSError, EngineUnavailable):
-        _note_of(traits).touch()
-
-
-def _is_compiled(traits: Traits) -> bool:
-    with suppress(OSError, EngineUnavailable):
-        return _note_of(traits).exists()
-    return False
-
-
 def _traits(work: Work) -> Traits:
     """The traits of the first kernel that a run needs on ``mjx-warp-cpu``."""
     hands = work.carried > 0 or not work.sim.placing.appears
     film = work.filmed > 0 and work.drives > 0
     return hands, bool(work.compliant.any()), film, work.sim.physics.has_landings
-
-
-def _note_of(traits: Traits) -> Path:
-    """The file that notes a compiled kernel. It is in Warp's cache, so it is deleted together with the kernel."""
-    letters = "".join("-x"[trait] for trait in traits)
-    return cache_folder("warp") / f"cpu-kernel-{kernel_code()}-{letters}"
-
-
-@functools.cache
-def kernel_code() -> str:
-    """A digest of what determines the kernels: their sources, and the versions of packages. Warp need not be
-    imported for it. The kernels themselves have names that only Warp can find, after a second or two."""
-    digest = hashlib.sha256(repr(sorted(package_versions().items())).encode())
-    for file in sorted((Path(__file__).parent / "warp").rglob("*")):
-        if file.suffix in _SOURCES:
-            digest.update(file.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-_SOURCES: Final = (".py", ".cu", ".cuh")
 
 
 @functools.cache

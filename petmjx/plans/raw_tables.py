@@ -19,7 +19,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.column_names import OWN_COLUMNS, ColumnMeaning, column_meanings, is_unit, plain_text, split_unit
+from petmjx.plans.column_names import OWN_COLUMNS, column_meanings, is_unit, plain_text, split_unit
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 
@@ -532,7 +532,10 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if meaning is not None and meaning.kind in _COMPUTED and not meaning.of_container
     ]
     last = table.rows[rows[-1]]
-    has_article = any(_names_box(table.rows[row][index] for row in rows) for index in _article_columns(meanings))
+    has_article = any(
+        meaning is not None and meaning.kind == "article" and _names_box(table.rows[row][index] for row in rows)
+        for index, meaning in enumerate(meanings)
+    )
     has_places = any(kind in _PLACES for kind, _ in columns)
     sums, means = True, not has_article and (has_places or not {*OWN_COLUMNS} <= {*table.header})
     n_sums = n_means = n_goods = 0
@@ -558,10 +561,6 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if not sums and not means:
             return ""
     return "the sums" if sums and n_sums > 1 else "the means" if means and n_means > 1 and n_goods else ""
-
-
-def _article_columns(meanings: Sequence[ColumnMeaning | None]) -> list[int]:
-    return [index for index, meaning in enumerate(meanings) if meaning is not None and meaning.kind == "article"]
 
 
 def _names_box(articles: Iterable[Any]) -> bool:

@@ -11,7 +11,8 @@ import pytest
 from support.command_line import only_line, run
 
 from petmjx.common.errors import InputError
-from petmjx.engines import gpu_start, machine_speed
+from petmjx.engines import gpu_start
+from petmjx.engines.kernel_notes import are_noted, cpu_kernel
 from petmjx.engines.subprocess import kernel_builds
 from petmjx.engines.subprocess.kernel_build_process import BuildAnswer, KernelBuild, compile_kernel
 from petmjx.engines.subprocess.kernel_builds import KernelBuilds, all_builds, gpu_of, usual_builds
@@ -66,7 +67,7 @@ def test_a_process_compiles_for_the_cpu(aot: None) -> None:
     (again,) = KernelBuilds([answer.build]).answers()
     assert again.seconds < 10
     hands, lands = answer.build.hands, answer.build.lands
-    assert machine_speed._is_compiled((hands, False, False, lands)), "auto knows it"
+    assert are_noted(cpu_kernel((hands, False, False, lands))), "auto knows it"
 
 
 class _Child:

@@ -10,9 +10,10 @@ import pytest
 
 from petmjx.common import compile_caches
 from petmjx.common.errors import EngineUnavailable
-from petmjx.engines import machine_speed
+from petmjx.engines import kernel_notes, machine_speed
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.engines.engine_choice import Choice
+from petmjx.engines.kernel_notes import are_noted, cpu_kernel, note_kernels
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.run_engine import resolve_engine
 from petmjx.engines.verdict import Verdict
@@ -54,16 +55,16 @@ def test_only_runs_of_some_seconds_are_worth_a_measurement(monkeypatch: pytest.M
 def test_a_kernel_of_an_earlier_run_starts_sooner(monkeypatch: pytest.MonkeyPatch, no_kernels: Path) -> None:
     usual, by_hand, giving = Work(SIM, [5]), Work(Simulation(placing="hand"), [5]), Work(SIM, [5], giving=[2])
     filmed, still = (Work(SIM, [5], drives=drives, filmed=1.0) for drives in (1, 0))
-    machine_speed.note_compiled((False, False, False, SIM.physics.has_landings))
+    note_kernels(cpu_kernel((False, False, False, SIM.physics.has_landings)))
     for work, costs in ((usual, LOADED), (still, LOADED), (by_hand, MEASURED), (giving, MEASURED), (filmed, MEASURED)):
         assert machine_speed.costs_here(work, 1) == costs
-    machine_speed.note_compiled((True, False, False, SIM.physics.has_landings))
+    note_kernels(cpu_kernel((True, False, False, SIM.physics.has_landings)))
     assert machine_speed.costs_here(by_hand, 1) == LOADED
     # the kernels of another version are other kernels
-    real_code = machine_speed.kernel_code
-    monkeypatch.setattr(machine_speed, "kernel_code", lambda: "other")
+    real_code = kernel_notes.kernel_code
+    monkeypatch.setattr(kernel_notes, "kernel_code", lambda: "other")
     assert machine_speed.costs_here(usual, 1) == MEASURED
-    monkeypatch.setattr(machine_speed, "kernel_code", real_code)
+    monkeypatch.setattr(kernel_notes, "kernel_code", real_code)
     for note in no_kernels.iterdir():
         note.unlink()
     assert machine_speed.costs_here(usual, 1) == MEASURED
@@ -73,8 +74,8 @@ def test_where_nothing_can_be_written_nothing_is_noted(monkeypatch: pytest.Monke
     def refuse(kind: str) -> Path:
         raise EngineUnavailable("no folder for compiled programs")
 
-    monkeypatch.setattr(machine_speed, "cache_folder", refuse)
-    machine_speed.note_compiled((False, False, False, False))
+    monkeypatch.setattr(kernel_notes, "cache_folder", refuse)
+    note_kernels(cpu_kernel((False, False, False, False)))
     assert machine_speed.costs_here(SHORT, 1) is MEASURED
 
 
@@ -86,8 +87,8 @@ def test_an_engine_notes_the_kernels_that_it_loads(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(block_launch.wp, "force_load", lambda *_, **__: None)
     monkeypatch.setattr(block_launch, "kernel", lambda launch: block_launch.pause)
     block_launch.load_kernels([launch])
-    assert machine_speed._is_compiled(launch.traits) != block_launch.wp.get_device().is_cuda
-    assert not machine_speed._is_compiled((False, *launch.traits[1:]))
+    assert are_noted(cpu_kernel(launch.traits)) != block_launch.wp.get_device().is_cuda
+    assert not are_noted(cpu_kernel((False, *launch.traits[1:])))
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from petmjx.common.text import one_line
+from petmjx.engines.kernel_notes import cpu_kernel, note_kernels
 from petmjx.engines.subprocess.task_pipe import next_of, own_pipes
 
 NICE: Final = 0
@@ -70,7 +71,6 @@ def compile_kernel(build: KernelBuild) -> None:
     from petmjx.common.warp_setup import set_up_warp
 
     set_up_warp()
-    from petmjx.engines.machine_speed import note_compiled
     from petmjx.engines.warp.block_launch import FEW_BOXES, LAST, SIZES, Launch, kernel
     from petmjx.engines.warp.kernels.pause import pause
 
@@ -79,7 +79,7 @@ def compile_kernel(build: KernelBuild) -> None:
     if build.gpu is None:
         launch = Launch.of(size, build.hands, lands=build.lands, device=wp.get_device("cpu"))
         wp.compile_aot_module(kernel(launch).module, device="cpu")
-        note_compiled(launch.traits)
+        note_kernels(cpu_kernel(launch.traits))
         return
     launch = Launch.of(size, build.hands, lands=build.lands, device=build.gpu)
     for module in (kernel(launch).module, pause.module):

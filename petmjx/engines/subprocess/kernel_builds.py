@@ -12,13 +12,11 @@ import queue
 import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Final
 
-from petmjx.common.compile_caches import cache_folder
 from petmjx.common.errors import InputError
 from petmjx.common.machine import cpu_threads, cuda_limits
-from petmjx.engines.machine_speed import kernel_code
+from petmjx.engines.kernel_notes import are_noted, note_kernels
 from petmjx.engines.subprocess.kernel_build_process import BuildAnswer, GpuLimits, KernelBuild
 from petmjx.engines.subprocess.task_pipe import Child
 from petmjx.options.simulation import Simulation
@@ -119,7 +117,7 @@ def builds_if_missing(sim: Simulation) -> KernelBuilds | None:
     """Begin to compile the usual kernels for this machine's GPU. None if an earlier run left a note that they are kept,
     or if there is no GPU."""
     gpu = gpu_here()
-    if gpu is None or _note_of(sim, gpu).exists():
+    if gpu is None or are_noted(_name_of(sim, gpu)):
         return None
     return KernelBuilds(usual_builds(sim, gpu))
 
@@ -128,10 +126,9 @@ def note_kept(sim: Simulation, gpu: GpuLimits | None = None) -> None:
     """Leave a note that the usual kernels are in the cache."""
     gpu = gpu or gpu_here()
     if gpu is not None:
-        _note_of(sim, gpu).touch()
+        note_kernels(_name_of(sim, gpu))
 
 
-def _note_of(sim: Simulation, gpu: GpuLimits) -> Path:
-    """The path of the note. Its name has a digest of what determines the kernels, including the GPU."""
-    digest = hashlib.sha256(f"{kernel_code()} {usual_builds(sim, gpu)}".encode())
-    return cache_folder("warp") / f"usual-kernels-{digest.hexdigest()[:16]}"
+def _name_of(sim: Simulation, gpu: GpuLimits) -> str:
+    """The name under which the usual kernels of these options and of a GPU are noted."""
+    return "usual-kernels-" + hashlib.sha256(repr(usual_builds(sim, gpu)).encode()).hexdigest()[:16]

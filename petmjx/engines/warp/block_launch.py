@@ -28,7 +28,7 @@ from typing import Any, Final, Protocol
 import warp as wp
 
 from petmjx.common.warp_cpp import with_cpp
-from petmjx.engines.machine_speed import note_compiled
+from petmjx.engines.kernel_notes import cpu_kernel, note_kernels
 from petmjx.engines.warp.kernels.pause import pause
 from petmjx.engines.warp.kernels.world_loop import run_worlds
 from petmjx.engines.warp.solver import newton
@@ -134,7 +134,7 @@ def load_kernels(launches: Sequence[Launch]) -> None:
     wp.force_load(device, modules, max_workers=len(modules))
     if not device.is_cuda:
         for launch in launches:
-            note_compiled(launch.traits)
+            note_kernels(cpu_kernel(launch.traits))
 
 
 HEAD_START_NS = 50_000

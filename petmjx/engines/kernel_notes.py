@@ -1,0 +1,53 @@
+"""Notes in Warp's cache on which kernels of mjx-warp are compiled. The kernels themselves have names that only Warp can
+find, after a second or two; a note is found without Warp."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from petmjx.common.compile_caches import cache_folder
+from petmjx.common.errors import EngineUnavailable
+from petmjx.common.machine import package_versions
+
+Traits = tuple[bool, bool, bool, bool]
+"""The features for which a kernel is compiled (``Launch.traits`` in petmjx/engines/warp/block_launch.py)."""
+
+
+def note_kernels(name: str) -> None:
+    """Note that these kernels are now in Warp's cache. If nothing can be written, nothing is noted."""
+    with suppress(OSError, EngineUnavailable):
+        _file_of(name).touch()
+
+
+def are_noted(name: str) -> bool:
+    """Whether there is a note on these kernels, as they are compiled from the current sources."""
+    with suppress(OSError, EngineUnavailable):
+        return _file_of(name).exists()
+    return False
+
+
+def cpu_kernel(traits: Traits) -> str:
+    """The name of the kernel for CPUs with these traits."""
+    return "cpu-kernel-" + "".join("-x"[trait] for trait in traits)
+
+
+def _file_of(name: str) -> Path:
+    """The file of a note. It is in Warp's cache, so it is deleted together with the kernels."""
+    return cache_folder("warp") / f"{name}-{kernel_code()}"
+
+
+@functools.cache
+def kernel_code() -> str:
+    """A digest of what determines the kernels: their sources, and the versions of packages."""
+    digest = hashlib.sha256(repr(sorted(package_versions().items())).encode())
+    for file in sorted((Path(__file__).parent / "warp").rglob("*")):
+        if file.suffix in _SOURCES:
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+_SOURCES: Final = (".py", ".cu", ".cuh")
