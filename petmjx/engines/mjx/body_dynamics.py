@@ -188,12 +188,12 @@ def normalized(quat: Float[Array, "k 4"]) -> Float[Array, "k 4"]:
     return quat / jnp.sqrt((quat**2).sum(-1, keepdims=True))
 
 
-def rotations(quat: Float[Array, "k 4"]) -> Float[Array, "k 3 3"]:
+def rotations(quat: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
     """Rotation matrices of unit quaternions."""
-    w, x, y, z = quat.T
+    w, x, y, z = (quat[..., i] for i in range(4))
     rows = (
-        (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z),
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx import box_motion as motion
+from petmjx.engines.mjx.body_dynamics import rotations
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import NEVER, State
 from petmjx.engines.verdict import Flag
@@ -120,7 +121,7 @@ def wrenches(state: State, worlds: Worlds, sim: Simulation) -> Float[Array, "wor
     )
     moment = inertia * jnp.where(lowered, -damping * vel[:, 3:], rate**2 * askew - 2.0 * rate * vel[:, 3:])
     moment = _limited(moment, most * half.max(-1, keepdims=True))
-    moment = jnp.einsum("wij,wj->wi", _rotations(pose[:, 3:]), moment)
+    moment = jnp.einsum("wij,wj->wi", rotations(pose[:, 3:]), moment)
     here = (jnp.arange(state.qpos.shape[1])[None] == box[:, None]) & (carried_worlds(state) & state.running)[:, None]
     return jnp.where(here[..., None], jnp.concatenate([force, moment], -1)[:, None], 0.0)
 
@@ -174,20 +175,9 @@ def _values_of_box(values: Array, box: Int[Array, " world"]) -> Array:
     return values[jnp.arange(len(box)), box]
 
 
-def _rotations(quat: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
-    """Rotation matrices of unit quaternions."""
-    w, x, y, z = (quat[..., i] for i in range(4))
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
-
-
 def _reaches(pose: Float[Array, "world box 7"], half: Float[Array, "world box 3"]) -> Float[Array, "world box 3"]:
     """Half extents of the axis-aligned bounding boxes of rotated boxes, m."""
-    return jnp.einsum("wbij,wbj->wbi", jnp.abs(_rotations(pose[..., 3:])), half)
+    return jnp.einsum("wbij,wbj->wbi", jnp.abs(rotations(pose[..., 3:])), half)
 
 
 def _progress(step: Int[Array, " world"], steps: Int[Array, " world"]) -> Float[Array, " world"]:
