@@ -26,8 +26,8 @@ PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pand
 _NAME_BYTES = 128
 
 _ATTRIBUTES = (75, 76, 97)
-"""Attributes of a device in CUDA's driver (``CUdevice_attribute``): compute capability, major and minor, and the
-largest shared memory of a block that opts in."""
+"""Numbers of attributes in CUDA's driver (``CUdevice_attribute``): the major and the minor compute capability, and the
+largest shared memory that a thread block can request."""
 
 _PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
 _STARTING_JAX = threading.Lock()
@@ -97,7 +97,7 @@ def cuda_limits() -> tuple[int, int] | None:
 
 
 def jax_devices(platform: str | None = None) -> list[Any]:
-    """JAX's devices. JAX is started so that device memory remains for Warp.
+    """JAX's devices. JAX is started in a way that leaves device memory for Warp.
 
     When JAX first searches for its devices, XLA reserves three quarters of a GPU's memory unless an environment
     variable forbids it. This variable is set only while the devices are listed. If the user has set it, its value
@@ -156,8 +156,8 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp_at_once() -> str | None:
-    """The reason why the engine mjx-warp cannot run on this machine, as far as it can be found without JAX, whose
-    import takes seconds.
+    """The reason why the engine mjx-warp cannot run on this machine, as far as it can be told without JAX. Importing
+    JAX takes seconds.
 
     None if no reason was found.
     """

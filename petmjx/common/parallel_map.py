@@ -17,8 +17,8 @@ processes would take longer."""
 
 _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
-"""Number of chunks of tasks that are submitted per process but whose results have not been taken. This number limits
-the memory."""
+"""Largest number of chunks of tasks, per process, that are computed in advance. The number is limited because the
+results wait in memory until the caller takes them."""
 
 _NICE: Final = 5
 """Niceness (lower priority) that ``UnorderedResults`` adds to its processes. The process that receives the results
@@ -71,8 +71,8 @@ def _task_results(function: Callable[[Task], Result], tasks: list[Task]) -> list
 
 
 class UnorderedResults(Generic[Task, Result]):
-    """The results of ``function`` for all tasks, in the order in which the results become ready. Objects of this class
-    are used in a ``with`` block.
+    """Calls ``function`` for all tasks, and returns results in the order in which they become ready (``take``). Use
+    objects of this class in a ``with`` block.
 
     Args:
         function, tasks: as for ``ordered_results``.
@@ -89,7 +89,7 @@ class UnorderedResults(Generic[Task, Result]):
 
     @property
     def ended(self) -> bool:
-        """Whether all results are known to have been taken."""
+        """Whether no task is left to start, and the caller has taken all results."""
         return self._all_begun and not self._numbers
 
     @property

@@ -128,7 +128,7 @@ class LandingPair(CheckedRecord):
 
     @property
     def key(self) -> tuple[str, str]:
-        """The same as ``FrictionPair.key``."""
+        """The two materials in the form of ``FrictionPair.key``: in alphabetical order and in lower case."""
         return _pair(*self.between)
 
 

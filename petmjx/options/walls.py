@@ -94,7 +94,7 @@ class Walls(CheckedRecord):
         return None if value is None else tuple(side for side in Side if side in value)
 
     def or_of(self, other: Walls) -> Self:
-        """These walls, but with the values from ``other`` for fields that are None here."""
+        """A copy of these walls, in which each field that is not set has the value from ``other``."""
         missing = [name for name in type(self).model_fields if getattr(self, name) is None]
         return self.model_copy(
             update={name: getattr(other, name) for name in missing} | {"open": self.open or other.open}
@@ -115,8 +115,8 @@ class Walls(CheckedRecord):
     def room_fault(self, extent_mm: Sequence[float]) -> str | None:
         """The error text if the walls leave no room for boxes on a carrier's top; None if there is room.
 
-        A negative gap between walls and the carrier's sides narrows the room. The length of a wall is that of its side
-        plus two gaps, even if the adjacent sides have no walls.
+        A negative gap between walls and the carrier's sides narrows the room. The length of a wall is the length of the
+        carrier's side plus two gaps, even if the adjacent sides have no walls.
 
         Args:
             extent_mm: extents of the carrier's top along x and y, mm.
