@@ -27,13 +27,14 @@ from petmjx.results.run_reader import RunResults, load_run
 
 @dataclass(frozen=True, eq=False)
 class PlanLookup:
-    """The plans of a run that were found again, that are missing, and that have changed since the run.
+    """The answer of a search for the plans of a run: which plans were found, are missing, or have changed since the
+    run.
 
     Attributes:
         plans: plan id → plan, for plans that are equal to the simulated plans.
         missing: ids of the plans that were not found, sorted.
         changed: ids of the plans that were found but have changed since the run, sorted.
-        gone: files from which plans were read and that no longer exist.
+        gone: files from which the run read plans, but which no longer exist.
     """
 
     plans: Mapping[str, Plan]
@@ -48,7 +49,7 @@ def find_plans(
     wanted: Collection[str],
     given: PlanSource | None = None,
 ) -> PlanLookup:
-    """Find the plans of a run. A plan counts as found only if it is equal to the simulated plan.
+    """Find the plans of a run. A plan is found only if it is equal to the simulated plan.
 
     Args:
         records: plan id → the run's record of the plan. A plan without a record is accepted without a check.
@@ -84,8 +85,8 @@ def find_plans(
 
 
 def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
-    """The plans of a source. If the source is the folder of a run, or several such folders, the plans that were
-    simulated.
+    """The plans of a source. If the source is the folder of a run, or several folders of runs, these are the plans that
+    the runs simulated.
 
     Raises:
         InputError: a run cannot be read, or none of its plans can be found in its tables or in a file. With ``strict``,
