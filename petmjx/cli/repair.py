@@ -28,7 +28,7 @@ _OF_RUNS = (
     "workers", "ray", "record", "record_interval_s", "record_details", "orders", "allow_large", "out", "overwrite",
     "resume", "shard", "force_intervals", "keep", "confidence", "exact_too",
 )  # fmt: skip
-"""Options of runs and of scores that have no meaning for a repair, and so are not available."""
+"""Options of runs and of scores that a repair does not have, because they have no meaning for it."""
 
 
 @opt.takes(without=_OF_RUNS, more=((RepairOptions, CHANGED), (Confidence, opt.HOW_SURE)))
@@ -104,7 +104,7 @@ def repair(
 
 
 def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:
-    """Lines that name the written files."""
+    """Yield lines that name the files that the command has written."""
     if out is not None:
         yield f"{count_text(len(result.plans), 'plan')} in {printable(str(out))}"
     if html is not None:
