@@ -262,7 +262,7 @@ class Loads:
             forces at rest in stacks that were wrapped in film and then shaken.
         stacking: the options with which these results were computed: how much strength boxes lose by stacking.
         ways: for the run of a transport chain: how likely each plan is to arrive, and to arrive without crushed boxes,
-            with each remedy (a change to the chain or the load). None if the run is not that of a chain.
+            with each remedy (a change to the chain or the load). ``ways`` is None if the run is not that of a chain.
     """
 
     run: Path

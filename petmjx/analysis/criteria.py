@@ -54,8 +54,8 @@ class CriterionInputs:
     Attributes:
         friction: coefficients of friction, used by force balance.
         leans: whether force balance is computed a second time, with boxes that may lean on their neighbours.
-        strength_n: (n,) the largest force that each box can bear on its top, N; NaN if unknown. None if no box has a
-            known strength.
+        strength_n: (n,) the largest force that each box can bear on its top, N; NaN if unknown. ``strength_n`` is None
+            if no box has a known strength.
     """
 
     contacts: PlanContacts

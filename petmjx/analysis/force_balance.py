@@ -52,9 +52,9 @@ body's centre."""
 def wrenches(
     first: IntArray, second: IntArray, position_m: FloatArray, direction: FloatArray, centre_m: FloatArray
 ) -> Entries:
-    """The matrix (6 b, p k) that turns forces at contact points into forces and moments on bodies. It has 6 rows for
-    each of b bodies: the force on the body, and the moment about the body's centre. It has a column for each of k unit
-    forces at each of p points.
+    """The matrix (6 b, p k) that turns forces at contact points into forces and moments on bodies. The matrix has 6
+    rows for each of b bodies, for the force on the body and the moment about its centre, and a column for each of k
+    unit forces at each of p points.
 
     Args:
         first, second: (p,) the two bodies that touch at each point, from 0 to b - 1. A negative number stands for a
@@ -168,7 +168,7 @@ def _least_cost_solution(
     costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
 ) -> FloatArray | None:
     """The vector x with the smallest ``costs @ x`` among all vectors for which matrix @ x is between the bounds
-    ``rows`` and x is between the bounds ``bounds``. None if there is no such vector.
+    ``rows`` and x is between the bounds ``bounds``. The result is None if there is no such vector.
 
     The solver is HiGHS. HiGHS is called through SciPy's ``milp``, without integer variables, because ``milp`` has half
     the overhead of ``linprog``.
@@ -190,8 +190,8 @@ def _least_cost_solution(
 
 
 NO_SLACK: Final = -1e-6
-"""Smallest slack of a balanced stack. It is below 0 because the solver has a tolerance of 1e-7 of the mean weight of
-the boxes."""
+"""Smallest slack of a balanced stack. This limit is below 0 because the solver has a tolerance of 1e-7 of the mean
+weight of the boxes."""
 
 
 def balance_slack(
@@ -362,8 +362,8 @@ def friction_slack(
     structure must also be in balance.
 
     The friction (fx, fy) at a point is limited by the pyramid |fx| + |fy| ≤ μ f, which is inside the friction cone. So
-    a stack that is balanced with the pyramid is also balanced with the cone. f is only the part of the pressure above
-    the share that the point must carry. This does not change the sign of the slack.
+    a stack that is balanced with the pyramid is also balanced with the cone. In μ f, the force f is only the part of
+    the pressure above the share that the point must carry, which does not change the sign of the slack.
 
     Args:
         structure: (n,) whether each box belongs to the structure. The corners under these boxes must carry the required
@@ -392,8 +392,8 @@ def friction_slack(
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
-    """The entries of a sparse matrix that are in the chosen ones of its n columns. The chosen columns are numbered
-    anew, from 0."""
+    """The entries of a sparse matrix with n columns that lie in the columns ``chosen``. In the result, these columns
+    are numbered from 0."""
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))
     column = position[entries.column]

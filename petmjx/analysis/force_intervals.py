@@ -45,7 +45,7 @@ def need_scipy() -> None:
 
 
 def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> FloatArray | None:
-    """The result of :func:`force_intervals` for the final poses of a simulated stack. None if the simulation gave no
+    """The result of :func:`force_intervals` for the final poses of a simulated stack; None if the simulation gave no
     forces at rest."""
     at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
     return force_intervals(scene, physics, boxes.pos, boxes.quat) if np.isfinite(at_rest).all() else None

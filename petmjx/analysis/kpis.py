@@ -231,7 +231,7 @@ def kpis(
             with the same id.
         run: folders of runs in which these plans were simulated. The verdicts come from the first run. ``kpi_6`` comes
             from BED-BPP's rule, applied to the first run with check ``static``.
-        assume_stable: whether all plans count as stable, so that ``kpi_6`` is 1. This is allowed only without runs.
+        assume_stable: whether all plans count as stable, so that ``kpi_6`` is 1; allowed only without runs.
         strict: whether an unusable plan or order raises an error instead of being left out.
 
     Raises:
@@ -302,8 +302,8 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
 
 def _interlocked_share(plan: Plan, n_below: np.ndarray[Any, np.dtype[np.int64]]) -> float | None:
     """Among the boxes that lie on other boxes, the share that holds the pile together: boxes that lie on several boxes,
-    and boxes that lie on one box and are turned differently from the plan's first box. None if all boxes stand on the
-    target."""
+    and boxes that lie on one box and are turned differently from the plan's first box. The share is None if all boxes
+    stand on the target."""
     turned = plan.turned != plan.turned[0]
     n_above = int(np.count_nonzero(n_below))
     held = (n_below > 1) | ((n_below == 1) & turned)

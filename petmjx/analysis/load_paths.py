@@ -165,7 +165,7 @@ def load_slack(
 
 def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
     """(n,) after the placement of each box, the smallest value of 1 − load / strength, among this box and all boxes
-    that bear a part of its weight. NaN if this box lies on nothing.
+    that bear a part of its weight; NaN if this box lies on nothing.
 
     Args:
         strength_n: (n,) largest force that the top of each box can bear, N; NaN if unknown. If None, all strengths are

@@ -349,8 +349,8 @@ three supports have the same planned height, differences of micrometres determin
 differences vary between simulators and between real pallets."""
 
 SIDE_GAP_M: Final = 1e-5
-"""Largest gap between two boxes that touch side by side, m. It is slightly more than the rounding error of a pose in
-float32. Boxes that are planned side by side are placed 0.1 mm apart, so they touch only after they have moved."""
+"""Largest gap between two boxes that touch side by side, m: slightly more than the rounding error of a pose in float32.
+Boxes that are planned side by side are placed 0.1 mm apart, so they touch only after they have moved."""
 
 
 @dataclass(frozen=True, eq=False)

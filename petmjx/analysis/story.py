@@ -155,7 +155,7 @@ class Story:
         engine: the engine that simulated the world.
         variant: index of the variant (the set of changes and errors of this simulation); 0 if the plan has only one
             world.
-        values: column of the table ``worlds`` → value, for the columns that distinguish the variants of a plan. Empty
+        values: column of the table ``worlds`` → value, for the columns that distinguish the variants of a plan; empty
             if the plan has only one world.
         drive: the motion or force with which the carrier is shaken; None if it is not shaken.
         options: the options of the simulation: fields of ``petmjx.Simulation`` and their values, as in ``run.json``.
@@ -385,7 +385,7 @@ def thresholds_of(story: Story) -> Thresholds:
 
 
 def sinks_of(story: Story) -> FloatArray | None:
-    """(n,) distance by which each box is expected to sink because the boxes below yield under their load, m. None if no
+    """(n,) distance by which each box is expected to sink because the boxes below yield under their load, m; None if no
     box is compressible."""
     physics = story.options.get("physics", {})
     gravity = physics.get("gravity_m_s2", STANDARD_GRAVITY) if isinstance(physics, Mapping) else STANDARD_GRAVITY

@@ -118,8 +118,8 @@ class _Option:
 
     @property
     def parameter(self) -> inspect.Parameter:
-        """The function parameter from which typer makes the option. Its value is None if the user does not set the
-        option."""
+        """The function parameter from which typer makes the option, and whose value is None if the user does not set
+        the option."""
         names = [name for name in (self.flag.name, self.flag.short) if name]
         option = typer.Option(
             *names,

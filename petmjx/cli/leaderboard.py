@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 _OF_RUNS = (
     "limit", "record", "record_interval_s", "record_details", "orders", "out", "overwrite", "resume", "shard",
 )  # fmt: skip
-"""Options of runs that this command does not have: the leaderboard sets them itself, or with them, runs could not be
-compared."""
+"""Options of runs that this command does not have, because the leaderboard sets them itself, or because runs with
+different values could not be compared."""
 
 
 @opt.takes(without=_OF_RUNS)

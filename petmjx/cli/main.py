@@ -45,8 +45,8 @@ _BY_SIGNAL = {
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
-"""The exception for wrong usage, Click's UsageError. It is found as a base class, because its module depends on the
-version of typer."""
+"""The exception for wrong usage, Click's UsageError. Its module depends on the version of typer, so it is taken from a
+class that inherits from it."""
 
 
 _SETTINGS = SimpleNamespace(debug=False)

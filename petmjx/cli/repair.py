@@ -85,7 +85,7 @@ def repair(
     except RepairInterrupted as stop:
         result, signal_number = stop.repairs, stop.number
         if not result.each:
-            raise RunInterrupted("no plan was done; nothing was written", signal_number) from None
+            raise RunInterrupted("no plan was searched to the end; nothing was written", signal_number) from None
     for line in result.skipped:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if out is not None:

@@ -101,7 +101,7 @@ def samples(
     is a packing program, packs the orders.
 
     Without --packer, the set is mixed: about half of the plans are packed too loosely on purpose, so that some plans
-    stand and some fall. To compare a packer with others, name it with --packer. Then no plan is packed loosely on
+    stand and some fall. To compare a packer with others, name it with --packer: no plan is then packed loosely on
     purpose.
 
     The packer physical simulates several packings of each order, and chooses the densest packing that stands often

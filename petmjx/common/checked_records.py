@@ -88,7 +88,7 @@ TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
 """Tags for unions of types, such as a number or a list of numbers: the tag says whether the value is a table, a list or
-a single value. pydantic inserts tags into the path of an error, and ``describe`` removes them. Their angle brackets
+a single value. pydantic inserts tags into the path of an error, and ``describe`` removes the tags. The angle brackets
 distinguish tags from names of fields."""
 
 
@@ -286,7 +286,7 @@ def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str)
     if kind in (_COMPLAINT, "value_error"):
         # raised by a validator of petmjx, so the text is complete
         return message.removeprefix("Value error, ")
-    if kind == "missing":  # a missing entry of a list; missing fields were reported by CheckedRecord
+    if kind == "missing":  # an entry of a list is missing; CheckedRecord itself reports missing fields
         return "is missing"
     if kind in _TEXTS:
         return f"{_TEXTS[kind].format(**context)}, {shown_value(value)}"
@@ -351,5 +351,5 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def reason(error: Exception) -> str:
-    """The reason why a file cannot be used, in one line, from an error."""
+    """The text of an error about a file, in one line: the reason why the file cannot be used."""
     return " ".join(printable(getattr(error, "strerror", None) or str(error)).split())

@@ -61,7 +61,7 @@ def cpu_name() -> str:
 
 @functools.cache
 def cuda_devices() -> tuple[str, ...]:
-    """Names of the CUDA devices according to the driver. This takes milliseconds and allocates no device memory."""
+    """Names of the CUDA devices according to the driver. The call takes milliseconds and allocates no device memory."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -82,7 +82,7 @@ def cuda_devices() -> tuple[str, ...]:
 @functools.cache
 def cuda_limits() -> tuple[int, int] | None:
     """Two numbers of the first CUDA device: its compute capability times ten, such as 90, and the largest shared memory
-    of a thread block, bytes. None if there is no device, or if the driver does not answer."""
+    of a thread block, bytes. The result is None if there is no device, or if the driver does not answer."""
     if not cuda_devices():
         return None
     driver, device = ctypes.CDLL("libcuda.so.1"), ctypes.c_int(0)
@@ -100,7 +100,7 @@ def jax_devices(platform: str | None = None) -> list[Any]:
     """JAX's devices. JAX is started in a way that leaves device memory for Warp.
 
     When JAX first searches for its devices, XLA reserves three quarters of a GPU's memory unless an environment
-    variable forbids it. This variable is set only while the devices are listed. If the user has set it, its value
+    variable forbids it. petmjx sets this variable only while JAX lists the devices. A value that the user has set
     stays.
 
     Args:
@@ -159,7 +159,7 @@ def why_no_warp_at_once() -> str | None:
     """The reason why the engine mjx-warp cannot run on this machine, as far as it can be told without JAX. Importing
     JAX takes seconds.
 
-    None if no reason was found.
+    The result is None if no reason was found.
     """
     if not cuda_devices():
         return "no CUDA device (or no driver) on this machine"

@@ -41,7 +41,7 @@ def ordered_results(
 
     Args:
         function: a function defined in a module (or ``functools.partial`` of one), since other processes import it.
-        tasks: the arguments of the calls. They are iterated in this process, only as far ahead as necessary.
+        tasks: the arguments of the calls. This process iterates over the tasks, only as far ahead as necessary.
         workers: number of processes. If 1, only this process is used. Scripts that use several processes need ``if
             __name__ == "__main__":``.
         alone: if there are fewer tasks than this, all tasks run in this process. The default is ``ALONE``.
@@ -75,7 +75,7 @@ class UnorderedResults(Generic[Task, Result]):
     objects of this class in a ``with`` block.
 
     Args:
-        function, tasks: as for ``ordered_results``.
+        function, tasks: arguments of ``ordered_results``, which explains them.
         workers: number of processes. If 1, only this process is used, and it runs a task when ``take`` waits for a
             result.
     """

@@ -21,8 +21,7 @@ _is_command = False
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
     """A pool of newly started processes. Forked processes would hang if a thread of this process held a lock.
 
-    If this process is killed, the processes of the pool end as well (see ``_begin``), instead of waiting for tasks for
-    ever.
+    If this process is killed, the processes of the pool end (``_begin``) instead of waiting for tasks for ever.
 
     Args:
         gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even if it does not use
@@ -137,7 +136,8 @@ def is_command() -> bool:
 
 
 def collect_rarely() -> None:
-    """Make garbage collections rare. This is only for processes that petmjx started, not for a user's process."""
+    """Make garbage collections rare. Call this function only in processes that petmjx started, not in a user's
+    process."""
     gc.set_threshold(*EVERY)
 
 

@@ -125,7 +125,7 @@ Name = Annotated[str, Field(max_length=_MOST_NAME)]
 
 
 class Board(CheckedRecord):
-    """A board, block, stringer or bar of a carrier. Its shape is a cuboid."""
+    """A cuboid that is part of a carrier: a board, block, stringer or bar."""
 
     name: Name = Field("", description="name of the board in messages")
     corner_mm: tuple[Place, Place, Place] = Field(

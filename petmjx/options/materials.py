@@ -60,8 +60,8 @@ _ON_FLOORS: Final = {
     ("steel", TRAILER_FLOOR): 0.3,
     ("plastic", TRAILER_FLOOR): 0.2,
 }
-"""Coefficients of static friction of other materials on the wooden floor of a trailer. They are the values for wood
-from ``_CTU``."""
+"""Coefficients of static friction of other materials on the wooden floor of a trailer: the values for wood from
+``_CTU``."""
 
 FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     **_CTU,
@@ -166,7 +166,7 @@ def kinetic_share_between(one: str, other: str, user_pairs: Sequence[FrictionPai
     in ``petmjx.Physics`` is used.
 
     Args:
-        user_pairs: as for ``friction_between``.
+        user_pairs: pairs that the user gives, as in ``friction_between``.
     """
     pair = _pair(one, other)
     user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)

@@ -13,7 +13,7 @@ from petmjx.common.checked_records import CheckedRecord, shown_value, within
 
 SHORTEST_TIMESTEP_S: Final = 0.0001
 HIGHEST_FRICTION: Final = 100.0
-"""Largest allowed coefficient of friction. A larger value is probably a mistake."""
+"""Largest allowed coefficient of friction. A larger coefficient is probably a mistake."""
 
 HIGHEST_RESTITUTION: Final = 0.9
 """Largest allowed restitution (speed after a bounce as a share of the speed before). Cardboard has 0.1 to 0.3, and up
@@ -155,13 +155,13 @@ class Physics(CheckedRecord):
 
     @property
     def has_landings(self) -> bool:
-        """Whether boxes that land have another contact law than boxes at rest (petmjx/world/contact_laws.py). This is
-        possible only with elliptic friction cones."""
+        """Whether boxes that land have another contact law than boxes at rest (petmjx/world/contact_laws.py). Such a
+        law needs elliptic friction cones."""
         return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
     def has_own_friction(self) -> bool:
-        """Whether friction has another time constant than the normal force of a contact. This is possible only with
+        """Whether friction has another time constant than the normal force of a contact. A separate time constant needs
         elliptic friction cones."""
         return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
 

@@ -305,7 +305,7 @@ class Simulation(CheckedRecord):
             )
         if self.placing.carries and self.schedule is Schedule.FIXED:
             raise complaint(
-                f"{way} needs schedule adaptive: a fixed one does not wait until a box is let go", "placing"
+                f"{way} needs schedule adaptive: the fixed schedule does not wait until a box is let go", "placing"
             )
         return self
 

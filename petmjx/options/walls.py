@@ -37,7 +37,7 @@ class Side(StrEnum):
 class Walls(CheckedRecord):
     """The walls around a carrier's top. A ``Walls`` can be made from a list of sides, or from a mapping.
 
-    A wall is a rigid upright plate along a whole side. It is part of the carrier's body. If a field is None, the
+    A wall is a rigid upright plate along a whole side, and part of the carrier's body. If a field is None, the
     carrier's own value is used (``petmjx.options.carriers.walls_of``), or else the value from ``USUAL``.
     """
 
@@ -132,6 +132,6 @@ class Walls(CheckedRecord):
 USUAL: Final = Walls(
     sides=(), height_mm=1500.0, gap_mm=0.0, thickness_mm=30.0, mass_kg_m2=6.0, friction=None, material="wood"
 )
-"""The values that are used if neither the user nor the carrier sets them. The mass per area is an assumption. It is
-derived from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and walls
-of about 3 m²."""
+"""The values that are used if neither the user nor the carrier sets them. The mass per area is an assumption, derived
+from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and walls of
+about 3 m²."""

@@ -192,7 +192,7 @@ TABLES: Final[Mapping[str, Callable[[Sequence[RecordedWorld]], Columns]]] = {
 
 
 def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> History | None:
-    """Read the history of a world. None if the world was not recorded.
+    """Read the history of a world. The result is None if the world was not recorded.
 
     Args:
         n_boxes: number of boxes of the plan.
@@ -268,7 +268,8 @@ def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) 
 
 
 def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """Column → values, for the rows of one world in a table. Null becomes NaN. None if the world has no rows."""
+    """Column → values, for the rows of one world in a table. Null becomes NaN. The result is None if the world has no
+    rows."""
     rows = rows_of(run, table, plan_id, variant)
     if rows is None:
         return None

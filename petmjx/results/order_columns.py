@@ -29,7 +29,7 @@ def counts_block(check: OrderCheck) -> dict[str, Any]:
 
 
 def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
-    """Read the comparison of a run's plans with their orders. None if the run was not compared with orders.
+    """Read the comparison of a run's plans with their orders; None if the run was not compared with orders.
 
     Raises:
         InputError: the table ``plans`` of the run is damaged.

@@ -1,6 +1,6 @@
 """Finds the plans of a run again, in the run's table ``placements`` or in the files from which the plans were read.
 
-This is needed because only this table of a run has the sizes of boxes.
+Other tables of a run do not have the sizes of boxes.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def how_read(info: Mapping[str, Any]) -> RunOptions:
 
 
 def plan_file(source: str) -> Path | None:
-    """The file from which a plan was read. None if the file no longer exists. For a bundled plan, the path of the
+    """The file from which a plan was read; None if the file no longer exists. For a bundled plan, the path of the
     bundled file on this machine."""
     file, bundled = Path(source), bundled_path()
     if file.is_file():

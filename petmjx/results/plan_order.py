@@ -70,8 +70,8 @@ def is_ranked(parts: Parts, plan_ids: Sequence[str]) -> bool:
 
 
 def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None) -> pa.Table | None:
-    """The rows of a table, sorted by the order of the run's worlds. Rows of the same world keep their order. None if
-    the table has no file.
+    """The rows of a table, sorted by the order of the run's worlds. Rows of the same world keep their order. The result
+    is None if the table has no file.
 
     Args:
         columns: names of the columns to read, which must include ``plan_id`` and ``variant``. If None, all columns are
@@ -99,7 +99,7 @@ class PlanOrder:
     """The plans of a run, in the order of the input.
 
     Attributes:
-        plan_ids: ids of all plans. Empty if they are unknown.
+        plan_ids: ids of all plans; empty if they are unknown.
         numbers: position of each plan in the input, where skipped plans also have a position.
     """
 

@@ -32,7 +32,7 @@ _NUMBERS: Final = ("mass_kg", "sequence", "orientation", *SPARSE)
 
 
 def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
-    """Make the table ``placements``. None if a text of the plans cannot be written as UTF-8."""
+    """Make the table ``placements``. The result is None if a text of the plans cannot be written as UTF-8."""
     plans, schema = list(plans), placements_schema()
     counts = [plan.n_boxes for plan in plans]
     columns: dict[str, Sequence[Any]] = {}

@@ -28,7 +28,7 @@ class CompletedWorlds:
     """The worlds (simulations of one plan each) that a run has completed, and their rows in the table ``worlds``.
 
     Args:
-        parts: files of the run. None if no world is completed yet.
+        parts: files of the run; None if no world is completed yet.
         columns: columns of ``worlds`` to read, in addition to the columns that all runs have.
 
     Raises:
@@ -85,7 +85,8 @@ class CompletedWorlds:
         return self._last[1]
 
     def row(self, plan_id: str, variant: int) -> dict[str, Any] | None:
-        """The row of a world as a dict: column → value. Null becomes None. None if the world is not completed."""
+        """The row of a world as a dict: column → value. Null becomes None. The result is None if the world is not
+        completed."""
         row = self._rows_of(plan_id).get(variant)
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 
@@ -103,7 +104,7 @@ class CompletedWorlds:
 
 
 def engine_of_run(folder: Path) -> str | None:
-    """The name of the engine of the run in a folder. None if the folder has no readable run of petmjx."""
+    """The name of the engine of the run in a folder; None if the folder has no readable run of petmjx."""
     try:
         engine = read_info(folder).get("identity", {}).get("engine")
     except InputError:  # the function that resumes the run reports the error

@@ -29,7 +29,7 @@ class _PartialRecord(BaseModel):
 
 
 _NEWER_FIELDS: Final = ("resized", "matched_by_size")
-"""Fields of ``OrderCounts`` that the files of petmjx 0.2 lack. Their value is then 0."""
+"""Fields of ``OrderCounts`` that the files of petmjx 0.2 lack. The value of a missing field is 0."""
 
 _ORDER_FIELDS: Final[dict[str, Any]] = {
     name: (kind, 0 if name in _NEWER_FIELDS else ...) for name, kind in get_type_hints(OrderCounts).items()

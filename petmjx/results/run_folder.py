@@ -203,7 +203,7 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
 
 def _listed_parts(run_file: Path) -> frozenset[Path] | None:
-    """The files that a ``run.json`` lists. None if there is no ``run.json`` or petmjx did not write it."""
+    """The files that a ``run.json`` lists; None if there is no ``run.json`` or petmjx did not write it."""
     try:
         tables = json.loads(read_regular(run_file, MOST_RUN_FILE_BYTES))["parts"]
         return frozenset(run_file.parent / table / name for table, names in tables.items() for name in names)
@@ -257,7 +257,7 @@ def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
 
 
 def _own_files(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
-    """The files of a folder whose names match this pattern. Empty if the path is not a folder."""
+    """The files of a folder whose names match this pattern; an empty list if the path is not a folder."""
     return [file for file in folder.iterdir() if pattern.fullmatch(file.name)] if folder.is_dir() else []
 
 

@@ -58,7 +58,7 @@ class PlanRecord(NamedTuple):
         volume_m3: total volume of the plan's boxes, m³.
         extent_x_m, extent_y_m: extents of the bounding box of all boxes, m.
         height_m: height of the top of the highest box above the carrier, m.
-        number: position of the plan in the input, where skipped plans also have a position. None if it is unknown.
+        number: position of the plan in the input, where skipped plans also have a position; None if it is unknown.
     """
 
     digest: str
@@ -74,7 +74,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
     """Plan id → record of the plan, in the order of the input.
 
     Args:
-        numbers: plan id → position of the plan in the input. None if no plan was skipped.
+        numbers: plan id → position of the plan in the input; None if no plan was skipped.
     """
     if not plans:
         return {}
@@ -133,7 +133,8 @@ class Manifest:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The identity as it is written into ``run.json``. Its digest does not depend on the order of the plans."""
+        """The identity as it is written into ``run.json``. The digest of all plans does not depend on the order of the
+        plans."""
         lines = "\n".join(f"{record.digest} {plan_id!r}" for plan_id, record in sorted(self.plans.items()))
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}

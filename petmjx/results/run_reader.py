@@ -56,7 +56,7 @@ def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | N
 
 
 def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
-    """The outcome of a world, made from the rows of the world in the tables. None if the run does not have this world.
+    """The outcome of a world, made from the rows of the world in the tables; None if the run does not have this world.
 
     Values of boxes that were never placed are NaN. Measured values have the precision of the table ``boxes``.
     """
@@ -88,7 +88,7 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
 
 
 def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table | None:
-    """The rows of one world in a table of a run. None if the table has no rows of this world.
+    """The rows of one world in a table of a run; None if the table has no rows of this world.
 
     Raises:
         InputError: a part is damaged or missing.

@@ -210,7 +210,7 @@ class RunWriter(RunInfo):
             outcome: the outcome. Its values are copied, except ``state``, so the caller may reuse its arrays.
             attempts: all attempts (simulations) in order, if the world needed more than one.
             params: name of a parameter → value. Missing values become null.
-            interval_n: (boxes, 2) smallest and largest possible force on the top of each box at rest, N. None if they
+            interval_n: (boxes, 2) smallest and largest possible force on the top of each box at rest, N; None if they
                 are unknown.
 
         Raises:
@@ -251,7 +251,7 @@ class RunWriter(RunInfo):
         self._ask(lambda: self._adopt(parts, ranked))
 
     def write_summary(self, answers: pa.Table) -> None:
-        """Write the table ``summary`` (petmjx.results.schema.summary_table). It replaces an earlier table.
+        """Write the table ``summary`` (petmjx.results.schema.summary_table), which replaces an earlier one.
 
         Raises:
             PetmjxError: the file cannot be written.
@@ -343,7 +343,7 @@ class RunWriter(RunInfo):
             request.reply.put((None, error))
 
     def _due_s(self) -> float | None:
-        """Time after which the thread must write something even if no world is added, s. None if nothing waits to be
+        """Time after which the thread must write something even if no world is added, s; None if nothing waits to be
         written."""
         due_s = []
         if self._is_full or self._is_behind:
@@ -528,7 +528,7 @@ class RunWriter(RunInfo):
         """Write the remaining worlds, state in ``run.json`` how the run ended, and leave the folder.
 
         Args:
-            error: error that ended the run. None if the run is complete.
+            error: error that ended the run; None if the run is complete.
 
         Returns:
             The error that occurred while the remaining worlds were written, if any.

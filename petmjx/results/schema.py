@@ -47,8 +47,8 @@ def _column(name: str, kind: pa.DataType, unit: str, text: str) -> pa.Field:
 
 @dataclass(frozen=True)
 class Param:
-    """A quantity that a sweep varies, such as friction. Its values become a column of ``worlds``. ``type`` is float,
-    int, bool or str."""
+    """A quantity that a sweep varies, such as friction, and whose values become a column of ``worlds``. ``type`` is
+    float, int, bool or str."""
 
     name: str
     unit: str = DIMENSIONLESS
@@ -297,7 +297,7 @@ def data_frame(table: pa.Table) -> pd.DataFrame:
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
-    """The schema version in the metadata of a file. 0 if the metadata have no version."""
+    """The schema version in the metadata of a file; 0 if the metadata have no version."""
     text: Any = (metadata or {}).get(b"schema_version", b"0")
     try:
         return int(text)

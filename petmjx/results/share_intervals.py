@@ -27,7 +27,7 @@ ONE_PLAN = "plan"
 is null; ``ONE_PLAN`` is for rows about one plan."""
 
 KEYS = ("scope", "plan_id", "axis", "value")
-"""Columns of the summary. Their values say which worlds a row is about."""
+"""Columns of the summary whose values say which worlds a row is about."""
 
 
 def wilson_interval(

@@ -79,8 +79,8 @@ class Row:
     Attributes:
         cells: column → value, for the columns of ``worlds`` that are not computed from all boxes.
         block: (columns, boxes) metrics of the boxes, in the order of ``_block_columns``.
-        attempts: records of all attempts (simulations). Empty if the world needed only one.
-        recorded: the world with its history. None if the world was not recorded.
+        attempts: records of all attempts (simulations); empty if the world needed only one.
+        recorded: the world with its history; None if the world was not recorded.
         ended_s: time at which the world ended, s (monotonic clock).
     """
 
@@ -194,7 +194,7 @@ class Part:
         return _typed_table(columns, schema)
 
     def attempts(self, schema: pa.Schema) -> pa.Table:
-        """Make the table ``attempts``. It has no rows if every world needed only one attempt."""
+        """Make the table ``attempts``, which has no rows if every world needed only one attempt."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
         cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
         return _typed_table({name: [cell[name] for cell in cells] for name in schema.names}, schema)

@@ -105,9 +105,9 @@ class Bisection:
     at the same time, evenly spread between the largest survived and the smallest failed level. The rounds of one item
     do not wait for the rounds of other items.
 
-    The search assumes that a pallet that survives a level also survives all lower levels. This can be wrong: a stronger
-    push may press a box against its neighbour, so that the box jams. If a level above a failed level was survived, the
-    answer is still the largest level below all failed levels, and ``monotone`` is False for the item.
+    The search assumes that a pallet that survives a level also survives all lower levels. The assumption can be wrong:
+    a stronger push may press a box against its neighbour, so that the box jams. If a level above a failed level was
+    survived, the answer is still the largest level below all failed levels, and ``monotone`` is False for the item.
 
     Args:
         levels: (n_levels,) levels in ascending order, in g or as a scale.
@@ -128,7 +128,7 @@ class Bisection:
     ) -> None:
         self.levels: FloatArray = np.asarray(levels, dtype=np.float64)
         if self.levels.ndim != 1 or len(self.levels) < 1 or np.any(np.diff(self.levels) <= 0):
-            raise ValueError("levels must be a rising list of at least one level")
+            raise ValueError("levels must be a list of ascending numbers, with at least one number")
         if sections < 1:
             raise ValueError(f"sections must be ≥ 1, got {sections}")
         self.sections = sections
@@ -153,7 +153,7 @@ class Bisection:
         return float(self.levels[survived]) if survived >= 0 else None
 
     def first_failed(self, item: int) -> float | None:
-        """Smallest level that failed, in g or as a scale. None if no level failed, or if nothing was tested."""
+        """The smallest level that failed, in g or as a scale; None if no level failed, or if nothing was tested."""
         bracket = self.items[item]
         return (
             float(self.levels[bracket.failed]) if bracket.stands_at_rest and bracket.failed < len(self.levels) else None

@@ -114,7 +114,7 @@ def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
             raise InputError(f"{run.path}: is shard {shard}, and so is {run_by_shard[number].path}")
         run_by_shard[number] = run
     if not run_by_shard:
-        raise InputError("no shard to merge: name their folders")
+        raise InputError("no shard to merge: name the folders of the shards")
     total = of.pop()
     missing = [f"{number}/{total}" for number in range(1, total + 1) if number not in run_by_shard]
     if missing:

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
 """Function that computes force intervals (n, 2): the smallest and the largest possible force on the top of each of n
-boxes at rest, N. It returns None for a world without these intervals."""
+boxes at rest, N. The function returns None for a world without these intervals."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class RunStart:
 
     Attributes:
         what: the noun for a world in messages: "plan", or "world" if plans have several worlds.
-        total: number of worlds. None if it is unknown, as in searches.
+        total: number of worlds; None if it is unknown, as in searches.
         size: one line with the number of worlds and steps, and the estimated time.
         choice: the engine, and the reason for its choice.
         progress: the progress of the run, which the engine updates.
@@ -94,7 +94,7 @@ def simulate(
         ask: function that makes the study from the loaded plans.
         sim: options of the simulation.
         plans: as for ``petmjx.score``.
-        intervals: function that computes intervals of forces. It is used if ``options.force_intervals`` is set.
+        intervals: function that computes intervals of forces, for the option ``force_intervals``.
 
     Raises:
         InputError: plans or options are unusable.
@@ -272,7 +272,7 @@ class _Run:
             writer.warn(f"plan {printable_name(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
-        """(n, 2) the smallest and the largest possible force on the top of each box, N. None if intervals are not
+        """(n, 2) the smallest and the largest possible force on the top of each box, N; None if intervals are not
         requested. The result is also None after a drive (motion of the carrier), since the position of the carrier is
         then unknown."""
         if self.intervals is None or world.driven:

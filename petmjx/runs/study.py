@@ -56,12 +56,12 @@ class FinishedWorld:
     """One world (simulation of a plan) with its final outcome.
 
     Attributes:
-        placement: outcome of the settled placement from which the world started. None if the world placed the boxes
+        placement: outcome of the settled placement from which the world started; None if the world placed the boxes
             itself.
         driven: whether the drive (motion of the carrier) was simulated. If the placement does not stand and early stop
             is on, the drive is skipped, and the world gets the outcome of the placement. Without early stop, the drive
             is simulated, but the world cannot be stable.
-        ended_in: the leg in which a world of a chain ended. None if the pallet arrived, or if the world has no chain.
+        ended_in: the leg in which a world of a chain ended; None if the pallet arrived, or if the world has no chain.
     """
 
     plan: Plan
@@ -123,12 +123,12 @@ class Study(ABC):
 
     @property
     def total(self) -> int | None:
-        """Number of worlds. None if it is unknown."""
+        """Number of worlds of the run; None if it is unknown."""
         return self.n_worlds if self.known else None
 
     @property
     def variants(self) -> range | None:
-        """Numbers of the variants of each plan. None if they differ between plans, as in a search."""
+        """Numbers of the variants of each plan; None if they differ between plans, as in a search."""
         if not self.known:
             return None
         return range(self.first_variant, self.first_variant + self.n_worlds // max(len(self.plans), 1))
@@ -137,7 +137,7 @@ class Study(ABC):
         """One line with the number of worlds, the expected number of steps, and the expected time.
 
         Args:
-            seconds: expected time of all worlds, s. None if it is unknown.
+            seconds: expected time of all worlds, s; None if it is unknown.
             recorded: number of worlds that are already completed. The line gives the steps and the time of the other
                 worlds.
         """

@@ -283,7 +283,7 @@ class AxisKind:
         unit: unit of the column, such as "mm"; "1" for factors, "" for names.
         values: the type that checks the values.
         meaning: what the axis changes, in one line.
-        changes: names of the fields of `PlacementChange` that get the value of the axis. Empty if the axis changes the
+        changes: names of the fields of `PlacementChange` that get the value of the axis; empty if the axis changes the
             drive (motion of the carrier).
         suffix: end of the column's name, which follows the name of the axis.
         plain: for axes of errors, the distribution that a plain number stands for. With a normal distribution, the
@@ -400,7 +400,7 @@ class Axis:
         return number if one_shape and number is not None else value.label()
 
     def _plain_number(self, value: Value) -> float | None:
-        """The plain number with which a sweep file can write a value. None if the file needs a table for the value."""
+        """The plain number with which a sweep file can write a value; None if the file needs a table for the value."""
         if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
             return None
         if value.shape is DistributionShape.FIXED:

@@ -403,8 +403,8 @@ def sweep_of_tables(
     said_by_file = _json_tables(tables)
     simulation_table = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
-        # The options replace the carrier that the tables name. Its file is not read, because it may have been deleted
-        # or changed since an earlier run.
+        # The options replace the carrier that the tables name. The carrier's file is not read, because it may have been
+        # deleted or changed since an earlier run.
         simulation_table.pop("carrier", None)
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)
@@ -419,7 +419,7 @@ def sweep_of_tables(
 
 
 def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Tables of TOML as JSON values. None if JSON cannot represent the tables, because they contain times or infinities
+    """Tables of TOML as JSON values; None if JSON cannot represent the tables, because they contain times or infinities
     or are nested too deeply."""
     try:
         return None if tables is None else json.loads(json.dumps(tables, allow_nan=False))
@@ -454,8 +454,8 @@ def nominal_sweep(sim: Simulation) -> Sweep:
 
 
 def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str, Any]) -> Sweep:
-    """The sweep that stands for a score with a transport chain. It has the variants of the chain, and the nominal
-    world, in which the unchanged plan is placed but not shaken.
+    """The sweep that stands for a score with a transport chain. The sweep has the variants of the chain, and the
+    nominal world, in which the unchanged plan is placed but not shaken.
 
     Args:
         file: a sweep file with legs, or the name of a ready-made one.

@@ -43,7 +43,7 @@ class Batching:
     time. Results do not depend on these limits.
 
     Attributes:
-        undriven: largest number of simulations without a drive in one call of the engine. Their states are not stored.
+        undriven: largest number of simulations without a drive, whose states are not stored, in one call of the engine.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
         worlds: largest number of variants that start from stored states at the same time. If a single placement has
             more, they all start.
@@ -78,8 +78,8 @@ class Answer:
     """The answer of a search for one placement, one profile and one direction.
 
     Attributes:
-        largest_survived, first_failed: largest level survived and smallest level that failed, in g or as a scale. None
-            if there is none.
+        largest_survived, first_failed: largest level survived and smallest level that failed, in g or as a scale; None
+            if there is no such level.
         at_largest, at_failure: results of the tests at these two levels; None if there was no test at the level.
     """
 
@@ -464,7 +464,7 @@ class SweepRun:
             return []
 
         ready_drives: list[DriveWorld] = []
-        # This is a list, because the engine would run a generator, and with it the search, in another thread.
+        # ``first`` is a list, because the engine would run a generator, and with it the search, in another thread.
         first = [drive for which in range(len(searches)) for drive in next_drives(which)]
         for test, world in self._drive(first, partial(_drained, ready_drives)):
             which, _ = test

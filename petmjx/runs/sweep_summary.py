@@ -113,7 +113,7 @@ class SweepColumns:
         return values
 
     def _sign_in_profile_s(self, outcome: Outcome) -> float | None:
-        """Time from the beginning of the profile to the first sign of failure, s. None if there was no sign, or if the
+        """Time from the beginning of the profile to the first sign of failure, s; None if there was no sign, or if the
         sign came before the profile."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
