@@ -14,8 +14,8 @@ starts in the middle of the corners of the box's contact areas, passes through t
 edge of the corners' convex hull. The position of the centre on this ray is 0 in the middle and 1 at the edge. The slack
 is 1 minus this position.
 
-A newly placed box affects only the boxes that contacts connect with it. These boxes and the new box are called a
-structure. Three shortcuts save time and do not change the result:
+A newly placed box affects only its structure: the new box and all boxes that contacts connect with it. Three shortcuts
+save time and do not change the result:
 
 - A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
   balance the load with vertical forces. This box is treated as part of the carrier, so it belongs to no structure.
@@ -107,8 +107,8 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
     ``limits @ g ≤ 0``. g is the part of each force above the required share·s.
 
     Args:
-        forces: (r, f) contribution of each of f forces to each of r rows. Each row is one equation of balance.
-        share: (f,) value that each force must have per unit of slack.
+        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows). share: (f,) value that
+            each force must have per unit of slack.
         row_sums: (r,) value that each row must have.
         limits: (q, f) the matrix in ``limits @ g ≤ 0``. If None, there are no such conditions.
 
@@ -144,8 +144,8 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 
     Args:
         sums: (m, f) factor of each force in each sum.
-        forces: (r, f) contribution of each of f forces to each of r rows. Each row is one equation of balance.
-        row_sums: (r,) value that each row must have.
+        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows). row_sums: (r,) value
+            that each row must have.
 
     Returns:
         (m, 2) smallest and largest value of each sum; None if no possible forces exist.

@@ -236,8 +236,8 @@ def complaint(text: str, *path: str | int) -> ValidationError:
 
 
 def shape(value: object) -> str:
-    """Whether a value is a table, a list or a single value: ``TABLE``, ``LIST`` or ``VALUE``. In a union of types,
-    ``Discriminator(shape)`` chooses the type that fits this answer."""
+    """Whether a value is a table, a list or a single value: ``TABLE``, ``LIST`` or ``VALUE``. ``Discriminator(shape)``
+    lets pydantic choose the type within a union of types by this answer."""
     if isinstance(value, Mapping | BaseModel):
         return TABLE
     return LIST if isinstance(value, list | tuple) else VALUE

@@ -111,7 +111,7 @@ def _is_read(file: Path, source: Path) -> bool:
 
 @contextmanager
 def _path_errors(path: Path) -> Iterator[None]:
-    """Turn system errors of the body, which examines a path, into an InputError that names the path."""
+    """Context in which a path is examined: a system error becomes an InputError that names the path."""
     try:
         yield
     # for example, if the name contains a NUL, or if links form a circle

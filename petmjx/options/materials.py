@@ -91,7 +91,7 @@ Name = Annotated[str, Field(min_length=1, max_length=100)]
 
 
 class FrictionPair(CheckedRecord):
-    """The coefficient of sliding friction between two materials. Both may be the same material."""
+    """The coefficient of sliding friction between two materials, which may be the same material."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(description="coefficient of sliding friction")
@@ -115,7 +115,7 @@ class FrictionPair(CheckedRecord):
 
 
 class LandingPair(CheckedRecord):
-    """How a box of one material bounces and stops when it lands on another material. Both may be the same material."""
+    """How a box of one material bounces and stops when it lands on another material, or on the same material."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(

@@ -48,7 +48,8 @@ def _share(text: str | None) -> str | None:
 
 
 def _workers(value: Any) -> Any:
-    """Validator of the option ``workers``: a whole number ≥ 1, or ``auto``. The command line passes both as text."""
+    """Validator of the option ``workers``: a whole number ≥ 1, or ``auto``. The command line passes the number and
+    ``auto`` as text."""
     number = int(value) if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value) else value
     if number is None or (isinstance(number, str) and number == AUTO):
         return number

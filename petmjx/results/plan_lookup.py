@@ -90,7 +90,7 @@ def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource
 
     Raises:
         InputError: a run cannot be read, or none of its plans can be found in its tables or in a file. With ``strict``,
-            also if any single plan is missing.
+            a single missing plan is an error, too.
     """
     several: Any = [plans] if isinstance(plans, str | PathLike) else plans
     if not isinstance(several, list | tuple) or not several or not all(map(is_run, several)):
@@ -115,8 +115,8 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
     """The plans that a run simulated. Plans that cannot be found are listed as skipped.
 
     Raises:
-        InputError: the run lists no plans, or none of them can be found. With ``strict``, also if any single plan
-            cannot be found.
+        InputError: the run lists no plans, or none of them can be found. With ``strict``, a single missing plan is an
+            error, too.
     """
     records = Manifest.read(run.parts, run.info).plans
     simulated = set(run.worlds["plan_id"])
@@ -148,8 +148,8 @@ def how_read(info: Mapping[str, Any]) -> RunOptions:
 
 
 def plan_file(source: str) -> Path | None:
-    """The file from which a plan was read; None if the file no longer exists. For a bundled plan, the path of the
-    bundled file on this machine."""
+    """The file from which a plan was read; None if the file no longer exists. For a bundled plan, this is the path of
+    the bundled file on this machine."""
     file, bundled = Path(source), bundled_path()
     if file.is_file():
         return file

@@ -165,7 +165,7 @@ class RunResults:
 
     @property
     def where(self) -> str:
-        """The path of the run's folder as text. If the run has no folder, the words "in memory"."""
+        """The path of the run's folder as text, or "in memory" if the run has no folder."""
         return "in memory" if isinstance(self.parts, MemoryParts) else str(self.path)
 
     @property

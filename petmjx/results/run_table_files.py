@@ -33,7 +33,7 @@ class Tables:
 
     def write(self, table: str, number: int, content: pa.Table) -> dict[Path, str]:
         """Write a table, or a part of it, as a new file. Returns file → digest. The file belongs to the run only after
-        ``add``."""
+        a call of ``add``."""
         path = self._folder / table / part_name(number)
         return {path: write_table(content, path)}
 

@@ -126,7 +126,7 @@ class Parts:
 
     def with_worlds(self) -> Parts:
         """A copy of this list of files, adapted to deleted files of ``worlds``: a user deletes such a file to have its
-        worlds simulated again. The files of the other tables with the same number are then left out, too.
+        worlds simulated again. The copy lacks this file, and the files of the other tables with the same number.
         """
         missing_names = {file.name for file in self.files("worlds") if not file.exists()}
         # With histories, nothing is left out, because it is unknown which histories belong to the deleted worlds.

@@ -57,7 +57,7 @@ SECONDS_PER_PART: Final = 60.0
 """Longest time for which a finished world waits until its part is written, s, even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory that waiting worlds may take, bytes. If they take more, ``add`` waits."""
+"""Memory that waiting worlds may take, bytes. ``add`` waits while they take more."""
 
 RETRY_S: Final = 10.0
 """Time between an error of writing and the next try, s. On a full disk, at most one part is prepared for writing in
@@ -159,7 +159,7 @@ class RunWriter(RunInfo):
         # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
         # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # gets an entry after each try to write, for which ``add`` waits
+        self._room: SimpleQueue[None] = SimpleQueue()  # has an entry for each try to write; ``add`` waits for it
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # changed only by the thread that adds worlds
         self._cut_short = False  # set only by the main thread

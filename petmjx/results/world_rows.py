@@ -31,7 +31,7 @@ _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "ver
 
 def _block_columns() -> list[Column]:
     """The columns of all metrics that have a value for each box. The schema of the table ``boxes`` determines which of
-    them are written."""
+    these columns are written."""
     return [*box_columns(), *FORCE_INTERVAL]
 
 

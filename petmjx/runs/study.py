@@ -79,12 +79,13 @@ class Study(ABC):
     """Defines which worlds (simulations) a run makes from its plans, and how it summarises them.
 
     Attributes:
-        sim: options of every world. Further attempts at a world may change them.
+        sim: options of every world. Further attempts at a world may use other options.
         everything: all plans that can be simulated, including the plans of other shards.
         plans: the plans of this run.
         work: amount of work of all worlds, for estimates of time.
         n_worlds: largest possible number of worlds.
-        known: whether ``n_worlds`` is exact. In searches it is not, since the outcomes determine the number.
+        known: whether ``n_worlds`` is exact. The number of worlds of a search is not known, since the outcomes
+            determine it.
         first_variant: number of the first variant of each plan. If ``known``, the numbers of further variants follow
             without a gap.
         amount: text with the numbers of plans and worlds, for messages.

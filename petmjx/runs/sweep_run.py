@@ -144,7 +144,7 @@ class SweepRun:
 
     @cached_property
     def sim(self) -> Simulation:
-        """The options of every world. Further attempts at a world may change them."""
+        """The options of every world. Further attempts at a world may use other options."""
         return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[FinishedWorld]:

@@ -130,8 +130,8 @@ class SweepPlan(Design):
                 raise InputError(f"{file}: {error}") from None
 
     def _has_time(self, plan: Plan) -> bool:
-        """Whether a profile can begin before the simulation of a plan ends. If not, the plan is added to
-        ``skipped``."""
+        """Whether a profile can begin before the simulation of a plan ends. A plan without time for a profile is added
+        to ``skipped``."""
         left = self._drive_steps_left(plan)
         if left is None or left > 0:
             return True
