@@ -1,7 +1,7 @@
 """The functions that simulate plans: ``petmjx.score`` and ``petmjx.sweep``. Both call ``petmjx.runs.simulate``.
 
-Modules that only some runs need are imported on first use. So a plain score does not load the code of sweeps, which
-simulate many variants of each plan.
+Modules that only some runs need are imported when a run needs them. So a plain score does not load the code of sweeps,
+in which each plan has many variants.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Function]:
-    """Make a decorator for functions with ``**options``. It adds the fields of the option records to a function's
-    signature and docstring."""
+    """Make a decorator for functions with ``**options``. The decorator adds the fields of the option records to the
+    signature and the docstring of a function."""
 
     def decorate(function: Function) -> Function:
         signature = inspect.signature(function)
@@ -55,9 +55,9 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
 @contextmanager
 def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """Yield the watcher of a run, which is the object that is told about the run's progress. A watcher from the caller
-    is used unchanged. Without one, a notebook shows a progress bar. A script prints lines on standard error if
-    ``progress`` is set; otherwise, it has no watcher (None).
+    """Yield the watcher of a run: the object that is told about the run's progress. A watcher from the caller is used
+    unchanged. Without a watcher from the caller, a notebook gets a progress bar, and a script gets lines on standard
+    error if ``progress`` is set, otherwise no watcher (None).
 
     Raises:
         InputError: the given watcher lacks a method that watchers must have.
@@ -107,8 +107,9 @@ def score(
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
 
     Args:
-        plans: a file, a folder, the folder of a run (whose plans are used), several of these, a data frame with one row
-            per box, a plan, a list of plans or a ``PlanSet``. If None, the bundled sample plans are simulated.
+        plans: a file, a folder, the folder of a run (whose plans are simulated again), a list of files and folders, a
+            data frame with one row per box, a plan, a list of plans or a ``PlanSet``. If None, the bundled sample plans
+            are simulated.
         watcher: an object whose methods are called as the run proceeds. Without a watcher, notebooks show a progress
             bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
@@ -118,8 +119,8 @@ def score(
     Returns:
         The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames, and ``.info``. A world is one
         simulation of one plan, and has one row in ``.worlds``. With ``confidence`` or ``chain``, each plan has several
-        worlds with different errors, and the world without errors has the number 0 in the column ``variant``. There is
-        then also ``.summary``, a data frame about plans.
+        worlds with different errors, and the world without errors has the number 0 in the column ``variant``. With
+        either option, the results also have ``.summary``, a data frame about plans.
 
     Raises:
         InputError: the plans or options are unusable.
@@ -168,8 +169,8 @@ def sweep(
             that the file names are simulated.
         watcher: as for :func:`score`.
         progress: in a script, print the progress of the run on standard error every few seconds.
-        batching: how many settled states and worlds (simulations of one plan each) are held in memory. This option does
-            not affect the results.
+        batching: limits for the numbers of settled states and worlds (simulations of one plan each) in memory. The
+            results do not depend on these limits.
         options: fields of ``petmjx.Simulation``, which replace those of the sweep file, and fields of
             ``petmjx.RunOptions``.
 

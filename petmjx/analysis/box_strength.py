@@ -1,14 +1,13 @@
-"""``petmjx.loads`` compares the forces on the tops of a run's boxes with the boxes' strength. It uses the forces at
-rest and their peaks.
+"""``petmjx.loads`` compares the force on the top of each box of a run with the strength of the box: the force at rest,
+and the peak of the force.
 
 The strength of a box in a stack is the strength measured in a press, multiplied by factors for the box's place in the
 stack, for moist air and for time (petmjx.options.stacking). petmjx/analysis/crushing.py determines which boxes are
 crushed, surely or possibly. Verdicts do not depend on strengths.
 
 A carton bears load through its walls, and mostly at its corners. So ``walls_of`` computes two shares of a box's walls
-from the plan: the share on which walls of other boxes stand, and the share that has nothing below it, because it is
-beyond an edge or over a gap between the boards of the carrier. Interlayer sheets do not count as boxes: a box on a
-sheet stands on the boxes under the sheet.
+from the plan: the share on which walls of other boxes stand, and the share that has nothing below it (beyond an edge,
+or over a gap between the boards of the carrier). A box on an interlayer sheet stands on the boxes under the sheet.
 """
 
 from __future__ import annotations
@@ -51,22 +50,22 @@ from petmjx.runs.chain_summary import is_chain
 from petmjx.world.carrier_boards import pallet
 
 MOST_GAP_MM: Final = 5.0
-"""If the gap between a box and the body below is at most this length, the box counts as standing on that body. (In the
-simulation, each box is lowered until it touches the body below.)"""
+"""Largest vertical gap between a box and the body on which it stands, mm. (In the simulation, each box is lowered until
+it touches the body below.)"""
 
 LEAST_SHARED_MM: Final = 1.0
-"""If two boxes, seen from above, overlap by less than this length along x or y, neither box stands on the other."""
+"""Smallest overlap along x and y, seen from above, of a box and the box on which it stands, mm."""
 
 Span = tuple[float, float]
 
 
 class Walls(NamedTuple):
-    """How the walls of n boxes are loaded and supported. Each share is a part of the total length of a box's four
-    walls.
+    """How the walls of n boxes are loaded and supported. Each share is a share of the total length of the four walls of
+    a box.
 
     Attributes:
         met: (n,) share of each box's walls on which walls of the boxes above stand; 1 if nothing stands on the box.
-        hanging: (n,) share of each box's walls that is beyond the edges of the bodies that bear the box.
+        hanging: (n,) share of each box's walls that sticks out beyond the boxes or the carrier on which the box stands.
         over_gaps: (n,) share of each box's walls that is over gaps between the boards of the carrier's deck.
         on_deck: (n,) whether a box stands on the carrier, directly or on a sheet.
     """
@@ -86,7 +85,7 @@ def walls_of(
         extent_mm: extents of the carrier along x and y; the carrier's corner is at the origin. If None, the carrier is
             as large as the plan.
         deck_mm: (b, 2, 2) lowest and highest corners of the b boards of the deck. If None, the deck has no gaps.
-        tolerance_mm: largest distance between a wall and the wall or edge that bears it.
+        tolerance_mm: largest horizontal distance between a wall and the lower wall or edge that bears the wall, mm.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     on, on_carrier = _stands_on(plan, low, high)
@@ -105,7 +104,7 @@ def walls_of(
         if on_carrier[box] and extent_mm is not None:
             below.append((np.zeros(2), np.array(extent_mm)))
         if not below:
-            continue  # the box floats, so its real support is unknown
+            continue  # the box floats in the plan, so nothing is known about its support
         borne = sum(_over(wall, below, tolerance_mm) for wall in walls)
         hanging[box] = max(0.0, 1.0 - borne / perimeter)
         if on_carrier[box] and deck_mm is not None:
@@ -115,8 +114,8 @@ def walls_of(
 
 
 def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which boxes stand on which, directly or with sheets between them. The first array (n, n) tells whether the box of
-    the row stands on the box of the column. The second array (n,) tells whether a box stands on the carrier."""
+    """Two arrays that tell on what each box stands, directly or with sheets between. (n, n): whether the box of the row
+    stands on the box of the column. (n,): whether a box stands on the carrier."""
     beside = (shared_length(low[:, 0], high[:, 0]) > LEAST_SHARED_MM) & (
         shared_length(low[:, 1], high[:, 1]) > LEAST_SHARED_MM
     )
@@ -239,15 +238,14 @@ _SHARES: Final = {
     "rest_top_force_high_n": "load_share_high",
     _PEAK: "peak_share",
 }
-"""Name of a column with a force on a box → name of the column with this force as a share of the box's strength. The
-second and the third entry exist only for runs that computed intervals of possible forces."""
+"""Name of a column with a force on a box → name of the column with this force as a share of the box's strength. Runs
+that did not compute intervals of possible forces lack the second and the third column."""
 
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
-"""Name of a column of the table ``plans`` → name of the column of the table ``boxes`` from which it is computed. The
-column of ``plans`` is true for a world if at least one box of the world has a share above 1 in the column of
-``boxes``."""
+"""Name of a column of the table ``plans`` → name of the column of the table ``boxes`` from which it is computed: a
+world is overloaded if the share of at least one of its boxes is above 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,9 +260,9 @@ class Loads:
             forces, there are also the columns ``surely_overloaded`` and ``possibly_overloaded``.
         notes: warnings, one per line: about an unfinished run, about articles without a known strength, and about
             forces at rest in stacks that were wrapped in film and then shaken.
-        stacking: how much strength boxes lose by stacking, as used for these results.
+        stacking: the options with which these results were computed: how much strength boxes lose by stacking.
         ways: for the run of a transport chain: how likely each plan is to arrive, and to arrive without crushed boxes,
-            with each remedy (a change to the chain or the load). None if the run is not that of a chain.
+            with each remedy (a change to the chain or the load). ``ways`` is None if the run is not that of a chain.
     """
 
     run: Path
@@ -299,7 +297,7 @@ def check_loads_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ())
     """Check that the tables of loads may be written into a folder. ``inputs`` are the files that the command reads.
 
     Raises:
-        InputError: as for ``petmjx.results.documented_tables.check_tables_free``.
+        InputError: an existing file must not be replaced (``petmjx.results.documented_tables.check_tables_free``).
     """
     check_tables_free(folder, ("box_loads", "plan_loads", "way_loads"), overwrite=overwrite, inputs=inputs)
 
@@ -311,16 +309,16 @@ def loads(
     *,
     stacking: Stacking | Mapping[str, Any] | None = None,
 ) -> Loads:
-    """Compare the forces on the tops of boxes with the strength that the boxes have in the stack. Forces at rest and
-    peak forces are compared.
+    """Compare the force on the top of each box with the strength that the box has in the stack: the force at rest, and
+    the peak of the force.
 
     ``petmjx.loads("results", "articles.csv", stacking={"interlocked_loss": 0.4})``
 
     Args:
         run: a run's folder, or the result of ``petmjx.score``.
-        articles: a table of strengths (``petmjx.plans.articles.read_articles``). The strength of a box that has no
-            entry in this table comes from the plan, or else from the table of articles with which the run was made. If
-            None, only the plan and the run's table are used.
+        articles: a table of strengths (``petmjx.plans.articles.read_articles``). If this table has no entry for a box,
+            its strength comes from the plan or, if the plan has none, from the table of articles with which the run was
+            made. If None, only the plan and the run's table are used.
         plans: the plans of the run, which give the sizes, places and product groups of boxes. If None, plans are read
             from the files that the run names.
         stacking: how much strength boxes lose by stacking, as a ``petmjx.options.stacking.Stacking`` or as a mapping
@@ -423,8 +421,8 @@ def _remaining_share(loss: float, factor: float = 1.0) -> float:
 
 
 def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The four factors (``_FACTORS``) of each box's strength, in three arrays (4, n). The arrays are for the nominal,
-    the largest and the smallest losses of strength."""
+    """The four factors (``_FACTORS``) by which each box's strength in a press is multiplied, in three arrays (4, n):
+    for the nominal, the largest and the smallest losses of strength."""
     extent, boards = extent_m(carrier), pallet(carrier)
     extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
     walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)
@@ -494,7 +492,8 @@ def _notes(missing: Counter[str]) -> list[str]:
 
 
 def _film_notes(results: RunResults) -> list[str]:
-    """A note about forces at rest, if any stacks of the run were shaken while wrapped in film."""
+    """A list with a note about forces at rest if the run shook stacks that were wrapped in film; otherwise an empty
+    list."""
     wrap = results.info.get("config", {}).get("simulation", {}).get("wrap") or {}
     turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
     if not (turns > 0).any() or "profile" not in results.worlds:

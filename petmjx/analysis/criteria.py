@@ -1,9 +1,10 @@
 """Closed-form criteria of static stability for one plan.
 
 ``CRITERIA`` lists all criteria: the name of each criterion, its condition and its slack (the number whose sign gives
-the answer). Tables, columns and docs are generated from this list. ``CriterionInputs`` holds the contacts of a plan.
-Values that several criteria use are computed there only once. The formulas in this module need only a box's base and
-its support, or the load as a whole. Other modules compute force balance and the paths of loads.
+the answer). Tables, columns and docs are generated from this list. ``CriterionInputs`` holds the contacts of a plan,
+and the values that several criteria use, so that each value is computed only once. The formulas in this module need
+only the base of a box and the areas on which the box lies, or the load as a whole. Other modules compute force balance
+and the loads that boxes pass to the boxes below.
 
 docs/extending.md explains how to add a criterion.
 """
@@ -53,8 +54,8 @@ class CriterionInputs:
     Attributes:
         friction: coefficients of friction, used by force balance.
         leans: whether force balance is computed a second time, with boxes that may lean on their neighbours.
-        strength_n: (n,) the largest force that each box can bear on its top, N; NaN if unknown. None if no box has a
-            known strength.
+        strength_n: (n,) the largest force that each box can bear on its top, N; NaN if unknown. ``strength_n`` is None
+            if no box has a known strength.
     """
 
     contacts: PlanContacts
@@ -79,8 +80,8 @@ class CriterionInputs:
 
     @cached_property
     def balance(self) -> tuple[FloatArray, FloatArray]:
-        """The slacks of force balance, as two arrays (n,): without leaning, and with leaning. If ``leans`` is not set,
-        the second array is NaN."""
+        """The slacks of force balance, as two arrays (n,): if boxes do not lean on their neighbours, and if they may
+        lean. If ``leans`` is not set, the second array is NaN."""
         return balance_slack(self.contacts, self.hulls, self.friction, self.leans)
 
 
@@ -89,14 +90,14 @@ NO: Final = 0
 NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
-"""Unit of a slack → rounding error of the slack. A negative slack that is closer to 0 than the rounding error counts as
-0. Shares of areas in mm² have rounding errors of 1e-16."""
+"""Unit of a slack → rounding error of the slack, in this unit. A negative slack that is closer to 0 than this error
+counts as 0. (Shares of areas in mm² have smaller rounding errors, 1e-16.)"""
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """The answers of c criteria for n boxes. Each box is judged at the moment of its placement, when the boxes placed
-    later do not exist yet.
+    """The answers of c criteria for n boxes. Each box is judged at the moment of its placement, so boxes that are
+    placed later do not matter.
 
     Attributes:
         n_supports: (n,) number of areas on which the box lies (``PlanContacts.n_supports``).
@@ -126,7 +127,7 @@ def answer(
 
     Args:
         friction: coefficients of friction, used by force balance.
-        tolerance_mm, deck_mm, room: see ``petmjx.analysis.plan_contacts.find_contacts``.
+        tolerance_mm, deck_mm, room: arguments of ``petmjx.analysis.plan_contacts.find_contacts``, which explains them.
     """
     contacts = find_contacts(plan, tolerance_mm, deck_mm, room)
     inputs = CriterionInputs(
@@ -163,7 +164,7 @@ def support_share(contacts: PlanContacts) -> FloatArray:
 
 
 def _with_overlaps(contacts: PlanContacts) -> IntArray:
-    """Indices of the boxes that have contact areas overlapping each other."""
+    """Indices of the boxes that lie on areas which overlap each other."""
     if not (contacts.n_supports > 1).any():
         return np.zeros(0, dtype=np.int64)
     is_overlap = np.equal.outer(contacts.upper, contacts.upper)
@@ -190,7 +191,8 @@ def corners_supported(contacts: PlanContacts) -> IntArray:
 
 
 def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[float, float, float]) -> FloatArray:
-    """(n,) borne share of the base, minus the share that is required for the number of borne corners.
+    """(n,) slack of each box: the borne share of its base, minus the share that is required if this number of its
+    corners is borne.
 
     Args:
         least: shares of the base that are required with four borne corners, with three, and with fewer.
@@ -201,8 +203,8 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
 
 
 SUPPORT_SHARES: Final = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)
-"""Shares of a box's base that criteria require to be borne: full support, and the shares from Bortfeldt & Wäscher's
-survey and from the ADAMS study."""
+"""Shares of a box's base that must be borne according to criteria: the whole base, and the shares in Bortfeldt &
+Wäscher's survey and in the ADAMS study."""
 
 LEAST_CORNERS: Final = 3
 
@@ -216,13 +218,13 @@ LEAST_TOLERABLE_G: Final = 0.5
 
 
 def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
-    """(n,) the smallest horizontal acceleration, in g, at which the box just placed, or the whole load placed so far,
-    begins to slide or tip.
+    """(n,) after the placement of each box, the smallest horizontal acceleration, in g, at which this box or the whole
+    load so far begins to slide or tip.
 
     The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
-    friction. A body tips when the acceleration in g reaches a / h. Here a is the horizontal distance of the body's
-    centre of mass from the tipping edge, and h is the height of the centre above this edge. Both conditions follow from
-    statics, and are also those of EN 12195-1.
+    friction. A body tips when the acceleration in g reaches a / h. a is the horizontal distance between the body's
+    centre of mass and the edge over which the body tips, and h is the height of the centre above this edge. Both
+    conditions follow from statics, and are also those of EN 12195-1.
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
     of_box = hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2]) / half_mm
@@ -231,8 +233,8 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
 
 
 def load_tipping_g(contacts: PlanContacts) -> FloatArray:
-    """(n,) after each placement, the horizontal acceleration, in g, at which the load placed so far tips as one rigid
-    body. The base of this body is the bounding rectangle of the boxes that stand on the carrier."""
+    """(n,) after the placement of each box, the horizontal acceleration, in g, at which the whole load so far tips as
+    one rigid body. The base of this body is the bounding rectangle of the boxes that stand on the carrier."""
     low, high = np.full((contacts.n_boxes, 2), np.inf), np.full((contacts.n_boxes, 2), -np.inf)
     on_carrier = contacts.lower == CARRIER
     np.minimum.at(low, contacts.upper[on_carrier], contacts.low_mm[on_carrier])
@@ -287,7 +289,7 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    # (n, 2) along x and y: the share of each box at coordinates below the middle of the footprint
+    # (n, 2) the share of each box that is below the middle of the footprint, along x and along y
     left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
@@ -304,8 +306,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
 
 
 def load_points_slack(contacts: PlanContacts) -> FloatArray:
-    """(n,) points of the whole load minus ``LEAST_POINTS``. The points are computed only for the last box of a plan,
-    because an unfinished load has no score. All earlier boxes get the largest possible slack."""
+    """(n,) points of the whole load minus ``LEAST_POINTS``. Only the last box of a plan gets this slack, because an
+    unfinished load has no score. All earlier boxes get the largest possible slack."""
     slack = np.full(contacts.n_boxes, sum(MOST_POINTS.values()) - LEAST_POINTS)
     slack[-1] = sum(load_points(contacts).values()) - LEAST_POINTS
     return slack
@@ -331,7 +333,7 @@ class Criterion:
         number: name of the quantity that the criterion compares with a threshold; "" if the criterion has no threshold.
         threshold: the threshold with which the quantity ``number`` is compared. The slack is the quantity minus the
             threshold.
-        ends: whether boxes after the first box that fails get no answer.
+        ends: whether the evaluation of a plan ends at the first box that fails. Later boxes then get no answer.
         usual: whether the criterion is evaluated by default.
     """
 
@@ -449,7 +451,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
-        usual=False,  # without known strengths, this criterion accepts all plans
+        usual=False,  # this criterion accepts all plans if no strengths are known, so it is evaluated only on request
     ),
     Criterion(
         "tolerable_acceleration",

@@ -44,8 +44,8 @@ _PLAN_ID: Final = {"plan_id": (TEXT, "id of the packing plan")}
 
 
 def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """The table ``boxes``: one row per box, in packing order. A criterion's answer is null if the criterion was not
-    evaluated for the box."""
+    """The table ``boxes``: one row per box, in packing order. The answer of a criterion is null if the criterion was
+    not evaluated for the box."""
     counts = [plan.n_boxes for plan in plans]
     columns: dict[str, object] = {
         "plan_id": np.repeat(np.array([plan.plan_id for plan in plans], dtype=object), counts),
@@ -66,8 +66,8 @@ def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
 
 
 def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """The table ``plans``: one row per plan. For each criterion, the row has whether all boxes are stable, the first
-    unstable box, and the smallest slack."""
+    """The table ``plans``: one row per plan. For each criterion, a row says whether all boxes are stable, which box is
+    the first unstable one, and how small the smallest slack is."""
     counts = np.array([plan.n_boxes for plan in plans])
     starts = np.r_[0, counts.cumsum()[:-1]]
     columns: dict[str, object] = {
@@ -82,7 +82,8 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
     for number, criterion in enumerate(criteria):
         failed = stable[:, number] == NO
         first = np.minimum.reduceat(np.where(failed, box, never), starts)
-        # Boxes without an answer are ignored. If a box fails but has no slack, its plan has no smallest slack.
+        # Boxes without an answer are ignored. If a box fails and its slack is NaN, the smallest slack of the plan is
+        # NaN.
         with np.errstate(invalid="ignore"):
             least = np.minimum.reduceat(np.where(stable[:, number] == NOT_ASKED, np.inf, slack[:, number]), starts)
         columns[criterion.name] = first == never
@@ -227,7 +228,7 @@ class CriteriaResults:
 
 
 def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that the files of the results may be written into a folder. This check is made first, because computing the
+    """Check that the files of the results may be written into a folder. Call this function first, because computing the
     criteria may take minutes.
 
     Args:
@@ -235,7 +236,7 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
         inputs: files that the command reads.
 
     Raises:
-        InputError: as for ``petmjx.results.documented_tables.check_tables_free``.
+        InputError: an existing file must not be replaced (``petmjx.results.documented_tables.check_tables_free``).
     """
     tables = ("boxes", "plans", *(("judged", "thresholds") if judged else ()))
     extra_files = {INFO_FILE: lambda file: has_keys(file, ("criteria", "options", "n_plans"))}
@@ -334,7 +335,7 @@ def criteria(
 
 
 def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
-    """A note, if the criteria assume a different carrier than the run."""
+    """A list with a note if the criteria assume another carrier than the run; otherwise an empty list."""
     if carrier == run.carrier:
         return []
     own_carrier, run_carrier = (
@@ -356,7 +357,7 @@ def need_packers() -> None:
 def _answers(
     plans: Sequence[Plan], options: CriteriaOptions, progress: Callable[[int, int], None] | None
 ) -> Iterator[Answers]:
-    """The answers for all plans, in the order of the plans."""
+    """Yield the answers of the criteria for each plan, in the order of the plans."""
     chunks = [plans[start : start + CHUNK] for start in range(0, len(plans), CHUNK)]
     ask = partial(_ask, options=options)
     n_done = 0
@@ -390,13 +391,13 @@ def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
 
 
 def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) -> pd.DataFrame:
-    """One row for each plan of the run, about its nominal world (the simulation without errors). In the run of a chain,
-    the row is about all worlds of the plan. Its verdict states whether a sufficient share of them arrives, its reason
-    is the leg (stage of the transport) in which most of them fail, and its margin is the share that arrives minus the
-    required share.
+    """One row for each plan of the run, about its nominal world (the simulation without errors). In the run of a
+    transport chain, the row is about all simulations of the plan: ``verdict`` says whether at least the share
+    ``p_arrives`` of them reach the end of the chain, ``reason`` is the leg (stage of the transport) in which most of
+    them fail, and ``margin`` is the share that reach the end minus ``p_arrives``.
 
     Raises:
-        InputError: as for ``_nominal_worlds``.
+        InputError: the run has none of these plans, or a plan has a different number of boxes in the run.
     """
     if not is_chain(run.info) or run.summary is None:
         return _nominal_worlds(run.worlds[run.worlds["variant"] == 0], run, plans)
@@ -410,7 +411,7 @@ def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) ->
 
 
 def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]) -> pd.DataFrame:
-    """Check that the run simulated these plans, and return its worlds, one for each plan.
+    """Return ``worlds``, which has one row per plan, after checking that the run simulated these plans.
 
     Raises:
         InputError: the run has none of these plans, or a plan has a different number of boxes in the run.

@@ -3,8 +3,8 @@ agrees best with the simulation.
 
 A criterion accepts a plan if all boxes of the plan are stable. *Precision* is the share of accepted plans that stand.
 *Recall* is the share of standing plans that are accepted. Matthews' correlation coefficient (MCC; Matthews 1975,
-Biochimica et Biophysica Acta 405, 442-451) takes both kinds of error into account. If it is 1, all answers are right;
-if it is 0, the answers are no better than chance.
+Biochimica et Biophysica Acta 405, 442-451) takes both kinds of error into account. MCC is 1 if all answers are right,
+and 0 if the answers are no better than chance.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 
 N_BOOTSTRAP: Final = 4000
-"""Number of bootstrap samples of the plans. If the bootstrap is repeated with this number, the bounds of an interval
-vary by about 1 % of the interval's width."""
+"""Number of bootstrap samples of the plans. With this number, the bounds of an interval vary by about 1 % of the
+interval's width from one bootstrap to another."""
 
 CELLS: Final = ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")
-"""The cells of the confusion matrix. Each name states first the answer of the criterion, then the verdict of the
-simulation."""
+"""The cells of the confusion matrix. The first part of a name is the answer of the criterion, the second part the
+verdict of the simulation."""
 
 SCORES: Final = ("precision", "recall", "mcc")
 
@@ -49,9 +49,9 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
     Returns:
         One row per criterion: ``criterion``, ``n_plans``, the counts named in ``CELLS``, and the scores named in
         ``SCORES``. Each score has two more columns, ``_low`` and ``_high``, with the bounds of its 95 % bootstrap
-        interval over plans. ``same_first_box`` counts the plans that the criterion refuses and that fall in the
-        simulation, with the same first box according to both. If ``worlds`` has the column ``share`` (in the run of a
-        chain), each row also has the means of this share that ``ARRIVES`` names.
+        interval over plans. ``same_first_box`` is a number of plans: the criterion refuses the plan, the plan falls in
+        the simulation, and both name the same box as the first that fails. If ``worlds`` has the column ``share`` (the
+        share of simulations that reach the end of a transport chain), each row also has the columns ``ARRIVES``.
     """
     judged = with_physics(plans, worlds)
     stands = judged["stands"].to_numpy(dtype=bool)
@@ -84,8 +84,8 @@ def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: int) -> dict[str, float]:
     """The counts of the confusion matrix, and the scores with their intervals.
 
-    The bootstrap draws plans with replacement. Only the four counts of a sample matter, so the counts are drawn
-    directly from a multinomial distribution.
+    The bootstrap draws plans with replacement. Only the four counts of a bootstrap sample matter, so the counts
+    themselves are drawn, from a multinomial distribution.
     """
     cells = confusion(accepted, stands)
     row: dict[str, float] = {name: int(count) for name, count in zip(CELLS, cells, strict=True)}
@@ -102,7 +102,7 @@ def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: 
 
 
 def confusion(accepted: NDArray[np.bool_], stands: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(4,) counts of plans, in the order of ``CELLS``."""
+    """(4,) numbers of plans in the four cells of the confusion matrix, in the order of ``CELLS``."""
     return np.bincount(2 * ~accepted + ~stands, minlength=len(CELLS))
 
 
@@ -116,7 +116,7 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
     hit, false, miss, right = np.moveaxis(np.asarray(cells, dtype=np.float64), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         precision, recall = hit / (hit + false), hit / (hit + miss)
-        # two square roots, because float64 cannot represent the product of all four sums exactly
+        # two square roots, because the product of all four sums would not be exact in float64
         below = np.sqrt((hit + false) * (hit + miss)) * np.sqrt((right + false) * (right + miss))
         mcc = np.where(below > 0, (hit * right - false * miss) / np.where(below > 0, below, 1.0), 0.0)
     mcc = np.where((hit + miss == 0) | (false + right == 0), np.nan, mcc)
@@ -133,9 +133,8 @@ def best_thresholds(
 
     Returns:
         One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (a lower limit), ``published`` (the
-        published threshold), ``n_found_on`` and ``mcc_found_on``. The other columns are those of ``judge``, computed on
-        the half on which the threshold is tested, and ``mcc_published`` (the MCC of the published threshold on this
-        half).
+        published threshold), ``n_found_on`` and ``mcc_found_on``. Further columns are those of ``judge`` and
+        ``mcc_published`` (the MCC of the published threshold), computed on the half on which the threshold is tested.
     """
     joined_plans = with_physics(plans, worlds)
     stands = joined_plans["stands"].to_numpy(dtype=bool)
@@ -159,8 +158,8 @@ def best_thresholds(
 
 
 def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
-    """(n,) whether each plan belongs to the first half. This is decided by a hash of the plan's id and the seed, which
-    acts as a fair coin."""
+    """(n,) whether each plan belongs to the first half. A hash of the plan's id and the seed decides this like a fair
+    coin."""
     key = seed.to_bytes(8, "little")
     coins = [hashlib.blake2b(name.encode(), digest_size=1, key=key).digest()[0] & 1 for name in plan_ids]
     return np.array(coins, dtype=bool)
@@ -170,9 +169,9 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
     """The threshold t for which the rule ``number >= t`` has the largest MCC, and this MCC. The rule never accepts a
     number that is NaN.
 
-    The threshold lies halfway between the two numbers that it separates. If several thresholds are equally good, the
-    middle one is used. The threshold is NaN if no threshold has MCC > 0: if all numbers are equal, all plans stand, all
-    plans fall, or plans with larger numbers fall.
+    The threshold lies halfway between two neighbouring numbers. If several thresholds are equally good, the middle one
+    is used. The threshold is NaN if no threshold has MCC > 0: if all numbers are equal, all plans stand, all plans
+    fall, or plans with larger numbers fall.
     """
     has_number = ~np.isnan(number)
     values, owner = np.unique(number[has_number], return_inverse=True)

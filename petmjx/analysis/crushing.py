@@ -1,10 +1,12 @@
-"""Determines which boxes are crushed by the force on their top: surely, possibly, or not. Both the force at rest and
-the peak force are considered. This module also computes the share of pallets that arrive without crushed boxes.
+"""Determines whether the force on the top of a box crushes the box: surely, possibly, or not. The force at rest and the
+peak force are both considered. This module also computes the share of pallets that arrive without crushed boxes at the
+end of a transport chain.
 
-Strengths are not exact: the losses through stacking, moisture and time have a spread. Forces at rest are not exact
-either: if a box has several supports, statics does not determine how they share the load. So a box is *surely*
-overloaded if the smallest possible force exceeds the largest possible strength. A box is *possibly* overloaded if the
-largest possible force exceeds the smallest possible strength. docs/loads.md explains crushing to users.
+The strength of a box is not known exactly: the losses through stacking, moisture and time have a spread. The force at
+rest is not known exactly either: if a box has several supports, statics does not determine how they share the load. So
+a box is *surely* overloaded if the smallest possible force exceeds the largest possible strength. A box is *possibly*
+overloaded if the largest possible force exceeds the smallest possible strength. docs/loads.md explains crushing to
+users.
 """
 
 from __future__ import annotations
@@ -51,14 +53,15 @@ WAY_UNITS: Final = {
 }
 
 SUSTAINED: Final = "sustained_top_force_n"
-"""Name of a column of the table of boxes, in the run of a transport chain: the largest force at rest on top of the box
-after any leg (stage of the transport)."""
+"""Column of the table ``boxes`` in the run of a transport chain: the largest force at rest on top of the box after any
+leg (stage of the transport)."""
 
 _KEY: Final = ["plan_id", "variant"]
 
 
 def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) -> pd.DataFrame:
-    """Add the columns ``crush_share_low`` and ``crush_share_high`` to the boxes.
+    """Add the columns ``crush_share_low`` and ``crush_share_high`` to the table of boxes: the smallest and the largest
+    possible force on a box as a share of its strength.
 
     Args:
         boxes: one row per box, with forces and strengths. The forces are those at rest and their peak, the smallest and
@@ -72,7 +75,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
         np.fmax(rest, sustained) if name not in boxes else boxes[name].fillna(rest)
         for name in ("rest_top_force_low_n", "rest_top_force_high_n")
     )
-    if SUSTAINED in boxes:  # force intervals exist only for the end of the chain
+    if SUSTAINED in boxes:  # intervals exist only for the end of the chain
         most = np.fmax(most, sustained)
     low, high = boxes["strength_low_n"], boxes["strength_high_n"]
     shortest, longest = time_factors
@@ -83,7 +86,8 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
 
 
 def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
-    """The table with one row per world (one simulation of one plan) and the columns that ``PLAN_UNITS`` names."""
+    """A table with one row per world (one simulation of one plan): whether a box of the world is crushed, and which box
+    is most overloaded. ``PLAN_UNITS`` describes the columns."""
     marked = boxes[_KEY].assign(
         surely=boxes["crush_share_low"] > 1,
         possibly=boxes["crush_share_high"] > 1,

@@ -3,33 +3,33 @@
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
 Transactions on Graphics 28(5). At each corner of each contact area, the bodies may press on each other, with friction
-of at most μ times the pressing force. A stack is balanced if there are such forces that, together with the weights,
-have zero sum and zero moment on every box.
+of at most μ times the pressing force. A stack is balanced if there are forces of this kind for which the forces and
+moments on every box, together with its weight, add up to zero.
 
 The slack is dimensionless. If the contact areas of a box have n corners in all, each corner must carry at least s / n
 of the box's own weight. The slack is the largest s for which the stack is balanced. At s = 1, every box rests evenly on
-all its corners. At s = 0, some box is about to tip. At s < 0, a box would have to be glued to its support, with the
-stronger glue the smaller s is. For a box with a free top there is a closed form: take the ray that starts in the middle
-of the corners of the box's contact areas, passes through the box's centre of mass and ends at the edge of the corners'
-convex hull. The position of the centre on this ray is 0 in the middle and 1 at the edge. The slack is 1 minus this
-position.
+all its corners. At s = 0, some box is about to tip. At s < 0, the stack would need glue between a box and its support;
+the more negative s is, the stronger the glue. For a box with a free top there is a closed form: take the ray that
+starts in the middle of the corners of the box's contact areas, passes through the box's centre of mass and ends at the
+edge of the corners' convex hull. The position of the centre on this ray is 0 in the middle and 1 at the edge. The slack
+is 1 minus this position.
 
-Placing a box only affects the structure of this box, which is the group of boxes that contacts connect with it. Three
-shortcuts save time and do not change the result:
+A newly placed box affects only its structure: the new box and all boxes that contacts connect with it. Three shortcuts
+save time and do not change the result:
 
 - A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
-  balance the load with vertical forces. Such a box is treated as part of the carrier, so structures end at it.
+  balance the load with vertical forces. This box is treated as part of the carrier, so it belongs to no structure.
 - Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes.
-  Friction can help, for example if a box is held by another box that lies across it and its neighbour. The slack is
+  Friction can help, for example if another box lies across a box and its neighbour, and so holds the box. The slack is
   then the larger one of two: the slack without friction and the slack with friction.
 - For a structure of one box, the closed form above gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
-friction. ``lean`` is off by default, because the criterion only asks whether forces are possible, and a possible force
-between two sides need not arise. With friction at the sides, for example, any box could hang between two neighbours
-that press on it, even if nothing makes the neighbours press.
+friction. ``lean`` is off by default, because a force between two sides that is possible need not arise. With friction
+at the sides, for example, any box could hang between two neighbours that press on it, even if nothing makes the
+neighbours press.
 
-petmjx.analysis.force_intervals also uses the linear programmes of this module, and the function ``wrenches``.
+petmjx.analysis.force_intervals uses ``least_and_most`` and ``wrenches`` of this module.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ body's centre."""
 def wrenches(
     first: IntArray, second: IntArray, position_m: FloatArray, direction: FloatArray, centre_m: FloatArray
 ) -> Entries:
-    """The matrix (6 b, p k) that turns forces at contact points into forces and moments on bodies. It has 6 rows for
-    each of b bodies: the force on the body, and the moment about the body's centre. It has a column for each of k unit
-    forces at each of p points.
+    """The matrix (6 b, p k) that turns forces at contact points into forces and moments on bodies. The matrix has 6
+    rows for each of b bodies, for the force on the body and the moment about its centre, and a column for each of k
+    unit forces at each of p points.
 
     Args:
         first, second: (p,) the two bodies that touch at each point, from 0 to b - 1. A negative number stands for a
@@ -80,14 +80,15 @@ def wrenches(
 
 
 _INFEASIBLE: Final = 2
-"""Status that SciPy returns for a linear programme without a solution."""
+"""Status that SciPy returns if the conditions of a linear programme contradict each other."""
 
 EVEN: Final = 1.0
-"""The largest possible slack: all corners carry the same force."""
+"""The largest possible slack. With this slack, all corners under a box carry the same force."""
 
 
 class Entries(NamedTuple):
-    """The k nonzero entries of a sparse matrix. Each field of this record has the shape (k,)."""
+    """The k nonzero entries of a sparse matrix, each with its row and its column. Each field of this record has the
+    shape (k,)."""
 
     value: FloatArray
     row: IntArray
@@ -95,8 +96,8 @@ class Entries(NamedTuple):
 
 
 def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
-    """(c,) for each contact area, the force that each of its four corners must carry per unit of slack: the weight of
-    the upper box, divided by the number of corners of all contact areas under this box."""
+    """(c,) for each of c contact areas, the force that each of its four corners must carry at a slack of 1: the weight
+    of the upper box, divided by the number of corners of all contact areas under this box."""
     share: FloatArray = weight[contacts.upper] / (4 * contacts.n_supports[contacts.upper])
     return share
 
@@ -106,8 +107,8 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
     ``limits @ g ≤ 0``. g is the part of each force above the required share·s.
 
     Args:
-        forces: (r, f) contribution of each of f forces to each of r rows. Each row is one equation of balance.
-        share: (f,) value that each force must have per unit of slack.
+        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows). share: (f,) value that
+            each force must have per unit of slack.
         row_sums: (r,) value that each row must have.
         limits: (q, f) the matrix in ``limits @ g ≤ 0``. If None, there are no such conditions.
 
@@ -143,8 +144,8 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 
     Args:
         sums: (m, f) factor of each force in each sum.
-        forces: (r, f) contribution of each of f forces to each of r rows. Each row is one equation of balance.
-        row_sums: (r,) value that each row must have.
+        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows). row_sums: (r,) value
+            that each row must have.
 
     Returns:
         (m, 2) smallest and largest value of each sum; None if no possible forces exist.
@@ -166,10 +167,10 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 def _least_cost_solution(
     costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
 ) -> FloatArray | None:
-    """The vector x with the smallest ``costs @ x`` among all x that satisfy two kinds of bounds: ``rows`` has the
-    bounds of the matrix times x, and ``bounds`` those of the elements of x. None if no x satisfies all bounds.
+    """The vector x with the smallest ``costs @ x`` among all vectors for which matrix @ x is between the bounds
+    ``rows`` and x is between the bounds ``bounds``. The result is None if there is no such vector.
 
-    The solver is HiGHS. It is called through SciPy's ``milp`` without integer variables, because this function has half
+    The solver is HiGHS. HiGHS is called through SciPy's ``milp``, without integer variables, because ``milp`` has half
     the overhead of ``linprog``.
 
     Raises:
@@ -189,18 +190,19 @@ def _least_cost_solution(
 
 
 NO_SLACK: Final = -1e-6
-"""A stack whose slack is at least this value counts as balanced. The solver's own tolerance is 1e-7 of the mean weight
-of a box."""
+"""Smallest slack of a balanced stack. This limit is below 0 because the solver has a tolerance of 1e-7 of the mean
+weight of the boxes."""
 
 
 def balance_slack(
     contacts: PlanContacts, hulls: Hulls, friction: Friction, lean: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """The slack of each box's structure (the group of boxes that contacts connect with the box) just after the box has
-    been placed. There are two arrays (n,): slacks without leaning on neighbours, and slacks with leaning.
+    """The slack of force balance after the placement of each box, for the structure of this box (the group of boxes
+    that contacts connect with it). Returns two arrays (n,): slacks without leaning on neighbours, and slacks with
+    leaning.
 
     If the stack is not balanced after the placement of a box, the slacks of all later boxes are NaN. The slack of a box
-    without support is also NaN. A box without support counts as not balanced, although its neighbours could hold it by
+    without support is also NaN. A box without support is never balanced, although its neighbours could hold it by
     pressing on its sides.
 
     Args:
@@ -222,8 +224,8 @@ def balance_slack(
 
 
 class _Stack:
-    """A stack that is built box by box, and is checked for balance after each placement until it is not balanced. The
-    check is either with or without leaning."""
+    """A stack that is built box by box, and is checked for balance after each placement until it is not balanced.
+    Either boxes may lean on their neighbours in all checks, or in none."""
 
     def __init__(self, contacts: PlanContacts, friction: Friction, sides: Sides | None = None) -> None:
         self.slack = np.full(contacts.n_boxes, np.nan)
@@ -231,8 +233,8 @@ class _Stack:
         self._contacts, self._friction, self._sides = contacts, friction, sides
 
     def place(self, box: int, vertical: float, structures: _Structures) -> None:
-        """Place a box and compute its slack. ``vertical`` is the slack of the box's structure for vertical forces
-        alone."""
+        """Place a box and compute its slack. ``vertical`` is the slack of the box's structure if only vertical forces
+        act."""
         slack = vertical
         if slack < NO_SLACK:
             structure = structures.of(box)
@@ -243,8 +245,7 @@ class _Stack:
 
 class _Structures:
     """The structures of placed boxes. A structure is a group of boxes that are connected by contacts. A box with all
-    four corners on the carrier counts as part of the carrier. Such a box belongs to no structure, so structures end at
-    it."""
+    four corners on the carrier counts as part of the carrier, so it belongs to no structure."""
 
     def __init__(self, contacts: PlanContacts, hulls: Hulls) -> None:
         self._contacts = contacts
@@ -260,7 +261,7 @@ class _Structures:
         return joined
 
     def with_box(self, box: int) -> float:
-        """Add a box, and return the slack of the box's structure for vertical forces alone."""
+        """Place a box, and return the slack of its structure if only vertical forces act."""
         if self._grounded[box]:
             return 1.0
         supports = self._contacts.lower[self._starts[box] : self._starts[box + 1]]
@@ -273,7 +274,7 @@ class _Structures:
 
 
 def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) slack of each box if nothing lies on its top, for vertical forces alone."""
+    """(n,) slack of each box for vertical forces alone, as if nothing lay on top of the box."""
     n = contacts.n_boxes
     middle = np.full((n, 2), np.nan)
     count = np.maximum(contacts.n_supports, 1)
@@ -284,20 +285,20 @@ def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 
 
 class _VerticalSystem:
-    """The equations of balance for vertical forces at the corners of contact areas. A structure of boxes uses the
-    equations of its own boxes.
+    """The equations of balance for vertical forces at the corners of contact areas. A structure uses the equations of
+    its boxes.
 
     The force at a corner presses the upper box upwards and the lower body downwards. Each box has three equations
-    (rows): one for the vertical force, and two for the moments about the box's centre along x and y. Forces are in
-    units of the mean weight of a box, and moments in mean weight times metre.
+    (rows): one for the vertical force, and two for the moments about the box's centre along x and y. The unit of forces
+    is the mean weight of the boxes, and the unit of moments is this weight times one metre.
     """
 
     def __init__(self, contacts: PlanContacts) -> None:
         self._upper = contacts.upper
         self._weight = contacts.mass_kg / contacts.mass_kg.mean()
         self._share = even_share(contacts, self._weight)
-        # (2, c) the upper and the lower body of each contact; CARRIER for bodies that need no equations: the carrier
-        # itself, and boxes with all four corners on the carrier
+        # (2, c) the upper and the lower body of each contact; the value is CARRIER for bodies without equations: the
+        # carrier, and boxes with all four corners on it
         body = np.stack([contacts.upper, contacts.lower])
         self._body = np.where((body == CARRIER) | contacts.grounded[body], CARRIER, body)
         arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
@@ -306,7 +307,7 @@ class _VerticalSystem:
         self._value[1] *= -1
 
     def slack(self, boxes: IntArray) -> float:
-        """The slack of a structure of two or more placed boxes."""
+        """The slack of a structure of two or more placed boxes if only vertical forces act."""
         place = np.full(len(self._weight), -1)
         place[boxes] = np.arange(len(boxes))
         chosen = np.flatnonzero(place[self._upper] >= 0)
@@ -343,7 +344,7 @@ class _Points(NamedTuple):
     """The p points at which bodies touch. Each field has one row per point.
 
     At each point, the pressure on the body ``second`` acts along ``axis``; the pressure on the body ``first`` is
-    opposite. ``share`` is the force that a point must carry per unit of slack, in units of the mean weight of a box.
+    opposite. ``share`` is the force that a point must carry at a slack of 1, in units of the mean weight of the boxes.
     """
 
     first: IntArray
@@ -360,12 +361,13 @@ def friction_slack(
     """The slack of a structure (a group of boxes connected by contacts) if friction may act. All boxes that touch the
     structure must also be in balance.
 
-    Friction must lie in the pyramid |fx| + |fy| ≤ μ f, which is inside the friction cone. So a stack that is balanced
-    with the pyramid is also balanced with the cone. The force f here is only the part of the pressure that exceeds the
-    share required from the corner. This restriction does not affect the sign of the slack.
+    The friction (fx, fy) at a point is limited by the pyramid |fx| + |fy| ≤ μ f, which is inside the friction cone. So
+    a stack that is balanced with the pyramid is also balanced with the cone. In μ f, the force f is only the part of
+    the pressure above the share that the point must carry, which does not change the sign of the slack.
 
     Args:
-        structure: (n,) whether each box belongs to the structure, so that its corners must carry the required share.
+        structure: (n,) whether each box belongs to the structure. The corners under these boxes must carry the required
+            share.
         newest: number of the box placed last. Later boxes are ignored.
         sides: the places at which boxes may lean on each other or on walls. If None, boxes may not lean.
     """
@@ -390,8 +392,8 @@ def friction_slack(
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
-    """The entries of a sparse matrix with n columns that lie in the chosen columns. The chosen columns are renumbered
-    from 0."""
+    """The entries of a sparse matrix with n columns that lie in the columns ``chosen``. In the result, these columns
+    are numbered from 0."""
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))
     column = position[entries.column]
@@ -402,8 +404,8 @@ def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
 def _hanging_together(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, sides: Sides | None
 ) -> NDArray[np.bool_]:
-    """(n,) whether each box is placed and is connected with the structure by contacts or, if ``sides`` is given, by
-    sides that touch. The boxes of the structure are included."""
+    """(n,) whether each box has been placed and is connected with the structure: by contacts or, if ``sides`` is given,
+    by sides that touch. The boxes of the structure are connected, too."""
     pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
     pair = np.concatenate(pairs)
     pair = pair[(pair != CARRIER).all(axis=1) & (pair.max(axis=1) <= newest)]
@@ -422,7 +424,8 @@ def _points(
     friction: Friction,
     sides: Sides | None,
 ) -> _Points:
-    """The corners of all contact areas of the given boxes, as points."""
+    """The points at which forces act on the given boxes: the corners of their contact areas and, if ``sides`` is given,
+    of the rectangles at which they touch side by side."""
     indices = np.flatnonzero(boxes[contacts.upper])
     upper = contacts.upper[indices]
     height = np.broadcast_to(contacts.corner_mm[upper, None, None, 2], (len(indices), 4, 1))
@@ -467,7 +470,8 @@ def _directions(axis: IntArray) -> FloatArray:
 
 
 def _pyramids(friction: FloatArray) -> Entries:
-    """The matrix (p, 5 p) that computes, from all unknown forces, friction minus μ times pressure at each point."""
+    """The matrix (p, 5 p) that turns all unknown forces into one number for each of p points: friction minus μ times
+    pressure."""
     values = np.ones((len(friction), _DIRECTIONS))
     values[:, 0] = -friction
     return Entries(values.ravel(), np.repeat(np.arange(len(friction)), _DIRECTIONS), np.arange(values.size))

@@ -1,14 +1,14 @@
-"""Computes the smallest and the largest force on the top of a box at rest that are possible with balance and friction.
+"""Computes how small and how large the force on the top of a box at rest can be, according to balance and friction.
 
 Statics does not determine how three supports share a load, and a simulation's answer depends on the stiffness of its
 contacts. In this module, the forces at all points at which boxes touch (petmjx.analysis.plan_contacts) are unknowns.
 Contact forces press, friction is at most μ times the pressure, and the force and the moment on every box are zero. Two
-linear programmes for each box give the smallest and the largest force on its top. If statics alone determines the force
-on a box, no programme is needed.
+linear programmes for each box give the smallest and the largest force on its top. No programme is needed for a box on
+which statics alone determines the force.
 
 Friction is limited by the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval contains all forces that the
-cone allows. (The criteria of petmjx.analysis.force_balance use the pyramid inside the cone, so that they never call a
-stack balanced by mistake.)
+cone allows. (petmjx.analysis.force_balance uses the pyramid inside the cone, so that it never calls a stack balanced by
+mistake.)
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ def need_scipy() -> None:
 
 
 def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> FloatArray | None:
-    """The :func:`force_intervals` of a simulated stack in its final poses. None if the simulation gave no forces at
-    rest."""
+    """The result of :func:`force_intervals` for the final poses of a simulated stack; None if the simulation gave no
+    forces at rest."""
     at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
     return force_intervals(scene, physics, boxes.pos, boxes.quat) if np.isfinite(at_rest).all() else None
 
 
 def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> FloatArray:
     """(n, 2) smallest and largest possible force on the top of each box, N. The values of a box are NaN if no forces
-    balance the group of boxes to which it is connected, or if the solver finds no answer.
+    balance the boxes that contacts connect with it, or if the solver finds no answer.
 
     Args:
         scene: sizes, masses and friction of the boxes, and the carrier. The carrier is at its planned place.
@@ -71,9 +71,9 @@ def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: Float
 
 
 def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
-    """(n, 2) the intervals that need no linear programme, in units of the mean weight of a box. If nothing lies on a
-    box, both bounds are 0. If a box alone bears the boxes above it, both bounds are the weight of these boxes. For all
-    other boxes, the bounds are NaN."""
+    """(n, 2) smallest and largest possible force on the top of those boxes that need no linear programme, in units of
+    the mean weight of the boxes. If nothing lies on a box, both bounds are 0. If the boxes above a box have no other
+    support, both bounds are the weight of these boxes. For all other boxes, the bounds are NaN."""
     n_boxes = len(weight)
     intervals = np.full((n_boxes, 2), np.nan)
     ends = np.stack([touching.first, touching.second])
@@ -81,7 +81,7 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
     for box in range(n_boxes):
         box_contacts = (ends == box).any(axis=0)
         on_top = touching.pressed[box_contacts] == box
-        # groups of boxes that remain connected if this box is removed
+        # the groups of boxes that would still be connected without this box
         group = _groups(ends[:, ~box_contacts], n_boxes + 1)
         other = group[ends[:, box_contacts].sum(axis=0) - box]
         above = np.unique(other[on_top])
@@ -91,8 +91,8 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
 
 
 def _hanging_together(touching: TouchPoints, n_boxes: int) -> IntArray:
-    """(n,) the number of the group to which each box belongs. A group has all boxes that are connected by contacts with
-    each other."""
+    """(n,) the number of the group to which each box belongs. The boxes of a group are connected with each other by
+    contacts."""
     ends = np.stack([touching.first, touching.second])
     return _groups(ends[:, (ends != CARRIER).all(axis=0)], n_boxes)
 
@@ -111,11 +111,12 @@ def _groups(pairs: IntArray, n: int) -> IntArray:
 def _of_part(
     touching: TouchPoints, boxes: IntArray, known: FloatArray, weight: FloatArray, centre_m: FloatArray
 ) -> FloatArray:
-    """(b, 2) smallest and largest possible force on the top of each box of a group, in units of the mean weight of all
-    boxes. Contacts connect the b boxes of the group with each other.
+    """(b, 2) smallest and largest possible force on the top of each of the b boxes of a group, in units of the mean
+    weight of all boxes. The boxes of a group are connected with each other by contacts.
 
     Args:
-        known: (b, 2) the forces that are already known without a linear programme; NaN for the other boxes.
+        known: (b, 2) the smallest and largest forces that are known without a linear programme; NaN for the other
+            boxes.
     """
     place = np.full(len(weight) + 1, CARRIER)  # CARRIER is -1, so it refers to the last entry
     place[boxes] = np.arange(len(boxes))

@@ -20,7 +20,7 @@ from petmjx.results.documented_tables import check_tables_free, has_keys
 from petmjx.results.run_folder import csv, parquet, text, write_together
 
 _CREATOR: Final = "petmjx"
-"""Name of the creator in the properties of a workbook. The name shows that petmjx wrote the workbook."""
+"""Name of the creator in the properties of an Excel workbook. petmjx recognises its own workbooks by this name."""
 _MOST_PROPERTIES: Final = 1 << 16
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
@@ -29,7 +29,7 @@ _SUMMED: Final = ("plans", "orders", "ordered_boxes", "rating", "rating_by_verdi
 
 def check_kpis_free(folder: Path, overwrite: bool, *, xlsx: bool = False, inputs: Iterable[Path] = ()) -> None:
     """Check that :func:`write_kpis` may write into a folder. ``inputs`` are the files that the command reads. Raises
-    InputError as ``petmjx.results.documented_tables.check_tables_free``.
+    InputError if an existing file must not be replaced (``petmjx.results.documented_tables.check_tables_free``).
     """
     extra_files: dict[str, IsOurs] = {"summary.json": lambda file: has_keys(file, (*_SUMMED, "means", "skipped"))}
     if xlsx:
@@ -116,7 +116,7 @@ def _is_our_workbook(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
-    # These errors mean that the file is not a zip file, is encrypted, or uses an unknown compression. So petmjx did not
-    # write it.
+    # These errors mean that petmjx did not write the file: it is not a zip file, is encrypted, or uses an unknown
+    # compression.
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
         return False

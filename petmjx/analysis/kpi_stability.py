@@ -1,5 +1,5 @@
-"""Finds out from the results of runs whether plans stand, according to petmjx's verdict and according to the rule of
-BED-BPP (a public benchmark for packing)."""
+"""Reads from the results of runs which plans stand: according to petmjx's verdict, and according to the rule of BED-BPP
+(a public benchmark for packing)."""
 
 from __future__ import annotations
 
@@ -23,18 +23,20 @@ from petmjx.results.run_manifest import plan_digest
 from petmjx.results.run_reader import RunResults, load_run
 
 MOST_SHIFT_Z_M: Final = 0.01
-"""BED-BPP's rule: a plan is unstable if any box has moved by more than this distance along z, m."""
+"""Largest distance along z that a box of a stable plan may move according to BED-BPP's rule, m."""
 
 
 @dataclass(frozen=True)
 class Stability:
-    """Whether plans stand. Each field maps ids of plans to answers; plans whose answer is unknown are missing.
+    """Whether plans stand. The first three fields map ids of plans to answers; a plan whose answer is unknown is
+    missing.
 
     Attributes:
         verdicts: petmjx's verdict on each plan, as text.
         stable: whether petmjx's verdict is ``stable``; without plans whose verdict is ``invalid``.
         their_rule: whether the plan stands according to BED-BPP's rule.
-        notes: lines for the user about unfinished runs, and about the run that is needed to answer what is unknown.
+        notes: lines for the user about unfinished runs, and about runs that the user must still make to get all
+            answers.
     """
 
     verdicts: Mapping[str, str] = field(default_factory=dict)

@@ -37,7 +37,8 @@ class Submission:
     Attributes:
         date: date of the submission, in ISO 8601.
         task: name of the task, as in the file's name.
-        choice: number of next items among which the packer may choose; None if it may choose among all items.
+        choice: number of items, the next ones in the sequence, among which the packer may choose; None if it may choose
+            among all items.
     """
 
     date: str
@@ -94,8 +95,8 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
 def write_submission(
     name: str, folder: Path, plans: Mapping[str, Plan], orders: Mapping[str, Order], unusable: int = 0
 ) -> Path:
-    """Check that plans are a valid submission, and write the plans to a file. The id, product group and number of each
-    item are those of the order.
+    """Check that plans are a valid submission, and write the plans to a file. In the file, the id, product group and
+    number of each item are those in the order.
 
     Args:
         name: name of the submission (see :func:`parse_name`).
@@ -137,8 +138,8 @@ def write_submission(
 
 
 def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: int | None) -> Iterator[str]:
-    """Yield the faults because of which a plan cannot be submitted. Also writes the id, product group and number of the
-    ordered item into each placement."""
+    """Yield a text for each fault of a plan that cannot be submitted. This function also writes the id, product group
+    and number of the ordered item into each placement."""
     _name(plan, placements, order)
     has_ids = any(plan.item_ids)
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -177,7 +178,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
 
 
 def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
-    """Give each box that has neither an id nor an article those of an ordered item with the same size and mass."""
+    """Give each box without id and article the id and the article of an ordered item with the same size and mass."""
     unnamed = [box for box, names in enumerate(zip(plan.item_ids, plan.articles, strict=True)) if not any(names)]
     if not unnamed:
         return
@@ -190,8 +191,8 @@ def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
 
 
 def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:
-    """Yield the fault in the sequence of an online packer, if there is one. The packer must place one of the next
-    ``choice`` waiting items each time. Items that the packer leaves out are not counted."""
+    """Yield a text about the first wrong choice of an online packer, if there is one. Each time, the packer must place
+    one of the next ``choice`` items that are still waiting. Items that the packer never places are not counted."""
     if len(indices) < n_boxes:
         return
     waiting = sorted(indices)

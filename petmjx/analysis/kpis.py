@@ -46,8 +46,8 @@ from petmjx.results.plan_lookup import plans_in_place
 
 
 class KpiColumn(NamedTuple):
-    """One column of the table. ``pandas`` is the column's type in a data frame. ``mean`` tells whether the mean of the
-    column is shown."""
+    """One column of the table of KPIs. ``pandas`` is the type of the column in a data frame. ``mean`` tells whether the
+    mean of the column is shown."""
 
     name: str
     pandas: str
@@ -103,16 +103,15 @@ COLUMNS: Final = (
 """The columns of the table of KPIs."""
 
 MEANS: Final = tuple(column.name for column in COLUMNS if column.mean)
-"""Names of the columns whose means are shown."""
+"""Names of the columns of KPIs whose means are shown."""
 
 
 HEIGHT_TOLERANCE_MM: Final = 5.0
-"""If the gap between the top of a box and the bottom of a new box is at most this length, the new box counts as
-supported."""
+"""Largest gap between the top of a box and the bottom of a new box that still lies on this box, mm."""
 
 
 class Support(NamedTuple):
-    """The direct support of n boxes.
+    """On what n boxes lie directly, according to BED-BPP's method.
 
     Attributes:
         share: (n,) supported share of each box's base; 1 for a box on the target.
@@ -124,10 +123,10 @@ class Support(NamedTuple):
 
 
 def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[float, float]) -> Support:
-    """The direct support of the boxes of one plan.
+    """Determine on what the boxes of one plan lie directly, according to BED-BPP's method.
 
-    BED-BPP's evaluator stores a map with a cell for each square millimetre. This function uses larger cells, which
-    extend from one edge of a box to the next edge, so that all points of a cell are under the same boxes.
+    BED-BPP's evaluator divides the target into cells of one square millimetre. This function uses larger cells, from
+    one edge of a box to the next edge of any box, so that all points of a cell are under the same boxes.
 
     Args:
         corner_mm, size_mm: (n, 3) corners and sizes of the boxes as placed, mm, in packing order.
@@ -155,7 +154,8 @@ def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[
 
 
 class _Cells(NamedTuple):
-    """The cells of the target along one axis: the number of cells, and the range of cells that each box covers."""
+    """The division of the target into cells along one axis: the number of cells, and for each box the first cell under
+    the box and the first cell behind it."""
 
     number: int
     first: NDArray[np.int64]
@@ -169,10 +169,10 @@ def _cells(low: FloatArray, high: FloatArray, extent: float) -> _Cells:
 
 
 SCORED_HEIGHT_MM: Final = 2_000.0
-"""The leaderboard ignores boxes whose bottom is above this height."""
+"""The leaderboard of BED-BPP ignores boxes whose bottom is above this height, mm."""
 
 _EDGE_MM: Final = 1.0
-"""BED-BPP's evaluator computes heights that are too small by this length, because it uses the last whole millimetre
+"""BED-BPP's evaluator computes heights that are too small by this length, mm, because it uses the last whole millimetre
 inside a box."""
 
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
@@ -203,7 +203,7 @@ class Kpis:
 
     @property
     def found(self) -> Mapping[str, Plan]:
-        """Old name of ``plans_by_id``, from version 0.2."""
+        """``plans_by_id`` under its name in version 0.2."""
         warnings.warn("Kpis.found is now Kpis.plans_by_id", DeprecationWarning, stacklevel=2)
         return self.plans_by_id
 
@@ -231,7 +231,7 @@ def kpis(
             with the same id.
         run: folders of runs in which these plans were simulated. The verdicts come from the first run. ``kpi_6`` comes
             from BED-BPP's rule, applied to the first run with check ``static``.
-        assume_stable: whether all plans count as stable, so that ``kpi_6`` is 1. This is allowed only without runs.
+        assume_stable: whether all plans count as stable, so that ``kpi_6`` is 1; allowed only without runs.
         strict: whether an unusable plan or order raises an error instead of being left out.
 
     Raises:
@@ -266,10 +266,10 @@ def kpis(
 
 
 def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[str, Any]:
-    """The values of one plan in all columns, except the columns that depend on whether the plan stands.
+    """Column → value, for one plan and all columns of KPIs that do not depend on whether the plan stands.
 
     Args:
-        matching: how the plan's boxes match the order, if already known.
+        matching: which ordered item each box of the plan is. If None, this is computed.
     """
     matching = matching or match(plan, order)
     ordered = counts_of(matching)
@@ -302,8 +302,8 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
 
 def _interlocked_share(plan: Plan, n_below: np.ndarray[Any, np.dtype[np.int64]]) -> float | None:
     """Among the boxes that lie on other boxes, the share that holds the pile together: boxes that lie on several boxes,
-    and boxes that lie on one box and are turned differently from the plan's first box. None if all boxes stand on the
-    target."""
+    and boxes that lie on one box and are turned differently from the plan's first box. The share is None if all boxes
+    stand on the target."""
     turned = plan.turned != plan.turned[0]
     n_above = int(np.count_nonzero(n_below))
     held = (n_below > 1) | ((n_below == 1) & turned)
@@ -380,8 +380,8 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines for the user about plans for which it is unknown whether they stand, if a run answers this for other
-    plans."""
+    """Lines for the user about plans that no run answers for, although a run tells for other plans whether they
+    stand."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()

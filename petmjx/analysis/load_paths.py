@@ -1,33 +1,34 @@
-"""The criteria that need the loads on boxes, and the polygons in which the top of a box can be loaded.
+"""Criteria of static stability that depend on the loads on boxes, and the polygons in which the top of a box can be
+loaded.
 
 **Polygons** (load-bearable convex polygons): the polygon of a box is the area in which its top can be loaded without
 making this box or a box below it fall. Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast
 Stability Validation and Stable Rearrangement Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere
-on its top. The polygon of any other box is the convex hull of those parts of its contact areas that lie in the polygons
-of the boxes below. The box stands if its centre of mass is in its own polygon. Later boxes may press only inside the
-polygons, where they cannot tip any box. So loads need not be computed. The paper also allows for an uncertain centre of
-mass; petmjx takes the centre of mass as exact.
+on its top. For any other box, take those parts of the areas on which it lies that are inside the polygons of the boxes
+below; their convex hull is the polygon of the box. The box stands if its centre of mass is in its own polygon. Later
+boxes may press only inside the polygons, where they cannot tip any box. So no loads need to be computed for this
+criterion. The paper also allows for an uncertain centre of mass; petmjx takes the centre of mass as exact.
 
 **Criteria that pass loads down** determine whether the resultant of a box's weight and of the loads on the box acts
-over the box's supports. Each box is checked when it is placed, and all boxes below it are checked again. The two
-criteria differ in how a box distributes its weight and its load over its supports:
+over the box's supports. Each box is checked when it is placed, and all boxes below it are checked again. There are two
+such criteria, with different rules for how a box distributes its weight and the load on it over its supports:
 
 - **lever rule** (the stacking tree): the box presses on each support with a force at the middle of the contact area.
-  Two supports share the load by the lever rule. For more than two supports, the forces are those that balance force and
-  moments with the least sum of squares. Source: Zhao, Zhu, Xu, Huang, Xu (2022), "Learning practically feasible
-  policies for online 3D bin packing", Science China Information Sciences 65, arXiv 2108.13680. As on a lever, a load
-  beyond the middle of the last contact area makes the force on another support negative.
+  Two supports share the load by the lever rule. With more than two supports, many sets of forces balance force and
+  moments; the rule takes the set with the least sum of squares. Source: Zhao, Zhu, Xu, Huang, Xu (2022), "Learning
+  practically feasible policies for online 3D bin packing", Science China Information Sciences 65, arXiv 2108.13680. As
+  on a lever, if the load acts beyond the middle of the outermost contact area, the force on another support is
+  negative.
 - **even bedding** (mechanical equilibrium): the pressure on all contact areas of the box is one linear function of x
-  and y. This function is determined by the balance of force and moments, for any number of supports. Source of the
-  criterion: Ramos, Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium
-  stability constraints", Transportation Research Part B 91, 565-581. Balance of force and moments alone does not
-  determine how three or more supports share the load, and the even bedding is petmjx's choice. (Public
-  re-implementations let each box press with its whole weight on every box directly below it, and do not pass loads
-  further down.)
+  and y. The balance of force and moments determines this function, for any number of supports. Source of the criterion:
+  Ramos, Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability
+  constraints", Transportation Research Part B 91, 565-581. The balance of force and moments alone does not determine
+  how three or more supports share the load; the even bedding is petmjx's choice. (Public re-implementations let each
+  box press with its whole weight on every box directly below it, and do not pass loads further down.)
 
 In both rules, forces are linear in the load. So the weight of each box is passed down separately, and the load on a box
 after any placement is a sum over the boxes placed so far. However, supports cannot pull. If the pressure of an even
-bedding would be negative somewhere, forces that only push are used instead: those for which the springs of the supports
+bedding would be negative somewhere, other forces are used, which only push: those for which the supports, as springs,
 store the least energy (petmjx.world.load_sharing). If a resultant of the even bedding lies beyond an edge, a linear
 programme determines whether other balancing forces keep all resultants inside (petmjx.world.balance_programme).
 """
@@ -58,8 +59,8 @@ def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
     """(n,) the polygon of each box, as a shapely polygon. A box has an empty polygon if none of its supports has a
     polygon.
 
-    Boxes are processed level by level, so that the polygons of a box's supports are known before the box's own polygon
-    is computed.
+    Boxes are processed level by level, from the carrier upwards, because the polygon of a box depends on the polygons
+    of its supports.
     """
     import shapely
 
@@ -86,7 +87,7 @@ def _levels(contacts: PlanContacts) -> IntArray:
 
 
 def _within_polygons(areas: NDArray[np.object_], lower: IntArray, polygons: NDArray[np.object_]) -> NDArray[np.object_]:
-    """The parts of contact areas that lie in the polygons of the bodies below."""
+    """The part of each contact area that lies in the polygon of the body below."""
     import shapely
 
     borne = areas.copy()
@@ -97,22 +98,24 @@ def _within_polygons(areas: NDArray[np.object_], lower: IntArray, polygons: NDAr
 
 
 Sharing = Callable[[PlanContacts], FloatArray]
-"""Function that computes (c, 3, 3) matrices from contacts. The matrix of a contact computes the part of the upper box's
-load that the lower body bears. Each load is a vector (mass, mass × x, mass × y) in kg and kg·mm."""
+"""Function that computes a matrix (3, 3) for each of c contacts, as an array (c, 3, 3). The matrix turns the load of
+the upper box into the part of this load that the lower body bears. A load is a vector (mass, mass × x, mass × y) in kg
+and kg·mm."""
 
 
 _SAME: Final = 1e-9
-"""Relative differences between loads up to this value count as rounding errors."""
+"""Largest relative difference between two loads that counts as a rounding error."""
 
 
 def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) the slack of ``load_slack`` for an even bedding whose supports can only push. If this slack is negative, but
-    other balancing forces keep all resultants inside the edges, the slack of these forces is used.
+    """(n,) slack of each box for even beddings whose supports can only push, computed as by ``load_slack``. If this
+    slack is negative, but other balancing forces keep all resultants inside the edges, the slack of these forces is
+    used.
 
-    A load may be beyond an edge only because of the assumed bedding. So after each placement with such a load, a linear
-    programme searches for forces that keep all loads inside. The box passes if such forces exist. The search ends at
-    the first placement for which there are no such forces. All placements without a search keep the slack of the
-    bedding.
+    The reason for this: a load may act beyond an edge only because of the assumed bedding. So after each placement with
+    a load beyond an edge, a linear programme searches for forces that keep all loads inside. If there are some, the box
+    passes. The search ends at the first placement for which there are none. Placements without a search keep the slack
+    of the bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])
@@ -135,15 +138,14 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 def load_slack(
     contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: BuildingLoads | None = None
 ) -> FloatArray:
-    """(n,) after each box's placement, the smallest distance of a resultant from the edge of its box's contact hull,
-    mm; positive inside the hull.
+    """(n,) after the placement of each box, the smallest distance of a resultant (of the weight of a box and the loads
+    on it) from the edge of the hull of this box's contact areas, mm; positive inside the hull.
 
     The resultants considered are those of the placed box and of all boxes that bear a part of its weight. The value is
     NaN if one of these boxes has no support or is lifted.
 
     Args:
-        pushed: the loads computed for supports that can only push. They are needed if ``sharing`` would make some
-            supports pull.
+        pushed: the loads for supports that can only push. Needed if some supports would pull according to ``sharing``.
     """
     on_box = _loads_on_boxes(contacts, sharing)
     bears = on_box.any(axis=-1)
@@ -162,8 +164,8 @@ def load_slack(
 
 
 def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
-    """(n,) after each box's placement, the smallest value of 1 − load / strength among the placed box and all boxes
-    that bear a part of its weight. NaN if the placed box lies on nothing.
+    """(n,) after the placement of each box, the smallest value of 1 − load / strength, among this box and all boxes
+    that bear a part of its weight; NaN if this box lies on nothing.
 
     Args:
         strength_n: (n,) largest force that the top of each box can bear, N; NaN if unknown. If None, all strengths are
@@ -186,15 +188,15 @@ def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharin
 
 
 def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
-    """(n, n, 3): the part of the weight of box m (second index) that box j (first index) bears, as a vector (mass, mass
-    × x, mass × y) in kg and kg·mm. A box also bears its own weight."""
+    """(n, n, 3) for boxes j (first index) and m (second index), the part of the weight of m that j bears, as a vector
+    (mass, mass × x, mass × y) in kg and kg·mm. A box also bears its own weight."""
     n = contacts.n_boxes
     on_box = np.zeros((n, n, 3))
     weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
     on_box[np.arange(n), np.arange(n)] = weights
     share = sharing(contacts)
-    # Contacts are sorted by their upper box, and each box is placed after its supports. So a loop from the last contact
-    # to the first passes loads down.
+    # The loop runs from the last contact to the first: contacts are sorted by their upper box, and each box is placed
+    # after its supports, so the load of a box is complete before the loop passes it down.
     for contact in range(len(contacts.upper) - 1, -1, -1):
         lower = contacts.lower[contact]
         if lower != CARRIER:
@@ -221,16 +223,16 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether a support would have to pull after any placement, if all beddings were even. If so, the loads of the even
-    bedding differ from ``built``, the loads for supports that can only push."""
+    """Whether even beddings would make a support pull after any placement. If so, the loads of even beddings differ
+    from ``built``, the loads for supports that can only push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
     return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))
 
 
 def lever_rule(contacts: PlanContacts) -> FloatArray:
-    """(c, 3, 3) matrices of the lever rule, in which a box presses on each support with a force at the middle of the
-    contact area."""
+    """(c, 3, 3) the matrices of ``Sharing`` for the lever rule: a box presses on each support with a force at the
+    middle of the contact area."""
     upper, n = contacts.upper, contacts.n_boxes
     middle = (contacts.low_mm + contacts.high_mm) / 2
     count = np.maximum(contacts.n_supports, 1)
@@ -246,11 +248,11 @@ def lever_rule(contacts: PlanContacts) -> FloatArray:
 
 
 def even_bedding(contacts: PlanContacts) -> FloatArray:
-    """(c, 3, 3) matrices of the even bedding, in which the pressure varies linearly over all contact areas of the upper
-    box."""
+    """(c, 3, 3) the matrices of ``Sharing`` for the even bedding: the pressure varies linearly over all areas on which
+    the upper box lies."""
     upper = contacts.upper
-    # Positions are measured from the upper box's centre, in units of the box's length and width. These units keep the 3
-    # × 3 systems well conditioned.
+    # Positions are measured from the upper box's centre, in units of the box's length and width. In these units, the 3
+    # × 3 systems of equations are well conditioned.
     origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
     moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
     total_moments = _sums(moments, upper, contacts.n_boxes)[upper]
@@ -264,7 +266,7 @@ def even_bedding(contacts: PlanContacts) -> FloatArray:
 
 
 def _area_moments(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(c, 3, 3) integrals of (1, x, y) ⊗ (1, x, y) over rectangles."""
+    """(c, 3, 3) for each of c rectangles, the integral of (1, x, y) ⊗ (1, x, y) over its area."""
     length = high - low
     area = length.prod(axis=1)
     middle = np.c_[np.ones(len(area)), (low + high) / 2]
@@ -274,7 +276,7 @@ def _area_moments(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _sums(values: FloatArray, owner: IntArray, n: int) -> FloatArray:
-    """(n, …) for each of n owners, the sum of the values that belong to it."""
+    """(n, …) for each of n owners, such as boxes, the sum of the values that belong to the owner."""
     sums = np.zeros((n, *values.shape[1:]))
     np.add.at(sums, owner, values)
     return sums

@@ -1,9 +1,10 @@
 """Compares packers (programs that make packing plans) by simulations of their plans: whose plans stand more often, by
 how much, and with which confidence.
 
-The comparison is paired by orders, since every packer packs the same orders. Only orders with a valid verdict on every
-packer's plan are compared. For each packer, orders without a plan and orders with an invalid simulation are counted
-separately. ``share_at_worst`` is the share of standing plans if these orders count as plans that fall.
+The comparison is paired by orders, since every packer packs the same orders. An order is compared only if the plan of
+every packer has a valid verdict. For each packer, orders without a plan and orders with an invalid simulation are
+counted separately. ``share_at_worst`` is the share of standing plans if orders without a plan and orders with an
+invalid simulation count as plans that fall.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from petmjx.results.share_intervals import (
 from petmjx.results.to_json import to_json
 
 LEAST_P: Final = 1e-4
-"""A p-value below this value is shown as "p <" this value."""
+"""Smallest p-value that is shown as a number. A smaller one is shown as "p < 0.0001"."""
 
 
 def p_in_words(p: float) -> str:
@@ -45,13 +46,13 @@ def p_in_words(p: float) -> str:
 
 
 def pair_in_words(row: Mapping[str, Any], confidence: float, pairs: int) -> str:
-    """One sentence about two packers on the same orders.
+    """One sentence that compares two packers on the same orders: whose plans stand more often, and by how much.
 
     Args:
         row: a row of ``PackerComparison.pairs`` for orders of all sizes, with at least one compared order.
         confidence: confidence of the row's interval. The difference is called significant if its p-value is at most 1 −
             confidence.
-        pairs: number of tests for which the p-value is corrected.
+        pairs: number of pairs of packers. The p-value is corrected for as many tests.
     """
     better, worse = (row["b"], row["a"]) if row["difference"] > 0 else (row["a"], row["b"])
     bounds = (row["low"], row["high"]) if row["difference"] > 0 else (-row["high"], -row["low"])
@@ -96,7 +97,7 @@ SHOWN: Final = (
 
 
 _ARRIVAL_PAIR: Final = ("p_gain", "p_gain_low", "p_gain_high")
-"""Additional columns of the table ``pairs`` for runs of transport chains."""
+"""Columns that the table ``pairs`` has in addition if the runs simulated transport chains."""
 
 TABLES: Final = ("packers", "pairs", "reasons", "decided", "plans")
 """Names of the tables of a comparison."""
@@ -119,14 +120,14 @@ class PackerComparison:
         pairs: one row for each pair of packers and size class. Columns: ``a``, ``b``, ``n``; the numbers of orders
             whose plans stand for ``both`` packers, ``only_a``, ``only_b`` or ``neither``; ``difference`` (share of b −
             share of a) with Newcombe's interval ``low``, ``high``; ``p`` of McNemar's exact test; and ``p_holm``, which
-            is corrected for the number of pairs. ``p`` and ``p_holm`` are computed only for the class ``all``, because
-            the other classes are not meant for tests. Runs of chains also have ``p_gain``, the mean over orders of
+            is corrected for the number of pairs. ``p`` and ``p_holm`` exist only for the class ``all``, because the
+            other classes are not meant for tests. Runs of chains also have ``p_gain``, the mean over orders of
             (``p_arrives`` of b − ``p_arrives`` of a), with its interval ``p_gain_low``, ``p_gain_high``.
         reasons: why a plan of one packer falls although the other packer's plan for the same order stands. Columns: the
             pair ``a``, ``b``; the packer ``lost_by`` whose plans fall; the ``reason``; and the number ``n`` of orders
             with this reason.
-        decided: one row for each order and pair of packers if only one packer's plan stands. Columns: ``plan_id``,
-            ``a``, ``b``, ``won_by``, ``lost_by``, ``reason``, ``order_boxes``.
+        decided: one row for each order and pair of packers for which only one of the two plans stands. Columns:
+            ``plan_id``, ``a``, ``b``, ``won_by``, ``lost_by``, ``reason``, ``order_boxes``.
         plans: one row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`).
         notes: reasons to doubt the comparison, one line each.
     """
@@ -148,7 +149,7 @@ class PackerComparison:
     @property
     def sentences(self) -> tuple[str, ...]:
         """One sentence for each pair of packers: whose plans stand more often, by how much, and with which confidence.
-        Empty if no order is compared."""
+        There are no sentences if no order is compared."""
         rows = self.pairs[(self.pairs["size"] == ALL_SIZES) & (self.pairs["n"] > 0)]
         return tuple(pair_in_words(row, self.confidence, len(rows)) for row in rows.to_dict("records"))
 
@@ -163,7 +164,7 @@ class PackerComparison:
         return {name: getattr(self, name) for name in TABLES}
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything except the table ``plans``, as plain JSON values. Missing numbers are None."""
+        """The comparison without the table ``plans``, as plain JSON values. Missing numbers are None."""
         return dict(to_json({name: value for name, value in vars(self).items() if name != "plans"}))
 
 
@@ -246,7 +247,7 @@ def _bin_names() -> list[str]:
 
 
 def size_names(boxes: pd.Series) -> pd.Series:
-    """For each number of boxes of an order, the name of the order's size class."""
+    """The name of the size class of each order, from the number of its boxes."""
     names = np.array(_bin_names())
     return pd.Series(names[np.searchsorted(SIZE_BINS, boxes.to_numpy(), side="left") - 1], index=boxes.index)
 
@@ -288,14 +289,14 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
         of = rows[rows["compared"]].pivot(index="plan_id", columns="packer", values=ARRIVES)
         gains = of[b] - of[a] if len(of) else pd.Series(dtype="float64")
         shares |= dict(zip(_ARRIVAL_PAIR, _mean_interval(gains, confidence), strict=True))
-    # The keys must be in the order of _PAIR_COLUMNS.
+    # This dictionary must have the order of _PAIR_COLUMNS.
     return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}
 
 
 def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, float]:
-    """The mean of a value over orders, and the bounds of its Student interval. The bounds are computed from the spread
-    of the values, which has two sources: differences between orders, and the randomness of each value. The bounds are
-    NaN if there are fewer than two orders, or if all orders have the same value."""
+    """The mean of values over orders, and the bounds of its Student interval. The bounds follow from the spread of the
+    values, so they include both the differences between orders and the randomness of each value. The bounds are NaN if
+    there are fewer than two orders, or if all orders have the same value."""
     valid_values = values.dropna()
     mean, n = float(valid_values.mean()), len(valid_values)
     if n < 2 or valid_values.std() == 0:

@@ -27,8 +27,8 @@ KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
 needs a simulation with the check ``static``."""
 
 GOODS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
-"""Names of columns that count boxes: the fields of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and the number
-of boxes that have the ordered size and mass and lie on the order's target, such as a pallet."""
+"""Columns with numbers of boxes. The first three are fields of :class:`petmjx.plans.order_matching.PlanOrderCounts`;
+the last is the number of boxes that have the ordered size and mass and lie on the order's target, such as a pallet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,8 @@ class OrderComparison:
 
 
 def against_orders(runs: Mapping[str, RunResults], file: Path, articles: Path | None = None) -> OrderComparison:
-    """Compare the plans of runs with the orders of a file. The plans are read again.
+    """Compare the plans of runs with the orders in a file. The plans are read again, from the tables of the runs or
+    from the files of plans.
 
     Args:
         runs: name of each packer → its run.
@@ -128,14 +129,14 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
 
 
 def _articles_of(runs: Mapping[str, RunResults]) -> Articles | None:
-    """The table of articles, if all runs used the same table; else None."""
+    """The table of articles with which all runs were made; None if the runs had different tables or none."""
     article_files = {how_read(run.info).articles for run in runs.values()}
     file = article_files.pop() if len(article_files) == 1 else None
     return read_articles(file) if file is not None and file.is_file() else None
 
 
 def _plans_of(run: RunResults, orders: Mapping[str, Order]) -> Mapping[str, Plan]:
-    """The plans of a run that have an order. Plans that cannot be read again are missing."""
+    """Id → plan, for those plans of a run that have an order. Plans that cannot be read again are left out."""
     records = Manifest.read(run.parts, run.info).plans
     plan_ids = [plan_id for plan_id in dict.fromkeys(run.worlds["plan_id"]) if plan_id in orders]
     return find_plans(run, records, plan_ids).plans

@@ -2,9 +2,9 @@
 
 The rating has the same form as that of the benchmark BED-BPP (docs/kpis.md), but uses petmjx's verdict. All boxes of an
 order are lost if the order has no plan, or if the plan falls or has an invalid simulation. Boxes that a plan leaves out
-are lost, too. So neither risky nor overly cautious plans win. A box of a plan counts only if it was ordered and has the
-ordered size and mass, and each ordered box counts at most once. If orders are given, the rating of a packer depends
-only on its own plans and on the orders.
+are lost, too. So a packer wins neither with risky plans nor with plans that leave out many boxes. A box of a plan
+counts only if it was ordered and has the ordered size and mass, and each ordered box counts at most once. If orders are
+given, the rating of a packer depends only on its own plans and on the orders.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> p
             ``listed`` is false are ignored.
 
     Returns:
-        One row for each packer: ``rank``, which begins at 1 and is equal for equal ratings; ``packer``; ``rating``,
-        from 0 to 1, with the bounds ``low`` and ``high`` of its interval (:func:`rating_interval`); ``n_orders``, of
-        which ``n_stable`` stand, ``n_invalid`` have no verdict and ``n_missing`` have no plan; and ``ordered_boxes``,
-        of which ``standing_boxes`` lie as ordered on plans that stand.
+        One row for each packer. Columns: ``rank``, which begins at 1 and is equal for equal ratings; ``packer``;
+        ``rating``, from 0 to 1, with the bounds ``low`` and ``high`` of its interval (:func:`rating_interval`);
+        ``n_orders``, of which ``n_stable`` stand, ``n_invalid`` have no verdict and ``n_missing`` have no plan; and
+        ``ordered_boxes``, of which ``standing_boxes`` lie as ordered on plans that stand.
     """
     listed = plans[plans["listed"]]
     verdicts, as_ordered, boxes = (
@@ -72,17 +72,18 @@ def rating_interval(rating: FloatArray, ordered: FloatArray, confidence: float) 
     """Confidence intervals of ratings: Wilson's interval for an effective number of orders.
 
     A rating is a weighted mean over orders. The value of an order is a share from 0 to 1, and its weight w is its
-    number of boxes. Because of the weights, the rating varies as if there were fewer orders with equal weights: Kish's
-    effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling", section 11.7). Wilson's interval is made for shares
-    of yes-or-no values. Values from 0 to 1 vary at most as much as yes-or-no values with the same mean, so the interval
-    is wide enough. Unlike a bootstrap interval, it has a width above 0 even if all plans stand or all fall.
+    number of boxes. Because the weights differ, the rating varies as much as a mean over fewer orders with equal
+    weights. Their number is Kish's effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling", section 11.7).
+    Wilson's interval is made for shares of yes-or-no values. The values of orders lie between 0 and 1, and vary at most
+    as much as yes-or-no values with the same mean, so the interval is wide enough. Unlike a bootstrap interval, this
+    interval has a width above 0 even if all plans stand or all plans fall.
 
     Args:
         rating: (p,) ratings of p packers, from 0 to 1.
         ordered: (o,) number of boxes of each order.
 
     Returns:
-        The lower bounds (p,) and the upper bounds (p,).
+        Two arrays (p,): the lower and the upper bounds of the intervals of p packers.
     """
     effective = float(ordered.sum() ** 2 / np.square(ordered).sum())
     return wilson_interval(np.clip(rating, 0.0, 1.0) * effective, effective, confidence)

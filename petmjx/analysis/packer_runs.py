@@ -22,7 +22,7 @@ LONGEST_NAME: Final = 200
 """Largest number of bytes in a packer's name. File systems allow 255 for the name of a folder."""
 
 MISSING: Final = "missing"
-"""The text in the column ``verdict`` for an order for which a packer has no plan."""
+"""The text in the column ``verdict`` if a packer has no plan for an order."""
 
 MEASURES: Final[Mapping[str, str]] = {
     "boxes": "boxes placed",
@@ -35,20 +35,20 @@ MEASURES: Final[Mapping[str, str]] = {
 shares of standing plans. To add a column, add a line to this mapping and a column to :func:`plans_of`."""
 
 ARRIVES: Final = "p_arrives"
-"""Name of a column for the runs of transport chains: the share of a plan's simulations in which the plan arrives at the
-end of the chain."""
+"""Column that exists if all runs simulated transport chains: the share of a plan's simulations in which the pallet
+arrives at the end of the chain."""
 
 Run = RunResults | str | Path
 
 
 def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
-    """The run of each packer, by the packer's name. If no names are given, packers are named after the folders.
+    """Name of each packer → its run. If no names are given, packers are named after the folders of the runs.
 
     Raises:
         InputError: there are fewer than two runs, two runs have the same name, or a folder has no run.
     """
     if isinstance(runs, str | Path | RunResults):
-        runs = [runs]  # a string must not be taken as a sequence of letters
+        runs = [runs]  # a single run, since a string would otherwise be taken as a sequence of letters
     runs_by_name = runs if isinstance(runs, Mapping) else None
     sources: list[Any] = (
         list(runs_by_name.values()) if runs_by_name else list_of(runs, "runs", object, "runs or folders")
@@ -95,21 +95,21 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
-    """The table with one row for each order and packer, sorted by order. It has the orders that the caller gave, and
+    """A table with one row for each order and packer, sorted by order. The orders are those that the caller gave, and
     all orders for which any packer has a plan.
 
     Args:
         against: the comparison of the plans with the caller's orders. If None, the caller gave no orders, and the
-            numbers of ordered boxes that the runs state are used. If the runs do not state them either, an order is
-            assumed to have as many boxes as its largest plan.
+            numbers of ordered boxes that the runs state are used. If the runs do not state these numbers either, an
+            order is assumed to have as many boxes as its largest plan.
 
     Returns:
         The columns ``plan_id``, ``packer``, ``order_boxes`` (number of boxes of the order), ``verdict`` (possibly
         ``missing``), ``reason``, ``margin``, ``digest``, and those of ``MEASURES``. ``as_ordered`` is the number of
         boxes of the plan that were ordered, have the ordered size and mass, and lie on the order's target. Each ordered
-        box is counted at most once. If this number is unknown, it is null. ``listed`` tells whether the order enters
-        ratings. ``compared`` tells whether the order has a valid verdict for every packer. If all runs are those of
-        transport chains, there is also the column ``p_arrives``.
+        box is counted at most once. ``as_ordered`` is null if this number is unknown. ``listed`` tells whether the
+        order enters ratings. ``compared`` tells whether every packer's plan for the order has a valid verdict. If all
+        runs are those of transport chains, there is also the column ``p_arrives``.
     """
     table = _worlds_of(runs)
     sizes = None if against is None else against.sizes
@@ -141,13 +141,13 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
 
 
 _OF_PLAN: Final = ("volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out", "resized")
-"""Columns of the table ``plans`` of a run that are used. Older runs, and runs without orders, lack some of these
+"""Columns that are read from the table ``plans`` of a run. Older runs, and runs without orders, lack some of these
 columns."""
 
 
 def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
-    """The nominal worlds (simulations without errors) of all runs, joined with columns of the runs' tables
-    ``plans``."""
+    """One row for each plan and packer: the verdict of the nominal world (the simulation without errors), and columns
+    of the table ``plans`` of the run."""
     of_world = ["plan_id", "verdict", "reason", "n_boxes", "margin"]
     worlds = [run.worlds[run.worlds["variant"] == 0].reindex(columns=of_world) for run in runs.values()]
     plans = [run.plans.reindex(columns=["plan_id", "digest", *_OF_PLAN]) for run in runs.values()]
@@ -170,10 +170,10 @@ def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
 
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
-    """The area of the target (the pallet) for each row, m². All packers' plans for an order have the same target.
-    Usually, the area is that of the carrier. For the carrier ``footprint``, the area is that of the smallest target of
-    the benchmark BED-BPP that is large enough for all packers' plans. If no target is large enough, the area is that of
-    the smallest rectangle that is large enough.
+    """(n,) for each row of the table, the area of the order's target (such as a pallet), m². All packers' plans for an
+    order have the same target. Usually, the area is that of the carrier. For the carrier ``footprint``, the area is
+    that of the smallest target of the benchmark BED-BPP that is large enough for all packers' plans. If no target is
+    large enough, the area is that of the smallest rectangle that is large enough.
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y
@@ -187,7 +187,7 @@ def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
 
 
 def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
-    """Lines for the user with reasons to doubt the comparison."""
+    """Reasons to doubt the comparison, as lines for the user."""
     lines = [line for name, run in runs.items() for line in run.doubts(printable_name(name))]
     settings = {name: run.info.get("config", {}).get("simulation") for name, run in runs.items()}
     first, *other_settings = settings
@@ -217,7 +217,8 @@ def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
 
 
 def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """A line for the user about orders for which all packers have the same plan, if there are such orders."""
+    """A list with a line about orders for which all packers have the same plan; an empty list if there are no such
+    orders."""
     compared = table[table["compared"]].groupby("plan_id")["digest"].agg(["nunique", "count"])
     n_same = int(((compared["nunique"] == 1) & (compared["count"] == len(names))).sum())
     verb = "is" if n_same == 1 else "are"

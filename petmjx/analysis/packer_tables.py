@@ -64,13 +64,14 @@ DESCRIBED: Final[Described] = {
     "listed": (DIMENSIONLESS, "whether the order is one of those given; true for all where none are given"),
     "compared": (DIMENSIONLESS, "whether the order has a valid verdict from every packer"),
 }
-"""Units and descriptions of the columns of all tables. In the table ``packers``, the columns of KPIs and measures are
-means."""
+"""Units and descriptions of the columns of all tables. In the table ``packers``, the columns with KPIs and with
+properties of plans are means over orders."""
 
 
 def check_comparison_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
     """Check, before packers are compared, that the tables may be written into a folder. ``inputs`` are the files that
-    the command reads. Raises InputError as ``petmjx.results.documented_tables.check_tables_free``.
+    the command reads. Raises InputError if an existing file must not be replaced
+    (``petmjx.results.documented_tables.check_tables_free``).
     """
     check_tables_free(folder, TABLES, overwrite=overwrite, inputs=inputs)
 

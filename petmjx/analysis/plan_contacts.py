@@ -25,14 +25,14 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
-"""A point that is outside a polygon by at most this distance counts as being on the polygon's edge. This distance
+"""Largest distance from the edge of a polygon at which a point outside counts as being on the edge, mm. The distance
 covers the rounding errors of float64 sums of millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """One convex polygon for each of n boxes. The vertices of a polygon are in counter-clockwise order. If a polygon
-    has fewer than e vertices, its last vertex is repeated.
+    """One convex polygon for each of n boxes. The vertices of a polygon are in counter-clockwise order. All polygons
+    have e vertices in the array; if a polygon has fewer, its last vertex is repeated.
 
     Attributes:
         vertex: (n, e, 2) x and y of the vertices, mm; NaN if a box has no polygon.
@@ -41,11 +41,11 @@ class Hulls:
     vertex: FloatArray
 
     def distance(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """(p,) distance of each point from the edge of a hull, mm: positive inside the hull, negative outside, NaN if
-        the box has no hull.
+        """(p,) distance of each of p points from the edge of the polygon of a box, mm: positive inside the polygon,
+        negative outside, NaN if the box has no polygon.
 
         Args:
-            hull: (p,) for each point, the index of the box whose hull is used.
+            hull: (p,) for each point, the index of the box whose polygon is used.
             point: (p, 2) x and y of the points, mm.
         """
         start = self.vertex[hull]
@@ -61,9 +61,9 @@ class Hulls:
         return inside
 
     def reach(self, hull: IntArray, middle: FloatArray, point: FloatArray) -> FloatArray:
-        """(p,) position of each point on a ray. The ray starts at ``middle`` (p, 2), which is inside the hull, and
-        passes through the point. The position is 0 at ``middle``, 1 on the hull's edge, and more than 1 outside the
-        hull."""
+        """(p,) position of each of p points on a ray that starts at ``middle`` (p, 2), inside the polygon of box
+        ``hull`` (p,), and passes through the point. The position is 0 at ``middle``, 1 on the polygon's edge, and more
+        than 1 outside the polygon."""
         start = self.vertex[hull]
         along = np.roll(start, -1, axis=1) - start
         outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
@@ -76,8 +76,8 @@ class Hulls:
 
 
 def contact_hulls(contacts: PlanContacts) -> Hulls:
-    """For each box, the convex hull of the areas on which the box lies. If a box lies on a single rectangle, the hull
-    is this rectangle."""
+    """For each box, the convex hull of the areas on which the box lies. For a box that lies on a single rectangle, the
+    hull is this rectangle."""
     single = contacts.n_supports == 1
     several = np.flatnonzero(contacts.n_supports > 1)
     hulls: list[FloatArray] = []
@@ -97,7 +97,7 @@ def contact_hulls(contacts: PlanContacts) -> Hulls:
 
 
 def hulls_of(polygons: NDArray[np.object_]) -> Hulls:
-    """Make hulls from (n,) convex shapely polygons. A box with an empty polygon has no hull."""
+    """Make ``Hulls`` from an array (n,) of convex shapely polygons. A box with an empty polygon has no hull."""
     import shapely
 
     with_area = np.flatnonzero(shapely.area(polygons) > 0)
@@ -114,7 +114,7 @@ def _put(vertex: FloatArray, boxes: IntArray, hulls: list[FloatArray]) -> None:
 
 
 def polygon_vertices(polygons: NDArray[np.object_]) -> list[FloatArray]:
-    """The vertices of each shapely polygon, in counter-clockwise order. No vertex is repeated."""
+    """The vertices of each shapely polygon, in counter-clockwise order and without repetition."""
     import shapely
 
     coordinates, owner = shapely.get_coordinates(polygons, return_index=True)
@@ -144,8 +144,8 @@ class PlanContacts:
     deck boards that it overlaps along x and y, and each board is a separate contact.
 
     A box lies on another box if the other box was placed earlier, the bottom of the box is at the height of the other
-    box's top, and the two boxes overlap along x and y. A box that is placed under a box that is already there bears
-    nothing, because the upper box would have fallen before.
+    box's top, and the two boxes overlap along x and y. If the lower of two boxes is placed after the upper box, it
+    bears nothing: the upper box would already have fallen.
 
     Attributes:
         size_mm, corner_mm: (n, 3) sizes and corners of the boxes, as in the plan.
@@ -153,12 +153,12 @@ class PlanContacts:
         upper: (c,) index of the upper box.
         lower: (c,) index of the lower box, or ``CARRIER``.
         low_mm, high_mm: (c, 2) lowest and highest x and y of the contact rectangle.
-        under_low_mm, under_high_mm: (c, 2) lowest and highest x and y of the whole surface on which the upper box lies:
-            the top of the lower box, or a deck board.
-        tolerance_mm: gaps and overlaps up to this size count as touching.
-        mass_center_mm: (n, 3) offsets of the centres of mass from the boxes' middles, as in ``Plan``. None: the centres
-            are in the middles.
-        room: the room between the carrier's walls. None: the carrier has no walls.
+        under_low_mm, under_high_mm: (c, 2) lowest and highest x and y of the whole surface under the upper box: the top
+            of the lower box, or a deck board. On a carrier without boards, this is the base of the upper box.
+        tolerance_mm: largest gap or overlap between two bodies that touch, mm.
+        mass_center_mm: (n, 3) offsets of the centres of mass from the boxes' middles, as in ``Plan``. If None, the
+            centres of mass are in the middles.
+        room: the room between the carrier's walls. If None, the carrier has no walls.
     """
 
     size_mm: FloatArray
@@ -197,7 +197,8 @@ class PlanContacts:
 
     @cached_property
     def grounded(self) -> NDArray[np.bool_]:
-        """(n,) whether all four bottom corners of each box lie on the carrier. If they do, the box cannot tip."""
+        """(n,) whether all four bottom corners of each box lie on the carrier. A box with four corners on the carrier
+        cannot tip."""
         n_corners: IntArray = self.borne_corners(self.lower == CARRIER).sum(axis=1)
         on_carrier: NDArray[np.bool_] = np.equal(n_corners, N_CORNERS)
         return on_carrier
@@ -207,7 +208,7 @@ class PlanContacts:
         of a surface counts as lying on the surface.
 
         Args:
-            chosen: (c,) mask of the contacts that are considered.
+            chosen: (c,) whether each contact is considered.
         """
         base = self.corner_mm[:, :2]
         corners = rectangle_corners(base, base + self.size_mm[:, :2])[self.upper[chosen]]
@@ -226,7 +227,7 @@ class Sides:
     Attributes:
         first, second: (s,) indices of the two boxes that touch, or ``CARRIER`` for a wall. The second box has the
             larger coordinate along the axis.
-        axis: (s,) axis across the rectangle: 0 for x, 1 for y.
+        axis: (s,) the horizontal axis that is perpendicular to the rectangle: 0 for x, 1 for y.
         low_mm, high_mm: (s, 3) lowest and highest corner of the rectangle. The rectangle's extent along ``axis`` is 0.
     """
 
@@ -238,8 +239,8 @@ class Sides:
 
 
 def rectangle_corners(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(…, 4, 2) the four corners of rectangles, in counter-clockwise order, computed from the lowest and highest
-    corners (…, 2)."""
+    """(…, 4, 2) the four corners of rectangles, in counter-clockwise order. ``low`` and ``high`` (…, 2) are the corners
+    with the smallest and the largest x and y."""
     x0, y0, x1, y1 = low[..., 0], low[..., 1], high[..., 0], high[..., 1]
     corners: FloatArray = np.stack(
         [np.stack([x0, y0], -1), np.stack([x1, y0], -1), np.stack([x1, y1], -1), np.stack([x0, y1], -1)], axis=-2
@@ -256,9 +257,9 @@ def find_contacts(
     """Find the contacts of a plan: the rectangles on which its boxes lie, and the body below each rectangle.
 
     Args:
-        tolerance_mm: gaps and overlaps in height up to this size count as touching, and contacts that are narrower than
-            this size are ignored. The default, half a millimetre, is the rounding error of whole millimetres; warnings
-            about plans use the same tolerance.
+        tolerance_mm: largest vertical gap or overlap of two boxes that touch, and width up to which contacts are
+            ignored, mm. The default, half a millimetre, is the rounding error of whole millimetres, as in warnings
+            about plans.
         deck_mm: (b, 2, 2) lowest and highest x and y of each board of the carrier's deck. If None, the carrier extends
             under all boxes.
         room: the room between the carrier's walls. If None, the carrier has no walls.
@@ -307,8 +308,8 @@ def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np
 
 
 def find_sides(contacts: PlanContacts) -> Sides:
-    """Find the places at which boxes of a plan touch side by side, and the places at which boxes can lean on a wall.
-    Walls count if they are at most ``LEANS_M`` away from a box."""
+    """Find the places at which boxes of a plan touch side by side, and the places at which boxes can lean on a wall. A
+    box can lean on a wall that is at most ``LEANS_M`` away."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     tolerance_mm = contacts.tolerance_mm
     pairs_by_axis = []
@@ -327,8 +328,8 @@ def find_sides(contacts: PlanContacts) -> Sides:
 
 
 def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
-    """Add the places at which boxes can lean on walls. Each place is a whole side of a box, up to the height of the
-    wall."""
+    """Add the places at which boxes can lean on walls. Each place is a whole side of a box, or the part of the side
+    below the wall's upper edge."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     middle_m, half_m = (low + high) / 2 / MM_PER_M, contacts.size_mm / 2 / MM_PER_M
     gap_mm = MM_PER_M * room.gaps(middle_m, half_m, contacts.tolerance_mm / MM_PER_M)
@@ -343,14 +344,13 @@ def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
 
 
 LYING_GAP_M: Final = TOUCH_M
-"""If the gap between two boxes is at most this length, one lies on the other, as in the criteria. The gap must not be
-too small: if three supports have the same planned height, differences of micrometres determine which of them bear the
-load, and these differences vary between simulators and between real pallets."""
+"""Largest gap between two boxes of which one lies on the other, m, as in the criteria. A smaller value would not do: if
+three supports have the same planned height, differences of micrometres determine which of them bear the load, and these
+differences vary between simulators and between real pallets."""
 
 SIDE_GAP_M: Final = 1e-5
-"""If the gap between two boxes side by side is at most this length, the boxes touch. The length is slightly more than
-the rounding error of a pose in float32. Boxes that are planned side by side are placed 0.1 mm apart, so they touch only
-after they have moved."""
+"""Largest gap between two boxes that touch side by side, m: slightly more than the rounding error of a pose in float32.
+Boxes that are planned side by side are placed 0.1 mm apart, so they touch only after they have moved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,9 +364,9 @@ class TouchPoints:
         frame: (p, 3, 3) three unit vectors at each point, one per row: the normal from the first body to the second,
             then the two tangents.
         friction: (p, 2) coefficients of friction along the two tangents.
-        pressed: (p,) index of the box whose top has the point (docs/metrics.md, "The force on a box's top"), or
+        pressed: (p,) index of the box on whose top the point is (docs/metrics.md, "The force on a box's top"), or
             ``CARRIER`` if the point is on no box's top.
-        sign: (p,) sign by which the vertical force on ``second`` is multiplied to get the force that presses down on
+        sign: (p,) 1 or −1: the vertical force on ``second``, multiplied by this sign, is the force that presses down on
             ``pressed``.
     """
 
@@ -379,7 +379,7 @@ class TouchPoints:
     sign: FloatArray
 
     def some(self, which: NDArray[np.bool_]) -> TouchPoints:
-        """The points for which the mask ``which`` is true."""
+        """Those points for which ``which`` (p,) is true."""
         return TouchPoints(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 

@@ -1,9 +1,9 @@
 """Compares two runs that simulated the same plans: how often their verdicts agree, and by how much their metrics
 differ.
 
-The runs are called a and b, and differences are b - a. For forces, relative differences are also computed: |b - a| /
-max(a, 10 N). The divisor is at least 10 N, about the weight of a box of 1 kg, because ratios of smaller forces do not
-matter for a pallet.
+The runs are called a and b, and differences are b - a. Forces also have relative differences: |b - a| / max(a, 10 N).
+The divisor is at least 10 N, about the weight of a box of 1 kg, because ratios of smaller forces do not matter for a
+pallet.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.to_json import to_json
 
 FORCE_FLOOR_N: Final = 10.0
-"""Smallest divisor of a difference of forces, N."""
+"""Smallest divisor in a relative difference of forces, N."""
 
 KEY: Final = ["plan_id", "variant"]
 BOX_KEY: Final = ["plan_id", "variant", "box"]
@@ -36,7 +36,8 @@ POSE: Final = (
     Column("position_m", "m", np.float64, "distance between the final centres", compared=True),
     Column("orientation_deg", "deg", np.float64, "angle between the final orientations", compared=True),
 )
-"""The metrics by which poses are compared. The single components of a pose are not compared."""
+"""The two metrics by which the poses of a box in two runs are compared. Single components of a pose are not
+compared."""
 
 SIGNLESS: Final = frozenset(
     {column.name for column in POSE} | {name for m in box_metrics() if len(m.columns) > 1 for name in m.columns}
@@ -57,8 +58,8 @@ FLIPS: Final = tuple(
 """Columns of the table ``flips`` that a notebook shows."""
 
 GROUPS: Final = ("same verdict", "both stable")
-"""The groups of worlds (simulations of one plan each) in which metrics are compared. Worlds in which boxes fall have
-chaotic metrics, so worlds that are stable in both runs are a separate group."""
+"""The groups of worlds (simulations of one plan each) in which metrics are compared. Worlds that are stable in both
+runs are a separate group, because metrics are chaotic in worlds in which boxes fall."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +70,20 @@ class Comparison:
         a, b: names of the two runs, which are the names of their folders.
         n_common: number of worlds that are in both runs.
         confusion: (3, 3) numbers of worlds, by their verdict in run a (rows) and in run b (columns).
-        flips: one row for each world with different verdicts in the two runs. For each run there are the verdict, its
+        flips: one row for each world with different verdicts in the two runs. For each run, a row has the verdict, its
             reason, the first box that failed (``culprit``), and the amounts by which the world exceeds the thresholds
-            of shift, tilt and acceleration. A negative amount means that the world is below the threshold, unlike in
-            the column ``margin`` of the table ``worlds``.
+            of shift, tilt and acceleration. These amounts are negative below a threshold; the column ``margin`` of the
+            table ``worlds`` has the opposite sign.
         worlds, boxes: differences of the metrics of worlds and of boxes, one row for each metric and group of worlds.
             Columns: ``metric``, ``unit``, ``group``, ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics);
             ``median``, ``p95`` and ``largest`` of |b - a|; and the ``plan_id``, ``variant`` (and ``box``) of the
             largest difference, with the two values ``a`` and ``b``. If a group has no value of the metric, the columns
             are null. Differences are computed only for plans that are equal in both runs.
         other_plans: ids of plans that are in both runs but have different contents.
-        only_a, only_b: ``plan_id`` and ``variant`` of the worlds that are only in run a, and only in run b.
-        same_reason, same_culprit: ``n_not_stable`` worlds are stable in neither run. Among these, ``same_reason``
-            worlds have the same reason in both runs, and in ``same_culprit`` worlds the same box failed first.
+        only_a, only_b: ``plan_id`` and ``variant`` of each world that is only in run a, or only in run b.
+        n_not_stable: number of worlds that are stable in neither run. same_reason, same_culprit: among these worlds,
+            the number of worlds with the same reason in both runs, and the number of worlds in which the same box
+            failed first in both runs.
         notes: reasons to doubt the comparison, one line each.
     """
 
@@ -120,8 +122,8 @@ class Comparison:
 
     @property
     def flips_within(self) -> float | None:
-        """The smallest x such that each world with different verdicts has a ``margin`` between -x and x in at least one
-        run; None if none of these worlds has a margin."""
+        """How near to a threshold all worlds with different verdicts are: the smallest x for which each of them has a
+        ``margin`` between -x and x in at least one run. None if none of them has a margin."""
         nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()
         return None if pd.isna(nearer) else float(nearer)
 
@@ -138,11 +140,12 @@ class Comparison:
 
 
 def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, packers: bool = False) -> Comparison:
-    """Compare two runs, world by world. Two worlds belong together if they have the same plan and the same variant.
+    """Compare two runs, world by world. A world of run a is compared with the world of run b that has the same plan and
+    the same variant.
 
     Args:
-        packers: whether the plans of the runs come from two packers. If so, plans are expected to differ, and no note
-            says so.
+        packers: whether the plans of the runs come from two packers. If so, their plans are expected to differ, and
+            there is no note about different plans.
 
     Raises:
         InputError: a folder has no run, is damaged, or has the same world twice.
@@ -187,8 +190,8 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
 
 
 def thresholds_of(info: Mapping[str, Any]) -> Thresholds:
-    """The thresholds of a run, or the default thresholds if the run states none. All options of the run are searched,
-    because older runs store the thresholds in another place."""
+    """The thresholds of a run. If ``run.json`` has none, these are the default thresholds. All options in ``run.json``
+    are searched, because older runs store the thresholds in another place."""
     waiting: list[Any] = [info.get("config", {})]
     while waiting:
         entry = waiting.pop(0)
@@ -215,7 +218,8 @@ def _flips(flipped: pd.DataFrame, of_a: Thresholds, of_b: Thresholds) -> pd.Data
 
 
 def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
-    """Add to the table of boxes the distance (m) and the angle (deg) between each box's final poses in the two runs."""
+    """Add two columns to the table of boxes: the distance (m) and the angle (deg) between the final poses of a box in
+    the two runs."""
 
     def rows(side: str, *names: str) -> NDArray[np.float64]:
         values: NDArray[np.float64] = boxes[[f"{name}_{side}" for name in names]].to_numpy(dtype=np.float64)
@@ -241,7 +245,7 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
         if f"{name}_a" not in joined or f"{name}_b" not in joined:
             continue
         values_a, values_b = (joined[f"{name}_{side}"].to_numpy(dtype=np.float64) for side in "ab")
-        with np.errstate(invalid="ignore"):  # the difference of two infinite values is invalid
+        with np.errstate(invalid="ignore"):  # NumPy would warn about the difference of two infinite values
             signed = values_b - values_a
         if metric != name:
             signed = signed / np.maximum(np.abs(values_a), FORCE_FLOOR_N)
@@ -281,7 +285,7 @@ def _other_plans(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFra
 
 
 def _notes(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, other: Sequence[str]) -> list[str]:
-    """Lines for the user with reasons to doubt the comparison."""
+    """Reasons to doubt the comparison, as lines for the user."""
     notes = run_a.doubts("a") + run_b.doubts("b")
     without = [name for name, run in (("a", run_a), ("b", run_b)) if not run.keeps_boxes]
     if without:

@@ -1,8 +1,8 @@
 """The story of one world (one simulation of one plan): its frames, its events, and the verdict in words.
 
 ``tell`` reads the recording of a world, or simulates the world again, and returns a ``Story``. Other functions describe
-the story in words: its headline, its events in order of time, the reason of the verdict, and which box failed first,
-when and why.
+the story in words: the verdict in one line, the events in order of time, the reason of the verdict, and which box
+failed first, when and why.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ MOST_DROPS: Final = 8
 
 
 class Event(NamedTuple):
-    """Something that happened in a simulation. ``is_first_sign`` is true for the event in which a box crosses a limit
-    of the verdict for the first time."""
+    """Something that happened in a simulation. ``is_first_sign`` is true for the event in which the first box crosses a
+    limit of the verdict."""
 
     time_s: float
     what: str
@@ -86,7 +86,7 @@ def _subject(story: Story, box: int) -> str:
 
 def events(story: Story) -> list[Event]:
     """The events of a story in order of time. The last event is the end of the simulation. If more than ``MOST_DROPS``
-    boxes drop, the later drops are combined into one event."""
+    boxes drop, one event stands for all later drops."""
     timeline = [*_placements(story), *_shaking_events(story), *_first_sign(story), *_drops(story)]
     timeline.sort(key=lambda event: event.time_s)
     end_s = max(story.outcome.sim_time_s, float(story.history.time_s[-1]))
@@ -149,13 +149,14 @@ class Story:
 
     Attributes:
         plan: the plan that was simulated.
-        scene: the numbers that define the simulation, such as masses and places, including random errors.
+        scene: the input of the engine, such as the masses and places of boxes, including random errors.
         outcome: the verdict, the first box that failed, and metrics of each box.
         history: the frames, with the pose of each box. The last frame has the poses of ``outcome.boxes``.
         engine: the engine that simulated the world.
         variant: index of the variant (the set of changes and errors of this simulation); 0 if the plan has only one
             world.
-        values: the variant's values, by column. Empty if the plan has only one world.
+        values: column of the table ``worlds`` → value, for the columns that distinguish the variants of a plan; empty
+            if the plan has only one world.
         drive: the motion or force with which the carrier is shaken; None if it is not shaken.
         options: the options of the simulation: fields of ``petmjx.Simulation`` and their values, as in ``run.json``.
         note: an important remark for the reader, such as that the story was simulated on a different engine than the
@@ -174,8 +175,8 @@ class Story:
     note: str = ""
 
     page: ClassVar[Callable[[Story], str] | None] = None
-    """Function that makes the HTML page of a story for notebooks. ``petmjx.show.pages.story_display`` sets it: that
-    module imports this one, so this module cannot import it."""
+    """Function that makes the HTML page of a story for notebooks. The module ``petmjx.show.pages.story_display`` sets
+    this attribute, because it imports the present module, which therefore cannot import it."""
 
     def __repr__(self) -> str:
         outcome = self.outcome
@@ -208,9 +209,9 @@ def tell(
     from a new simulation.
 
     ``petmjx.tell("s0-000016", "results")`` tells the story of plan ``s0-000016`` in the run in the folder ``results``.
-    A new simulation uses the options of the run, and repeats failed attempts as the run did. Its result is
-    bit-identical. If the run's engine cannot run on this machine, ``mujoco`` is used instead, and ``Story.note`` states
-    whether the result differs.
+    A new simulation uses the options of the run, and repeats failed attempts as the run did, so its result is
+    bit-identical to that of the run. If the run's engine cannot run on this machine, ``mujoco`` is used instead, and
+    ``Story.note`` states whether the result differs.
 
     Args:
         plan_id: the plan's id; or the plan itself.
@@ -221,9 +222,9 @@ def tell(
             default is the nominal variant, which has no errors.
         interval_s: time between two frames, s. The default is 0.05 s. There is also a frame at each placement of a box
             and at the end.
-        details: whether frames also have accelerations, penetrations and contacts. The default is yes. Only the engine
-            ``mujoco`` can record these details. If the run has a recording of the world, the recording is used, unless
-            ``interval_s`` or ``details`` is given.
+        details: whether frames of a new simulation also have accelerations, penetrations and contacts. The default is
+            yes. Only the engine ``mujoco`` can record these details. If the run has a recording of the world, the
+            recording is used, unless ``interval_s`` or ``details`` is given.
         options: fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``; they are allowed only if the source is
             not a run.
 
@@ -285,7 +286,7 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
     outcome = read_outcome(run, plan.plan_id, index)
     if history is None or outcome is None:
         return None
-    # the history has the poses with full precision
+    # the history has the final poses with more precision than the table ``boxes``
     boxes = replace(outcome.boxes, pos=history.pos[-1], quat=history.quat[-1])
     group, variant = worlds.find(plan.plan_id, index)
     row = world_row(run, plan.plan_id, index) or {}
@@ -303,7 +304,7 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
 
 
 def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
-    """The engine of a run and "", or an engine that replaces it and a note that says so."""
+    """The engine of a run and "". If this engine cannot run here, C MuJoCo and a note about the change."""
     name = config.get("engine")
     if name not in ENGINES:
         return make_engine(
@@ -359,7 +360,7 @@ def _outcome_text(world: Mapping[str, Any]) -> str:
 
 
 MOST_LEANING: Final = 3
-"""Largest number of boxes that a line about leaning names."""
+"""Largest number of boxes that are named in a line about leaning boxes."""
 
 REASONS: Final = {
     Reason.NONE: "no box shifted by more than {shift}, tilted by more than {tilt:g}° or dropped",
@@ -374,8 +375,8 @@ REASONS: Final = {
     Reason.TILT: "a box tilted by more than {tilt:g}°",
     Reason.SHIFT: "a box shifted by more than {shift}",
 }
-"""Reason of a verdict → a sentence about it, without full stop. The braces in the sentence are placeholders for
-thresholds and for the boxes that dropped."""
+"""Reason of a verdict → a sentence about this reason, without full stop. The braces in the sentence are placeholders
+for thresholds and for the number of boxes that dropped."""
 
 
 def thresholds_of(story: Story) -> Thresholds:
@@ -384,8 +385,8 @@ def thresholds_of(story: Story) -> Thresholds:
 
 
 def sinks_of(story: Story) -> FloatArray | None:
-    """(n,) distance by which each box is expected to sink because the boxes below it are compressed, m. None if no box
-    is compressible."""
+    """(n,) distance by which each box is expected to sink because the boxes below yield under their load, m; None if no
+    box is compressible."""
     physics = story.options.get("physics", {})
     gravity = physics.get("gravity_m_s2", STANDARD_GRAVITY) if isinstance(physics, Mapping) else STANDARD_GRAVITY
     return sinks_m(story.scene, gravity)
@@ -402,8 +403,8 @@ def reason_in_words(story: Story) -> str:
 
 
 def notes_in_words(story: Story) -> list[str]:
-    """Warnings for the reader, one line each: the story's note, and lines about flags that make the verdict
-    doubtful."""
+    """Warnings for the reader, one line each: the story's note, and reasons why the verdict is doubtful, such as boxes
+    that still move."""
     outcome = story.outcome
     notes = [story.note] if story.note else []
     if outcome.verdict is Verdict.INVALID:
@@ -431,7 +432,7 @@ def _knife_edge(story: Story) -> str:
     table_edges = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
     recomputed_edges = list(edges_again(story.scene, outcome))
     nearest = nearest_edge(table_edges, outcome.verdict)
-    if nearest is None:  # the tables do not have this edge, for example if the load is the own weight of a box
+    if nearest is None:  # the tables lack the nearest edge, for example if the load is a box's own weight
         nearest = nearest_edge(recomputed_edges, outcome.verdict) or nearest_edge([*table_edges, *recomputed_edges])
     else:  # the tables do not tell whether the load is the box's own weight
         nearest = next((edge for edge in recomputed_edges if is_same_edge(edge, nearest)), nearest)
@@ -490,14 +491,14 @@ def first_box_in_words(story: Story) -> str:
 
 
 def _gap_mm(story: Story, box: int) -> float:
-    """The planned gap between the bottom of a box and the bodies below it when the box is placed, mm."""
+    """The gap in the plan between the bottom of a box and the bodies that are below it when the box is placed, mm."""
     in_order = story.options.get("check") != Check.STATIC
     return float(gaps_mm(story.plan.corner_mm, story.plan.size_mm, in_order)[box])
 
 
 def _signs(story: Story, box: int) -> list[str]:
-    """For each limit that the box had crossed at the time of the first failure, a text with the box's value. Values
-    between two frames are interpolated."""
+    """A text for each limit that the box had crossed at the time of the first failure, such as "was tilted by 20.1°
+    (limit 20°)". Values between two frames are interpolated."""
     limits = thresholds_of(story)
     pos, quat = (_at(story, values[:, box])[None] for values in (story.history.pos, story.history.quat))
     if not np.isfinite(pos).all():
@@ -517,14 +518,15 @@ def _signs(story: Story, box: int) -> list[str]:
 
 
 def _at(story: Story, values: FloatArray) -> FloatArray:
-    """(k,) values at the time of the first failure, interpolated between the values (f, k) of f frames."""
+    """(k,) ``values`` at the time of the first failure, interpolated between frames. ``values`` has the shape (f, k)
+    for f frames."""
     time_s, sign_s = story.history.time_s, story.outcome.first_sign_s
     return np.array([np.interp(sign_s, time_s, column) for column in values.T])
 
 
 def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
-    """(name, value) of each setting on which the verdict depends most: engine, physics, check, schedule, carrier,
-    solver."""
+    """Pairs (name, value) about the simulation: the settings on which the verdict depends most (engine, physics, check,
+    schedule, carrier, solver), what shook the pallet, the values of the variant, and the simulated time."""
     options, outcome = story.options, story.outcome
     physics = options.get("physics", "")
     facts = [("engine", story.engine), ("physics", _option_name(physics))]

@@ -75,8 +75,8 @@ class _Option:
     """An option of a command, made from a field of an option record.
 
     Attributes:
-        path: names of the fields that lead to the option's value. Usually, this is only the field's own name. For a
-            field of a record within a record, it is, for example, ``("thresholds", "shift_m")``.
+        path: names of the fields that lead from the outermost record to the value. Usually, this is a single name; for
+            a field of a record within a record, it is a path such as ``("thresholds", "shift_m")``.
         section: heading under which the help lists the option.
     """
 
@@ -92,8 +92,8 @@ class _Option:
 
     @property
     def kind(self) -> Any:
-        """The type as which typer reads the value: int, float, bool or Path if the field has such a type. Otherwise it
-        is text, which the option record converts and checks."""
+        """The type to which typer converts the value: int, float, bool or Path if the field has this type. For other
+        fields, it is text, which the option record converts and checks."""
         kinds = get_args(self.info.annotation) or (self.info.annotation,)
         if str in kinds or get_origin(self.info.annotation) is tuple:
             return str
@@ -101,7 +101,8 @@ class _Option:
 
     @property
     def help(self) -> str:
-        """The field's description without its remarks about Python, and the default if it can be shown."""
+        """The text of the option in the help: the description of the field without remarks about Python, and the
+        default if there is one to show."""
         text = (self.info.description or "").partition("; in Python")[0]
         value = self.info.default
         if isinstance(value, CheckedRecord):
@@ -117,7 +118,8 @@ class _Option:
 
     @property
     def parameter(self) -> inspect.Parameter:
-        """The function parameter from which typer makes the option. The value None means that the option is not set."""
+        """The function parameter from which typer makes the option, and whose value is None if the user does not set
+        the option."""
         names = [name for name in (self.flag.name, self.flag.short) if name]
         option = typer.Option(
             *names,
@@ -139,7 +141,7 @@ def takes(
     only the named ones.
 
     The command receives only the options that were typed, as keyword arguments with the names of the fields. Records
-    within records become dictionaries. An error about a field names the option as it was typed.
+    within records become dictionaries. An error about a field names the option in the form in which the user typed it.
 
     Args:
         fields: names of fields of the two records. If empty, all fields are used.
@@ -195,7 +197,8 @@ def takes(
 
 
 def as_typed(command: Command) -> Command:
-    """Wrap a command so that its errors name its own options as they were typed."""
+    """Wrap a command so that its errors name the options of this command in the form in which users type them, such as
+    ``--out``."""
     typed = _flags_of(inspect.signature(command, eval_str=True))
 
     @functools.wraps(command)
@@ -208,7 +211,7 @@ def as_typed(command: Command) -> Command:
 
 @contextmanager
 def _named_as_typed(typed: Mapping[str, str]) -> Iterator[None]:
-    """While the body runs, errors about fields name the options as the user typed them.
+    """Context in which errors about fields name the options in the form in which the user typed them.
 
     Args:
         typed: name of a field → the option that the user typed for the field.
@@ -223,7 +226,7 @@ def _named_as_typed(typed: Mapping[str, str]) -> Iterator[None]:
 
 
 def _flags_of(signature: inspect.Signature) -> dict[str, str]:
-    """The flag of each option of a command, by the name of the option's parameter."""
+    """Name of a function parameter → flag of the option that typer makes from it, for all options of a command."""
     flags = {}
     for name, parameter in signature.parameters.items():
         for entry in getattr(parameter.annotation, "__metadata__", ()):
@@ -240,7 +243,8 @@ def _keyword(name: str, annotation: Any) -> inspect.Parameter:
 
 
 def _options_of(record: type[CheckedRecord], section: str, path: tuple[str, ...] = ()) -> Iterator[_Option]:
-    """The options for all fields of a record, and of the records within it, that have a command-line flag."""
+    """The options of a record: one for each field with a command-line flag, in this record and in the records within
+    it."""
     for name, info in record.model_fields.items():
         flag = next((entry for entry in info.metadata if isinstance(entry, CliFlag)), None)
         if flag is not None:
@@ -277,8 +281,8 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
 
 
 def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
-    """Store a value at its path in nested tables. The user may set a record by its name, as a table and by single
-    values, in any order; the settings are combined."""
+    """Store a value at its path in nested tables. The user may set a record by its name, by a table and by single
+    values, in any order; all of them take effect."""
     *records, field = path
     for name in records:
         inner = tables.get(name, {})
@@ -291,8 +295,8 @@ def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 def _as_typed(line: str, typed: Mapping[str, str]) -> str:
-    """If an error begins with the name of a field, replace this name by the option that the user typed. An error that
-    begins with the name of a file is not changed, because it is about the content of the file."""
+    """The text of an error; if it begins with the name of a field, the option that the user typed replaces this name.
+    An error that begins with the name of a file is not changed, because it is about the content of the file."""
     for path, option in typed.items():
         path_match = re.match(rf"(?:simulation\.|orders_)?{re.escape(path)}(?=[ :])", line)
         if path_match:

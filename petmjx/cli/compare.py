@@ -49,9 +49,9 @@ def compare(
 ) -> None:
     """Compare two runs of the same plans: whether their verdicts agree, and by how much each metric differs.
 
-    For each metric, the median, the 95th percentile and the largest value of |b - a| are printed. The plan and the box
-    with the largest value are named. If the sign of b - a has a meaning, the mean of b - a is printed as well. Plans
-    that are not the same in both runs are left out.
+    For each metric, the command prints the median, the 95th percentile and the largest value of |b - a|, and the plan
+    and the box with the largest value. If the sign of b - a has a meaning, it also prints the mean of b - a. If a plan
+    is not the same in both runs, only its verdicts are compared.
 
     With --packers, packers are compared on the same orders (plans with the same ids). For each packer, the command
     prints the share of plans that stand, with an interval, and the utilisation; with --orders, also KPIs. For each pair

@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from petmjx.plans.readings import AmbiguousFile, Reading
 
 PIPED_WIDTH = 120
-"""Number of columns if standard output is a file or a pipe."""
+"""Width of printed tables if standard output is a file or a pipe, in columns of characters."""
 
 _PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "×": "x", "°": "o", "²": "2"}
-"""Replacements for characters that an old terminal cannot show. All other such characters become "?"."""
+"""Characters that an old terminal cannot show → replacements. A character without an entry here becomes "?"."""
 
 
 def results_console() -> Console:
-    """A console on standard output. Its width is that of the terminal, or ``PIPED_WIDTH`` if the output is not a
-    terminal."""
+    """A console of rich on standard output. It is as wide as the terminal, or has ``PIPED_WIDTH`` columns if the output
+    is not a terminal."""
     from rich.console import Console
 
     piped = "COLUMNS" not in os.environ and not sys.stdout.isatty()
@@ -36,8 +36,8 @@ def results_console() -> Console:
 
 
 def prepare_streams() -> None:
-    """Make printing safe: standard streams that are closed are opened, and characters that a stream cannot encode are
-    replaced."""
+    """Make printing safe: open standard output and standard error if they are closed, and let both replace characters
+    that they cannot encode."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # the caller has closed the stream (petmjx … >&-)
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  # until the process ends
@@ -72,8 +72,8 @@ def as_notes() -> Iterator[None]:
 
 @contextmanager
 def asking() -> Iterator[None]:
-    """While the body runs, ask the person at the terminal whenever a file can be read in several ways, for example with
-    different units."""
+    """Context in which petmjx asks the person at the terminal whenever a file can be read in several ways, for example
+    with different units."""
     if not (sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()):
         yield
         return
@@ -87,7 +87,8 @@ def asking() -> Iterator[None]:
 
 
 def _ask_reading(source: str, error: AmbiguousFile) -> Reading | None:
-    """Ask the person which reading of a file is right. None if the person chooses no reading."""
+    """Ask the person at the terminal which reading of a file is right. Returns None if the person chooses no
+    reading."""
     print(f"{source} can be read in {len(error.readings)} ways:", file=sys.stderr)
     for number, reading in enumerate(error.readings, start=1):
         print(f"  {number}  {printable(reading.line())}; {reading.evidence}", file=sys.stderr)

@@ -39,7 +39,7 @@ def convert(
     """Write packing plans in another form: as BED-BPP's JSON, or as a CSV or Parquet table with one row per box.
 
     Plans read from the new file are bit-identical to the old ones. Unusable plans are skipped, and the first of them
-    are listed, one line each. If the input is the folder of a run, the plans that it simulated are written.
+    are listed, one line each. If the input is the folder of a run, the command writes the plans that the run simulated.
 
     With --orders, a file of orders of any form is written in BED-BPP's form, which all commands read unambiguously.
     """
@@ -98,7 +98,8 @@ def _convert_orders(files: list[Path], out: Path, target: str | None, options: d
 
 
 def print_skipped(lines: list[str]) -> None:
-    """Print the first of the lines about skipped plans on standard error."""
+    """Print lines about skipped plans on standard error: the first ``SHOWN_SKIPPED`` lines, and the number of the
+    others."""
     for line in lines[:SHOWN_SKIPPED]:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if len(lines) > SHOWN_SKIPPED:

@@ -1,4 +1,4 @@
-"""``petmjx figure``, and the options for figures that other commands share."""
+"""``petmjx figure``, and options for figures, which other commands have, too."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ Png = Annotated[Path | None, _file("png", "The same as a picture.")]
 
 
 def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite: bool, *read: Any) -> list[Path]:
-    """The files that the user requested. They are checked here, before the figure is computed.
+    """The files of figures that the user requested, after checks of their names. Call this function before the figure
+    is computed.
 
     Args:
         read: files and folders that the command reads.
@@ -62,7 +63,7 @@ def figure(
     that is varied. For a score with --confidence, it shows for each plan the share of simulations in which the plan
     stands.
 
-    The commands compare --packers and criteria have the same options, and draw figures of their own results.
+    With the same options, the commands compare --packers and criteria draw figures of their results.
     """
     from petmjx.results.run_reader import load_run
     from petmjx.show.figures.figure_files import figure as draw

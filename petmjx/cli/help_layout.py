@@ -13,11 +13,11 @@ _LAST = "Options"
 
 
 class SectionedCommand(TyperCommand):
-    """A command whose help lists options under headings: the ``rich_help_panel`` of each option."""
+    """A command whose help lists options under headings. The heading of an option is its ``rich_help_panel``."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the arguments, then the options with headings, and finally the options without a heading. Headings are
-        in the order in which their first options were declared."""
+        """Write the arguments, then the options with headings, and finally the options without a heading. The order of
+        headings is that of their first options in the command."""
         sections: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             row = parameter.get_help_record(ctx)
@@ -26,7 +26,7 @@ class SectionedCommand(TyperCommand):
             name, text = row
             heading = getattr(parameter, "rich_help_panel", None) or _LAST
             if parameter.param_type_name == "argument":
-                name, heading = name.partition(" <")[0], "Arguments"  # remove its Python type
+                name, heading = name.partition(" <")[0], "Arguments"  # remove the argument's Python type
             sections.setdefault(heading, []).append((name, text))
         for heading in sorted(sections, key=lambda name: name == _LAST):
             with formatter.section(heading):

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 _OF_RUNS = (
     "limit", "record", "record_interval_s", "record_details", "orders", "out", "overwrite", "resume", "shard",
 )  # fmt: skip
-"""Options of runs that are not available here: the leaderboard sets them itself, or they would make runs
-incomparable."""
+"""Options of runs that this command does not have, because the leaderboard sets them itself, or because runs with
+different values could not be compared."""
 
 
 @opt.takes(without=_OF_RUNS)
@@ -70,8 +70,9 @@ def leaderboard(
     """Rate packers by physics, and write a website about them: one folder that can be read offline.
 
     The site has the rating of each packer with its interval, statistical tests, KPIs, pages on which simulations can be
-    played, the plans, and the command that makes the site again. Plans are scored with these options. Runs that are
-    given are used as they are, unless new simulations of some of their plans contradict them.
+    played, the plans, and the command that makes the site again. The options apply to the plans that the command
+    scores. If an entry is the folder of a run, the command uses the verdicts of the run, and simulates some of the
+    plans again. If these simulations contradict the run, the entry is not rated.
     """
     from petmjx.show.leaderboard.leaderboard import board_line
     from petmjx.show.leaderboard.leaderboard import leaderboard as make

@@ -17,7 +17,8 @@ _LOSSES = Stacking()
 
 
 def _loss(condition: str) -> Any:
-    """An option for a share of the strength. The option is named after the parameter of the function."""
+    """An option whose value is a share of a box's strength. typer names the option after the parameter of the
+    function."""
     return typer.Option(metavar="SHARE", help=f"Share of the strength that is lost: {condition}.")
 
 
@@ -75,8 +76,8 @@ def loads(
     """Find overloaded boxes: compare the force on the top of each box with the box's strength, at rest and at the peak.
 
     Strengths are given in newtons, or are computed by McKee's formula from the carton's board. A box loses a part of
-    its strength if the boxes above lie across its walls, if its walls are beyond the edge of a box below, or if they
-    are over gaps of the deck. Loads do not change verdicts.
+    its strength if the walls of the boxes above do not stand on its walls, if its walls stick out beyond the box below,
+    or if its walls are over gaps of the carrier's deck. Loads do not change verdicts.
     """
     from petmjx.analysis.box_strength import check_loads_free
     from petmjx.analysis.box_strength import loads as compare

@@ -1,4 +1,4 @@
-"""The command-line application. It reports an error as one line on standard error and as an exit code."""
+"""The command-line application. It reports each error by one line on standard error and an exit code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from petmjx.version import __version__
 
 
 class ExitCode(IntEnum):
-    """The exit codes of commands. They do not depend on whether plans stand."""
+    """The exit codes of commands. A command that works returns 0, whether plans stand or fall."""
 
     OK = 0
     FAILURE = 1
@@ -41,15 +41,16 @@ _BY_SIGNAL = {
     signal.SIGINT: ExitCode.INTERRUPTED,
     signal.SIGTERM: ExitCode.TERMINATED,
 }
-"""Exit codes after signals: 128 + the number of the signal, as in shells."""
+"""Signal → exit code after this signal: 128 + the number of the signal, as in shells."""
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
-"""Click's UsageError, which different versions of typer keep in different modules."""
+"""The exception for wrong usage, Click's UsageError. Its module depends on the version of typer, so it is taken from a
+class that inherits from it."""
 
 
 _SETTINGS = SimpleNamespace(debug=False)
-"""Values of the options that are written before the name of the command."""
+"""Values of the options that the user writes before the name of the command, such as ``petmjx --debug score``."""
 
 _COMMANDS = {
     "score": "Say which packing plans stand.",
@@ -77,21 +78,21 @@ the function in this module have the same name as the command, with underscores.
 
 
 def application(words: Sequence[str] = ()) -> typer.Typer:
-    """Make the application with the command that the arguments name. If the arguments name no command, the application
-    has all commands.
+    """Make the application. If ``words``, the arguments of the command line, name a command, the application has only
+    this command; otherwise, it has all commands.
 
-    The modules of other commands are not loaded, because loading them takes longer than scoring a few plans.
+    The reason is speed: to load the modules of all commands takes longer than to score a few plans.
     """
     app = typer.Typer(
         name="petmjx",
         help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
         epilog="Exit codes: 0 success, whatever the verdicts are; 1 internal failure; 2 unusable input or options; 130 "
         "interrupted (143 by SIGTERM, 129 by SIGHUP).",
-        rich_markup_mode=None,  # otherwise rich would leave only 24 of 80 columns for the descriptions
+        rich_markup_mode=None,  # in rich's layout, only 24 of 80 columns would be left for the descriptions
         context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
     )
     app.callback()(options)
-    # Options before the command take no values, so the first other word is the command.
+    # Options before the command take no values, so the first word that is not an option is the command.
     command = next((word for word in words if not word.startswith("-")), "")
     for name in (command,) if command in _COMMANDS else _COMMANDS:
         module = name.replace("-", "_")
@@ -136,7 +137,8 @@ def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[st
     try:
         sys.stdout.flush()
     except OSError:
-        # The remaining output cannot be written. Without this line, Python would try again at exit and print an error.
+        # Standard output cannot be written. Without the next line, Python would try to write again at exit, and print
+        # an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
@@ -155,7 +157,7 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
             result = make(command_words)(args=command_words or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns this code instead of raising KeyboardInterrupt
             return _report("interrupted", _BY_SIGNAL[signal.Signals(last_stop() or signal.SIGINT)])
-        sys.stdout.flush()  # a write error appears here at the latest
+        sys.stdout.flush()  # an error of writing is raised here at the latest
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:
         return _report("interrupted", ExitCode.INTERRUPTED)
@@ -170,7 +172,7 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
         command = getattr(getattr(error, "ctx", None), "command_path", None) or "petmjx"
         return _report(f"{message} (see {command} --help)" if message else "", ExitCode.UNUSABLE)
     except (BrokenPipeError, SystemExit):
-        # the reader of the output has closed it (petmjx … | head), and typer and rich then exit
+        # the reader of the output has closed the pipe (petmjx … | head); typer and rich then raise SystemExit
         return ExitCode.OK
     except OSError as error:
         if error.filename is not None or error.errno != errno.ENOSPC:  # errors about named files are InputErrors

@@ -20,7 +20,8 @@ def merge(
 ) -> None:
     """Join the shards of a run (score or sweep with --shard I/N) into one run.
 
-    All N shards must exist, be finished, and have the same plans and options. Worlds that occur twice are refused.
+    All N shards must exist, be finished, and have the same plans and options. If two shards have the same world
+    (simulation of a plan), nothing is written.
     """
     from petmjx.cli.run_command import brief
     from petmjx.runs.merge import merge_runs

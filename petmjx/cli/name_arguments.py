@@ -10,8 +10,8 @@ from petmjx.common.text import printable_name
 
 
 def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
-    """Split each text into a name and a path, and return the path for each name. The result is empty if no text has a
-    name. A text that is an existing path has no name, even if it contains "=".
+    """Split texts of the form NAME=PATH. Returns name → path; an empty dictionary if no text has a name. A text that is
+    an existing path counts as a path without a name, even if it contains "=".
 
     Raises:
         InputError: only some texts have a name, or two texts have the same name.

@@ -23,7 +23,7 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
 
     Args:
         plans: name of each packer → file or folder with the packer's plans.
-        options: as for ``petmjx.score``. Each packer gets a folder in ``out``.
+        options: options of ``petmjx.score``. Each packer gets a separate folder in ``out``.
     """
     from petmjx.analysis.packer_comparison import compare_packers
     from petmjx.analysis.packer_runs import check_names

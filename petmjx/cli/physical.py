@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 MOST_NAMED: Final = 10
-"""Largest number of generated orders for which a separate line is printed, and largest number of orders that a line
-names."""
+"""Largest number of generated orders with a separate line about left-out boxes, and largest number of orders that a
+line names."""
 
 
 def write_physical(
@@ -28,7 +28,7 @@ def write_physical(
     options: Mapping[str, Any],
     reading: OrderReading | None = None,
 ) -> None:
-    """Pack orders with a search and a simulation, write their plans, and print a summary."""
+    """Pack orders with the packer ``physical`` (a search and simulations), write the plans, and print a summary."""
     from petmjx.packers.pack import Packed, orders_of, pack_each
     from petmjx.packers.packed_orders import PackedOrder
     from petmjx.plans.json_writer import Placement, write_plans
@@ -57,8 +57,8 @@ def write_physical(
 
 
 def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
-    """A line for each order with boxes left out. If the orders are generated, only the first of these orders get a
-    line."""
+    """Yield a line for each order of which boxes were left out. For generated orders, there are at most ``MOST_NAMED``
+    lines, and a line with the number of the others."""
     incomplete = [packed for packed in packings if packed.left_out]
     few = incomplete if named else incomplete[:MOST_NAMED]
     for packed in few:
@@ -68,7 +68,8 @@ def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
 
 
 def _not_good(packings: list[Any]) -> Iterator[str]:
-    """A line that names the orders for which no packing stands in the required share of simulations."""
+    """Yield a line that names orders for which no packing was found that stands in the required share of
+    simulations."""
     shaky = [packed for packed in packings if packed.taken is not None and not packed.good]
     if shaky:
         names = ", ".join(

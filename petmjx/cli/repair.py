@@ -28,7 +28,7 @@ _OF_RUNS = (
     "workers", "ray", "record", "record_interval_s", "record_details", "orders", "allow_large", "out", "overwrite",
     "resume", "shard", "force_intervals", "keep", "confidence", "exact_too",
 )  # fmt: skip
-"""Options of runs and of scores that have no meaning for a repair, and so are not available."""
+"""Options of runs and of scores that a repair does not have, because they have no meaning for it."""
 
 
 @opt.takes(without=_OF_RUNS, more=((RepairOptions, CHANGED), (Confidence, opt.HOW_SURE)))
@@ -85,7 +85,7 @@ def repair(
     except RepairInterrupted as stop:
         result, signal_number = stop.repairs, stop.number
         if not result.each:
-            raise RunInterrupted("no plan was done; nothing was written", signal_number) from None
+            raise RunInterrupted("no plan was searched to the end; nothing was written", signal_number) from None
     for line in result.skipped:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if out is not None:
@@ -104,7 +104,7 @@ def repair(
 
 
 def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:
-    """Lines that name the written files."""
+    """Yield lines that name the files that the command has written."""
     if out is not None:
         yield f"{count_text(len(result.plans), 'plan')} in {printable(str(out))}"
     if html is not None:

@@ -49,7 +49,7 @@ def report(
 
 
 def _write_pdf(runs: Sequence[Path], pdf: Path, plans: Sequence[Path], *, overwrite: bool) -> None:
-    """Write the PDF pages for one run."""
+    """Write a PDF with one page about each plan of a run of a transport chain."""
     from petmjx.cli.figure import figure_files
     from petmjx.common.text import count_text
     from petmjx.results.run_reader import load_run

@@ -1,4 +1,5 @@
-"""The common parts of ``score`` and ``sweep``: the folder, the progress bar, Ctrl-C, and the tables at the end."""
+"""What the commands ``score`` and ``sweep`` have in common: the folder of the run, the progress bar, Ctrl-C, and the
+tables at the end."""
 
 from __future__ import annotations
 
@@ -26,12 +27,12 @@ if TYPE_CHECKING:
 
 
 BURST_S: Final = 2.0
-"""Signals that follow each other within this time, s, count as one signal: pressing Ctrl-C six times in a row
-interrupts once."""
+"""Largest time between two signals that count as one, s: someone who presses Ctrl-C six times in a row interrupts the
+run once."""
 
 
 AGAIN_S: Final = 0.05
-"""Time after which a signal is sent again if Python would ignore the exception that the signal raises, s."""
+"""Delay before a signal is sent again, s, if it arrived at a moment at which Python would ignore its exception."""
 
 
 class RunInterrupted(Exception):
@@ -48,7 +49,7 @@ class RunInterrupted(Exception):
 
 
 class _StopSignal(KeyboardInterrupt):
-    """Raised inside the run when a signal ends it."""
+    """The exception that a signal raises in the main thread to end a run."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -61,19 +62,20 @@ last such block."""
 
 
 def last_stop() -> int | None:
-    """The number of the signal that ended the last block ``with stoppable()``; None if no signal did."""
+    """The number of the signal that ended the last block ``with stoppable()``; None if the block ended without a
+    signal."""
     number: int | None = _STATE.number
     return number
 
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """While the body runs, SIGTERM and SIGHUP raise an exception in it, as Ctrl-C does, so that the body can clean up.
+    """Context in which SIGTERM and SIGHUP raise an exception, as Ctrl-C does, so that the code inside can clean up.
     Signals in quick succession raise only one exception. A signal that the process ignores, as under nohup, remains
-    ignored. Every command already runs inside ``stoppable``, so a nested use does nothing.
+    ignored. Every command runs inside ``stoppable``; a second ``stoppable`` inside it does nothing.
 
-    Python ignores exceptions that are raised while an object is finalised (in ``__del__``), which happens often with
-    Ray's objects. If a signal arrives at such a time, it is sent again a little later.
+    Python ignores exceptions that are raised while an object is finalised (in ``__del__``), and Ray's objects are
+    finalised often. If a signal arrives during a finalisation, the process sends itself the same signal a little later.
     """
     last_s = -math.inf
 
@@ -100,7 +102,8 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         _STATE.is_stoppable = False
-        # after a signal, the handlers stay: the process is about to end, and further signals may follow
+        # after a signal, the handlers stay in place: the process is about to end, and further signals must not disturb
+        # that
         if last_s == -math.inf:
             for number, handler in before.items():
                 signal.signal(number, handler)
@@ -136,7 +139,7 @@ def run_and_show(
 
 
 def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any]) -> RunResults:
-    """Execute a run with a progress bar, like :func:`run_and_show`, but without printing tables."""
+    """Execute a run with a progress bar, as :func:`run_and_show` does, but print no results."""
     from petmjx.show.progress import BarWatcher
 
     watcher = BarWatcher()
@@ -177,7 +180,7 @@ def default_folder() -> Path:
 
 
 def remove_empty(folder: Path) -> None:
-    """Delete the folder of a run that has written nothing, and the parent folder if it is empty, too."""
+    """Delete an empty folder, in which a run has written nothing, and then its parent folder if that is empty."""
     with suppress(OSError):
         folder.rmdir()
         folder.parent.rmdir()
@@ -200,7 +203,7 @@ def _how_far(folder: Path, watcher: Any) -> str:
 
 
 def brief(results: RunResults) -> dict[str, Any]:
-    """The summary of a run that the option --json prints."""
+    """What the option --json prints about a run: status, counts, timings, warnings, and the table ``summary``."""
     names = ("status", "counts", "timings", "device", "skipped", "warnings")
     brief = {"out": str(results.path), **{name: results.info[name] for name in names}}
     if results.info.get("orders"):

@@ -22,7 +22,7 @@ from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Largest number of generated orders with left-out boxes for which a separate line is printed."""
+"""Largest number of generated orders with a separate line about left-out boxes."""
 
 
 @opt.takes(
@@ -101,7 +101,7 @@ def samples(
     is a packing program, packs the orders.
 
     Without --packer, the set is mixed: about half of the plans are packed too loosely on purpose, so that some plans
-    stand and some fall. To compare a packer with others, name it with --packer. Then no plan is packed loosely on
+    stand and some fall. To compare a packer with others, name it with --packer: no plan is then packed loosely on
     purpose.
 
     The packer physical simulates several packings of each order, and chooses the densest packing that stands often
@@ -110,8 +110,9 @@ def samples(
     The packer learned places boxes in the sequence of the order, and sees the next --lookahead boxes. The other packers
     see the whole order.
 
-    With --orders, the orders of a file are packed instead. Boxes for which there is no place below 2 m are left out. A
-    line for each order with such boxes names them. For generated orders, only the first 10 lines are printed.
+    With --orders, the orders of a file are packed instead. Boxes for which there is no place below 2 m are left out,
+    and the command prints a line for each order of which boxes were left out; for random orders, only the first 10
+    lines.
     """
     from petmjx.common.machine import cpu_threads
     from petmjx.packers.pack import reading_of
@@ -165,7 +166,7 @@ def samples(
                     pack_orders(orders, on_bad_order=errors.append, reading=reading, **pack_options),
                     progress=count,
                 )
-    finally:  # the lines are printed even after an error, since they explain missing plans
+    finally:  # the lines about skipped orders are printed even after an error, since they explain missing plans
         for error in errors:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     shown = left_out if orders is not None else left_out[:MOST_SHOWN]

@@ -33,8 +33,8 @@ def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOpt
     for each plan and box, as Parquet. Unusable plans are skipped, counted and listed.
 
     With --confidence N, the command also reports how certain the verdicts are. It simulates each plan N more times with
-    random errors, and reports the share of these simulations in which the plan stands, with a 95 % interval, and the
-    plans that may as well stand as fall.
+    random errors, and reports the share of these simulations in which the plan stands, with a 95 % interval. It also
+    reports plans whose interval contains one half: these may as well stand as fall.
 
     With --chain NAME, the command also reports how likely each plan is to arrive at the end of a transport chain: the
     share of simulations in which it stands after all legs (stages of the transport), the weakest leg, and remedies.

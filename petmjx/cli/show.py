@@ -26,7 +26,7 @@ _OF_RUNS = (
     "limit", "record", "record_interval_s", "record_details", "orders", "strict", "allow_large", "out", "overwrite",
     "resume", "shard", "workers", "ray",
 )  # fmt: skip
-"""Options of runs that have no meaning for a single world, and so are not available."""
+"""Options of runs that this command does not have, because they have no meaning for a single simulation."""
 
 
 def _file(name: str, text: str) -> Any:
@@ -61,8 +61,8 @@ def show(
 ) -> None:
     """Show what happens to one plan: in words, as a page, in pictures, or as a film.
 
-    The plan is simulated exactly as in the run in DIR, or with these options. If no drawing is requested, a text about
-    the simulation is printed in the terminal.
+    If DIR, the folder of a run, is given, the plan is simulated exactly as in that run. Otherwise, the options
+    determine the simulation. If you request no drawing, the command prints a text about the simulation in the terminal.
     """
     from petmjx.results.read_files import source_files
     from petmjx.show.pictures.picture_files import check_drawing
@@ -96,7 +96,7 @@ def _show_repair(
     """Repair a plan, and write a page that shows the plan before and after the repair.
 
     Args:
-        has_more: whether the user set options that this page does not support.
+        has_more: whether the user set options that the page about a repair does not support.
     """
     from petmjx.options.run_options import RunOptions, sorted_options
     from petmjx.options.simulation import Simulation
@@ -162,7 +162,7 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
             bars: list[ProgressSink] = []
 
             def count(done: int, total: int, shown: ExitStack = shown, bars: list[ProgressSink] = bars) -> None:
-                if not bars:  # only films call this function, from their first frame on
+                if not bars:  # only the function that draws films calls ``count``
                     bars.append(shown.enter_context(progress(total, "frame")))
                 bars[0].update(done)
 

@@ -28,8 +28,8 @@ def warm_up(
     """Compile all kernels now, so that no run waits for them: after an installation, or when an image for containers
     is built.
 
-    The kernels are for exact placing and for placing by hand. Runs with film or with boxes that give compile kernels
-    of their own when they need them.
+    The kernels are for exact placing and for placing by hand. Runs with stretch film or with compressible boxes need
+    other kernels, and compile them themselves.
 
     Compiled kernels are kept in ~/.cache/petmjx, or in the folder that PETMJX_CACHE_DIR names.
     """
@@ -76,7 +76,7 @@ _SIZES = {
 
 
 def _numbers(text: str) -> list[int]:
-    """The numbers of a list with commas.
+    """The whole numbers in a text such as "90,120", without repetition.
 
     Raises:
         InputError: a part of the text is no number.

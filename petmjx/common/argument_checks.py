@@ -78,7 +78,7 @@ def instance_of(value: Any, name: str, kind: type[Kind], words: str) -> Kind:
     """The value, if it is an object of the class ``kind``.
 
     Args:
-        words: name of the class in the error message, in words that users know.
+        words: what the error message says that the value must be, such as "a Batching".
 
     Raises:
         InputError: the value is of another class.
@@ -92,7 +92,7 @@ def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
     """The values of any iterable as a list, if all of them are objects of the class ``kind``.
 
     Args:
-        words: name of the class in the error message, in words that users know.
+        words: what the error message says that the values must be, such as "Plan objects".
 
     Raises:
         InputError: the value is text, cannot be iterated, or has a member of another class.

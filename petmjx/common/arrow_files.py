@@ -1,4 +1,4 @@
-"""Reads files that users name with Arrow, and limits the memory that their content may take."""
+"""Reads files with Arrow, and limits the memory that the content of a file may take."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ shares with the previous text. So a few stored bytes can stand for a long text."
 
 
 def open_for_arrow(path: Path) -> pa.NativeFile:
-    """Open a regular file that Arrow reads itself. Parquet files are never read through a Python stream, for the
+    """Open a regular file as a stream of Arrow. Parquet files are never read through a stream of Python, for the
     following reason.
 
     Arrow reads Parquet in its own threads. A thread may free its buffers only after the table has been returned. To
@@ -54,9 +54,10 @@ class OversizedFile(ValueError):
 
 
 def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) -> int:
-    """A lower bound, from the file's metadata, for the number of bytes that columns of a Parquet file take in memory.
+    """The smallest number of bytes that columns of a Parquet file can take in memory, according to the file's metadata.
 
-    For texts, only the offsets are counted, because their lengths are unknown until they are read.
+    For a text, only its offset and its length are counted, because the length of a text is unknown until the text is
+    read.
 
     Args:
         columns: names of the columns. If None, all columns are counted.
@@ -75,12 +76,13 @@ def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) ->
 def read_within(
     stream: pa.NativeFile, columns: Sequence[str] | None = None, *, free: int = FREE_BYTES, most: int = MOST_BYTES
 ) -> pa.Table:
-    """Read columns of a Parquet file within limits. The limits are needed because a few bytes in a file may stand for
-    millions of rows, and a short code may stand for a long text in each row.
+    """Read columns of a Parquet file within limits. A file without limits could fill the memory: a few bytes in the
+    file may stand for millions of rows, and a short code may stand for a long text in each row.
 
     Args:
         columns: names of the columns. If None, all columns are read.
-        free, most: as for :func:`allowed_bytes`.
+        free, most: the memory that the columns of any file may take, and the largest memory that they may take even if
+            the file is large, bytes.
 
     Raises:
         OversizedFile: the columns would take more memory than allowed.
@@ -101,8 +103,8 @@ def read_within(
                 raise ValueError(f"the column {printable_name(name)} holds lists or tables, which are not supported")
         texts = [name for name in names if _is_text(schema.field(name).type)]
         by_prefix = set(_columns_by_prefix(metadata))
-        # Texts stay dictionary codes until their lengths are known, except prefix-coded texts, which Arrow cannot read
-        # as codes.
+        # Texts are read as dictionary codes, and are decoded when their lengths are known. Arrow cannot read
+        # prefix-coded texts as codes.
         codes = [name for name in texts if name not in by_prefix]
         coded = pq.ParquetFile(stream, metadata=metadata, read_dictionary=codes)
         few = not by_prefix.isdisjoint(names)
@@ -135,7 +137,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _length_of(coded: pa.Array) -> int:
-    """Total number of bytes of the texts in a column. The column may be dictionary-coded."""
+    """Total number of bytes of the texts in a column, whose texts may be given as dictionary codes."""
     if not pa.types.is_dictionary(coded.type):
         return int(coded.nbytes)
     lengths = np.asarray(pc.binary_length(coded.dictionary).fill_null(0))
@@ -144,7 +146,7 @@ def _length_of(coded: pa.Array) -> int:
 
 
 def _decoded_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
-    """The columns of a batch, with the types that they have in the file."""
+    """The batch with the types that the columns have in the file: dictionary codes become texts."""
     fields = [schema.field(name) for name in batch.schema.names]
     arrays = [column.cast(field.type) for column, field in zip(batch.columns, fields, strict=True)]
     return pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields, metadata=schema.metadata))

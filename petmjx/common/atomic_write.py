@@ -34,7 +34,7 @@ def check_writable(file: Path) -> None:
 
 @contextmanager
 def write_errors(path: Path) -> Iterator[None]:
-    """Turn system errors of the body, which writes a file or a folder, into an InputError that names the path."""
+    """Context in which a file or a folder is written: a system error becomes an InputError that names the path."""
     try:
         yield
     except OSError as error:
@@ -43,8 +43,8 @@ def write_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(file: Path) -> Iterator[Path]:
-    """Yield a path beside the file for the body to write to. The path has a hidden name and the same suffix. When the
-    body ends, the hidden file replaces the file.
+    """Context in which a file is written under a hidden name. Yields the path of the hidden file, which has the same
+    folder and the same suffix as the file. At the end of the ``with`` block, the hidden file replaces the file.
 
     If the file is a link, its target is replaced. Existing paths that are not regular files, such as a FIFO or
     ``/dev/stdout``, are written to directly.
@@ -62,7 +62,7 @@ def atomic_write(file: Path) -> Iterator[Path]:
             yield temporary
             if not direct:
                 os.replace(temporary, target)
-    except InputError as error:  # raised by the body, with the hidden path in its message
+    except InputError as error:  # the message has the path of the hidden file
         raise InputError(str(error).replace(str(temporary), str(file))) from error
     finally:
         if not direct:

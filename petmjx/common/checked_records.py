@@ -1,7 +1,7 @@
 """Records that check their own values (``CheckedRecord``), and their one-line error messages.
 
-No other module turns pydantic's errors into lines. This module also decides how messages name an option: by its flag if
-the command line is running, or by its argument in Python.
+All errors of pydantic are turned into lines here. This module also decides how messages name an option: by its flag if
+the command line is running, otherwise by its argument in Python.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from types import UnionType
 from typing import Any, Final, Self, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
-from pydantic._internal._model_construction import ModelMetaclass  # no public module exports this name
+from pydantic._internal._model_construction import ModelMetaclass  # pydantic exports this class in no public module
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from petmjx.common.errors import InputError
@@ -31,7 +31,7 @@ _typed = False
 
 @contextmanager
 def typed_options() -> Iterator[None]:
-    """While the body runs, messages name options by their flags. The command line uses this."""
+    """Context of the command line: messages name options by their flags, such as ``--out``."""
     global _typed
     before, _typed = _typed, True
     try:
@@ -70,7 +70,8 @@ _TEXTS: Final = {
     **dict.fromkeys(("list_type", "tuple_type"), "must be a list"),
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "must be a table"),
 }
-"""pydantic's name for a kind of error → the text that messages have between the path of the field and the value."""
+"""pydantic's name for a kind of error → the text between the name of the field and the value in messages, as in
+"interval_s must be > 0, got -1"."""
 
 _NO_NUMBERS: Final = (str, bytes, bool)
 
@@ -80,19 +81,21 @@ MOST_TOML_BYTES: Final = 16 << 20
 """Largest size of a TOML file. As an example, a list of 100,000 time windows with forces takes half of this size."""
 _MOST_PARTS: Final = 64
 _MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
-"""Matches a dotted key with more than ``_MOST_PARTS`` parts. tomllib's time grows with the square of the number of
+"""Matches a dotted key with more than ``_MOST_PARTS`` parts. The time of tomllib grows with the square of the number of
 parts, so a very long key would take minutes."""
 
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
-"""Tags for unions of types in which the shape of a value decides the type of the value. pydantic inserts tags into the
-path of an error. ``describe`` recognises tags by their angle brackets and removes them."""
+"""Tags for unions of types, such as a number or a list of numbers: the tag says whether the value is a table, a list or
+a single value. pydantic inserts tags into the path of an error, and ``describe`` removes the tags. The angle brackets
+distinguish tags from names of fields."""
 
 
 @dataclass(frozen=True)
 class CliFlag:
-    """The option that sets a field on the command line. ``name`` is its long name, and ``short`` its short name.
+    """The option of the command line that sets a field of a record. ``name`` is the option's long name, and ``short``
+    its short name.
 
     Attributes:
         metavar: placeholder for the option's value in the help.
@@ -109,8 +112,8 @@ class _OneLine(ModelMetaclass):
     """Metaclass that makes the constructor of a record raise an ``InputError`` of one line instead of pydantic's own
     error.
 
-    pydantic makes the records within a record without this constructor, so the line has the path from the outermost
-    record.
+    The line names the wrong field by its path from the outermost record, because pydantic does not call this
+    constructor for records within a record.
     """
 
     def __call__(cls, *args: Any, **values: Any) -> Any:
@@ -167,8 +170,8 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
 
 
 def _lax(annotation: Any, value: Any) -> str:
-    """The message ("must be …") for a value that pydantic would convert silently, such as text or true to a number;
-    else ""."""
+    """The error text ("must be …") for a value that pydantic would convert silently, such as the text "3" to the number
+    3. "" for all other values."""
     union = isinstance(annotation, UnionType) or get_origin(annotation) is Union
     kinds = set(get_args(annotation)) if union else {annotation}
     kinds.discard(type(None))
@@ -195,8 +198,8 @@ def within(low: float, high: float) -> AfterValidator:
 
 
 def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a record, with new values for some of them. The values are not checked here. They are checked later
-    all together, so that an error has the path from the outermost record.
+    """The fields of a record, with new values for some of them. The values are not checked here. The outermost record
+    checks all values together later, so that an error has the path from the outermost record.
     """
     fields = {name: getattr(record, name) for name in type(record).model_fields}
     for name, value in values.items():
@@ -233,16 +236,16 @@ def complaint(text: str, *path: str | int) -> ValidationError:
 
 
 def shape(value: object) -> str:
-    """The shape of a value: ``TABLE``, ``LIST`` or ``VALUE``. ``Discriminator(shape)`` chooses the type within a union
-    of types by the shape."""
+    """Whether a value is a table, a list or a single value: ``TABLE``, ``LIST`` or ``VALUE``. ``Discriminator(shape)``
+    lets pydantic choose the type within a union of types by this answer."""
     if isinstance(value, Mapping | BaseModel):
         return TABLE
     return LIST if isinstance(value, list | tuple) else VALUE
 
 
 def by_entry(key: str) -> Discriminator:
-    """A discriminator for unions of records. It chooses the record by one entry of the table. The tag of a record is
-    the value of this entry in angle brackets.
+    """A discriminator for a union of record classes: it chooses the class by the entry ``key`` of a table. The tag of a
+    class is the value of this entry in angle brackets.
     """
 
     def tag(value: object) -> str | None:
@@ -283,13 +286,13 @@ def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str)
     if kind in (_COMPLAINT, "value_error"):
         # raised by a validator of petmjx, so the text is complete
         return message.removeprefix("Value error, ")
-    if kind == "missing":  # a missing entry of a list; missing fields were reported by CheckedRecord
+    if kind == "missing":  # an entry of a list is missing; CheckedRecord itself reports missing fields
         return "is missing"
     if kind in _TEXTS:
         return f"{_TEXTS[kind].format(**context)}, {shown_value(value)}"
     if kind in ("too_short", "too_long"):
         most, key = ("most", "max_length") if kind == "too_long" else ("least", "min_length")
-        length = context.get("actual_length")  # None if pydantic stopped counting
+        length = context.get("actual_length")  # None if pydantic did not count to the end
         limit = count_text(context[key], "entry", "entries")
         return f"must have at {most} {limit}, got {'more' if length is None else length}"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
@@ -298,7 +301,7 @@ def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str)
 
 
 def _no_member(context: Mapping[str, str], value: Any) -> str:
-    """The text for a value that has none of the types of a union."""
+    """The error text for a value that has none of the types of a union."""
     key = context["discriminator"].removesuffix("()")
     tags = re.findall("<(.*?)>", context.get("expected_tags", ""))
     if key == shape.__name__:
@@ -343,10 +346,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
     except RecursionError:
         raise InputError(f"{path}: not valid TOML: lists or tables are nested too deeply") from None
-    except ValueError as error:  # also raised for a whole number with too many digits
+    except ValueError as error:  # tomllib also raises ValueError for a whole number with too many digits
         raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
 
 
 def reason(error: Exception) -> str:
-    """The reason that an error gives why a file cannot be used, in one line."""
+    """The text of an error about a file, in one line: the reason why the file cannot be used."""
     return " ".join(printable(getattr(error, "strerror", None) or str(error)).split())

@@ -22,13 +22,12 @@ from petmjx.common.text import printable
 Kind = Literal["jax", "warp"]
 
 VARIABLES: Final[dict[Kind, str]] = {"jax": "JAX_COMPILATION_CACHE_DIR", "warp": "WARP_CACHE_PATH"}
-"""The environment variable that JAX or Warp itself defines for its folder. This variable takes precedence over
-``PETMJX_CACHE_DIR``."""
+"""The variables in which JAX and Warp themselves look for the folder of their compiled programs. These variables take
+precedence over ``PETMJX_CACHE_DIR``."""
 
 
 def wanted_folder(kind: Kind) -> Path:
-    """The folder for compiled programs, according to environment variables. It is not checked whether the folder is
-    writable.
+    """The folder for compiled programs, according to environment variables. The folder may be missing or read-only.
 
     Raises:
         RuntimeError: there is no home folder, and no variable names a folder.
@@ -40,7 +39,7 @@ def wanted_folder(kind: Kind) -> Path:
 
 
 def why_not_written(kind: Kind) -> str:
-    """The reason why programs cannot be stored in the wanted folder; "" if they can."""
+    """The reason why compiled programs cannot be stored in ``wanted_folder``; "" if they can."""
     try:
         folder = wanted_folder(kind)
     except RuntimeError as error:
@@ -50,7 +49,7 @@ def why_not_written(kind: Kind) -> str:
 
 
 def cache_folder(kind: Kind) -> Path:
-    """A writable folder for compiled programs: the wanted folder if it is writable, or else a temporary folder.
+    """A writable folder for compiled programs: ``wanted_folder`` if it is writable, otherwise a temporary folder.
 
     Raises:
         EngineUnavailable: no folder is writable.
@@ -66,7 +65,7 @@ def cache_folder(kind: Kind) -> Path:
 
 
 def why_no_folder(kind: Kind) -> str | None:
-    """The reason why no folder for compiled programs can be used; None if one can."""
+    """The reason why there is no writable folder for compiled programs; None if there is one."""
     try:
         cache_folder(kind)
     except EngineUnavailable as error:
@@ -92,7 +91,7 @@ def _why_unusable(folder: Path) -> str:
 
 @functools.cache
 def temporary_folder() -> Path:
-    """A temporary folder that only this user can write to. OSError is raised if it cannot be made.
+    """A temporary folder that only this user can write to. Raises OSError if the folder cannot be made.
 
     All processes of the user share this folder. If another user owns a folder of this name, this process makes a folder
     that is used by no other process.
@@ -101,7 +100,7 @@ def temporary_folder() -> Path:
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     status = folder.lstat()
-    # anyone who can write to this folder could make this user run foreign programs
+    # anyone who can write to this folder could make this user run other people's programs
     is_ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
     if is_ours and not _why_unusable(folder):
         return folder

@@ -34,7 +34,7 @@ LOOKED_AT_ARCHIVE: Final = 1 << 16
 
 def foreign_kind(data: bytes | bytearray) -> str | None:
     """An error text that names the format of a file, if the file's first bytes show that it is neither JSON nor CSV.
-    None if it may be JSON or CSV.
+    The result is None if the file may be JSON or CSV.
     """
     begin = bytes(data[:_SNIFFED_BYTES])
     if begin.startswith(b"PK\x03\x04"):

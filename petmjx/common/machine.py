@@ -26,8 +26,8 @@ PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pand
 _NAME_BYTES = 128
 
 _ATTRIBUTES = (75, 76, 97)
-"""Attributes of a device in CUDA's driver (``CUdevice_attribute``): compute capability, major and minor, and the
-largest shared memory of a block that opts in."""
+"""Numbers of attributes in CUDA's driver (``CUdevice_attribute``): the major and the minor compute capability, and the
+largest shared memory that a thread block can request."""
 
 _PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
 _STARTING_JAX = threading.Lock()
@@ -61,7 +61,7 @@ def cpu_name() -> str:
 
 @functools.cache
 def cuda_devices() -> tuple[str, ...]:
-    """Names of the CUDA devices according to the driver. This takes milliseconds and allocates no device memory."""
+    """Names of the CUDA devices according to the driver. The call takes milliseconds and allocates no device memory."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -82,7 +82,7 @@ def cuda_devices() -> tuple[str, ...]:
 @functools.cache
 def cuda_limits() -> tuple[int, int] | None:
     """Two numbers of the first CUDA device: its compute capability times ten, such as 90, and the largest shared memory
-    of a thread block, bytes. None if there is no device, or if the driver does not answer."""
+    of a thread block, bytes. The result is None if there is no device, or if the driver does not answer."""
     if not cuda_devices():
         return None
     driver, device = ctypes.CDLL("libcuda.so.1"), ctypes.c_int(0)
@@ -97,10 +97,10 @@ def cuda_limits() -> tuple[int, int] | None:
 
 
 def jax_devices(platform: str | None = None) -> list[Any]:
-    """JAX's devices. JAX is started so that device memory remains for Warp.
+    """JAX's devices. JAX is started in a way that leaves device memory for Warp.
 
     When JAX first searches for its devices, XLA reserves three quarters of a GPU's memory unless an environment
-    variable forbids it. This variable is set only while the devices are listed. If the user has set it, its value
+    variable forbids it. petmjx sets this variable only while JAX lists the devices. A value that the user has set
     stays.
 
     Args:
@@ -156,10 +156,10 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp_at_once() -> str | None:
-    """The reason why the engine mjx-warp cannot run on this machine, as far as it can be found without JAX, whose
-    import takes seconds.
+    """The reason why the engine mjx-warp cannot run on this machine, as far as it can be told without JAX. Importing
+    JAX takes seconds.
 
-    None if no reason was found.
+    The result is None if no reason was found.
     """
     if not cuda_devices():
         return "no CUDA device (or no driver) on this machine"

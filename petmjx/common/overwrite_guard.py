@@ -61,8 +61,8 @@ def _check_folder(folder: Path) -> None:
 
 
 def _check_way(file: Path, folder: Path) -> None:
-    """Check the folders between the named folder and the file. These folders are petmjx's own, so none may be a link or
-    a file."""
+    """Check the folders between the named folder and the file. petmjx makes these folders itself, so none of them may
+    be a link or a file."""
     between = [parent for parent in file.parents if parent != folder and parent.is_relative_to(folder)]
     for parent in reversed(between):
         with _path_errors(parent):
@@ -111,7 +111,7 @@ def _is_read(file: Path, source: Path) -> bool:
 
 @contextmanager
 def _path_errors(path: Path) -> Iterator[None]:
-    """Turn system errors of the body, which examines a path, into an InputError that names the path."""
+    """Context in which a path is examined: a system error becomes an InputError that names the path."""
     try:
         yield
     # for example, if the name contains a NUL, or if links form a circle

@@ -17,8 +17,8 @@ processes would take longer."""
 
 _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
-"""Number of chunks of tasks that are submitted per process but whose results have not been taken. This number limits
-the memory."""
+"""Largest number of chunks of tasks, per process, that are computed in advance. The number is limited because the
+results wait in memory until the caller takes them."""
 
 _NICE: Final = 5
 """Niceness (lower priority) that ``UnorderedResults`` adds to its processes. The process that receives the results
@@ -41,7 +41,7 @@ def ordered_results(
 
     Args:
         function: a function defined in a module (or ``functools.partial`` of one), since other processes import it.
-        tasks: the arguments of the calls. They are iterated in this process, only as far ahead as necessary.
+        tasks: the arguments of the calls. This process iterates over the tasks, only as far ahead as necessary.
         workers: number of processes. If 1, only this process is used. Scripts that use several processes need ``if
             __name__ == "__main__":``.
         alone: if there are fewer tasks than this, all tasks run in this process. The default is ``ALONE``.
@@ -71,11 +71,11 @@ def _task_results(function: Callable[[Task], Result], tasks: list[Task]) -> list
 
 
 class UnorderedResults(Generic[Task, Result]):
-    """The results of ``function`` for all tasks, in the order in which the results become ready. Objects of this class
-    are used in a ``with`` block.
+    """Calls ``function`` for all tasks, and returns results in the order in which they become ready (``take``). Use
+    objects of this class in a ``with`` block.
 
     Args:
-        function, tasks: as for ``ordered_results``.
+        function, tasks: arguments of ``ordered_results``, which explains them.
         workers: number of processes. If 1, only this process is used, and it runs a task when ``take`` waits for a
             result.
     """
@@ -89,7 +89,7 @@ class UnorderedResults(Generic[Task, Result]):
 
     @property
     def ended(self) -> bool:
-        """Whether all results are known to have been taken."""
+        """Whether no task is left to start, and the caller has taken all results."""
         return self._all_begun and not self._numbers
 
     @property

@@ -22,10 +22,10 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
     """Yield the items of generators, while threads make further items in advance. The items of one generator keep their
     order. The items of different generators are mixed, in the order in which they are made.
 
-    The threads start when the first item is requested. They make items until ``most`` items wait in the queue, and then
-    each thread makes one more. An error of a generator is raised after all items that were made before the error. If
-    the generator that this function returns is closed, each source is closed in its thread as soon as it has made its
-    current item, and closing returns when all threads have ended.
+    The threads start when the first item is requested. All threads make items until ``most`` items wait in the queue,
+    and then each thread makes one more. An error of a generator is raised after all items that were made before the
+    error. The caller may close the returned generator early. Each source is then closed in its thread, after its
+    current item, and ``close`` returns when all threads have ended.
 
     Args:
         most: number of items that may wait before the threads pause.
@@ -64,7 +64,7 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
         for thread in started:
             thread.join()
 
-    atexit.register(end)  # otherwise a thread inside JAX would abort the process when Python ends
+    atexit.register(end)  # a thread that runs JAX when Python ends would abort the process
     n_running = len(threads)
     try:
         for thread in threads:
@@ -91,7 +91,7 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
 
 
 def _wait_for(ended: Sequence[threading.Event]) -> None:
-    """Wait until all threads have ended, however often the wait is interrupted.
+    """Wait until all threads have ended, even if Ctrl-C interrupts the wait several times.
 
     Before the threads have ended, no other code may use the objects of the threads. ``Thread.join`` does not ensure
     this: if it is interrupted, it regards the thread as ended.

@@ -21,8 +21,7 @@ _is_command = False
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
     """A pool of newly started processes. Forked processes would hang if a thread of this process held a lock.
 
-    If this process is killed, the processes of the pool end as well (see ``_begin``), instead of waiting for tasks for
-    ever.
+    If this process is killed, the processes of the pool end (``_begin``) instead of waiting for tasks for ever.
 
     Args:
         gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even if it does not use
@@ -34,8 +33,8 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
 
 
 def stop(pool: ProcessPoolExecutor) -> None:
-    """End a pool's processes immediately, without waiting for running tasks as ``shutdown`` does. Nobody may be waiting
-    for results of these tasks."""
+    """End a pool's processes immediately, without waiting for running tasks as ``shutdown`` does. No thread may still
+    wait for the results of these tasks, which never arrive."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
 
@@ -62,8 +61,8 @@ boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with
 CPU of a machine with an H200 GPU."""
 
 _FEW: Final = 2
-"""If there are at most this many pieces, the calling thread processes them alone, because it finishes before other
-threads could start."""
+"""Largest number of pieces that the calling thread processes alone, because it ends before other threads could
+start."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -90,7 +89,8 @@ STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def defer_signals(afterwards: bool) -> Iterator[None]:
     """While the body runs, hold back the signals ``STOPPING`` for which a Python function is the handler.
 
-    Outside the main thread, nothing is done, because signal handlers interrupt only the main thread.
+    In other threads than the main thread, this context does nothing, because signal handlers interrupt only the main
+    thread.
 
     Args:
         afterwards: whether a signal that arrived while the body ran is delivered after the body. If not, the signal is
@@ -130,19 +130,20 @@ def claim_process() -> None:
 
 
 def is_command() -> bool:
-    """Whether this process runs nothing but the command ``petmjx``. Then no other code depends on modules and settings
-    that the whole process shares."""
+    """Whether this process runs nothing but the command ``petmjx``. If so, petmjx may change modules and settings that
+    the whole process shares."""
     return _is_command
 
 
 def collect_rarely() -> None:
-    """Make garbage collections rare. This is only for processes that petmjx started, not for a user's process."""
+    """Make garbage collections rare. Call this function only in processes that petmjx started, not in a user's
+    process."""
     gc.set_threshold(*EVERY)
 
 
 @contextlib.contextmanager
 def no_collection() -> Iterator[None]:
-    """Collect no garbage while the body runs. This is for code that makes very many objects without cycles, because the
+    """Collect no garbage while the body runs. Useful for code that makes very many objects without cycles: the
     collector would scan these objects again and again."""
     enabled = gc.isenabled()
     gc.disable()

@@ -13,8 +13,8 @@ _ESCAPES: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 def printable(text: str) -> str:
     """Make text fit into one line: characters that are not visible are escaped ("\\u001b").
 
-    This applies to control characters (including ESC and C1 of terminals), line breaks, marks that change the direction
-    of writing, and broken UTF-8. All text from files passes through this function before it is printed.
+    The function escapes control characters (including ESC and C1 of terminals), line breaks, marks that change the
+    direction of writing, and broken UTF-8. All text from files passes through this function before it is printed.
     """
     if text.isprintable():
         return text

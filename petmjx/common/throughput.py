@@ -10,8 +10,8 @@ from collections.abc import Callable
 from petmjx.common.text import count_text, three_digits, time_left
 
 MARK_S = 0.1
-"""Smallest time between two marks (stored points in time), s. It limits the number of marks, even for a million
-worlds."""
+"""Smallest time between two entries of ``Throughput._marks``, s. This time limits the number of entries, even for a
+million worlds."""
 
 
 class Throughput:
@@ -29,14 +29,14 @@ class Throughput:
         self._done, self._work = 0, 0.0
         self._begin = clock()
         self._marks = deque([(0.0, self._begin)])
-        """Pairs: an amount of work, in worlds, and the time at which it was first reached, s. The time window of
-        ``left`` begins at the oldest pair."""
+        """Pairs: an amount of finished work, in worlds, and the time at which this amount was reached, s. ``left``
+        computes the rate of work from the time since the oldest pair."""
 
     def update(self, done: int, share: float | None = None) -> None:
         """Set the number of finished worlds.
 
         Args:
-            share: share of the work that is done, 0 to 1. If None, it is the share of worlds that are finished.
+            share: finished share of the whole work, 0 to 1. If None, all worlds count as equal work.
         """
         work = float(done) if share is None or self._total is None else share * self._total
         if (done, work) == (self._done, self._work):
@@ -71,8 +71,8 @@ class Throughput:
         """The time that the remaining worlds will take, as text: "1 min 20 s left". The text is empty at the end, and
         if the time is unknown.
 
-        If the work of n worlds remains, the estimate is the time in which the last n worlds' work was done. The rate of
-        the whole run would be misleading near the end, when few worlds are left and these take long.
+        If n worlds remain, the estimate is the time that the last n finished worlds took. The rate of the whole run
+        would be misleading near the end, when few worlds are left and these take long.
         """
         if not self._work or self._total is None or self._done >= self._total:
             return ""

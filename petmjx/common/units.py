@@ -60,11 +60,11 @@ def mm_to_m(value_mm: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def round_to_micrometre(value_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round lengths in metres to whole micrometres, with halves rounded up, as the reference implementation
-    (PET-Physics) does when it writes its models.
+    """Round lengths in metres to whole micrometres; halves are rounded up. The reference implementation (PET-Physics)
+    rounds in the same way when it writes its models.
 
-    The value in micrometres is first rounded to a thousandth. Thus 0.1234565 m is rounded up, as expected of a half,
-    although its float64 value is slightly smaller.
+    The value in micrometres is first rounded to a thousandth. So 0.1234565 m is rounded up as a half, although its
+    float64 value is slightly below the half.
     """
     micrometres: NDArray[Any] = np.round(value_m * MICROMETRES_PER_M, 3)
     return np.floor(micrometres + 0.5) / MICROMETRES_PER_M

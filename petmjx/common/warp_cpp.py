@@ -15,7 +15,8 @@ def with_cpp(
 
     Args:
         text: the C++ code.
-        threads: number of threads per block. It must be known if the module is loaded before its first launch.
+        threads: number of threads per block. This number is needed if the module is loaded before the kernel is first
+            launched.
         fuse_fp: whether the compiler may fuse a multiplication with an addition, so that the result is rounded once
             instead of twice.
         options: further arguments of ``warp.kernel``.

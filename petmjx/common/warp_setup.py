@@ -17,8 +17,8 @@ from petmjx.common.machine import cuda_devices
 
 
 def set_up_warp() -> None:
-    """Set the folder of Warp's kernel cache to one beside JAX's cache, stop Warp from printing, and keep Warp's tiles
-    (arrays shared by the threads of a block) off the stack.
+    """Choose a folder beside JAX's cache for the kernels that Warp compiles, stop Warp from printing, and keep Warp's
+    tiles (arrays shared by the threads of a block) off the stack.
 
     A setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.) If tiles were
     on the stack, all threads of an x86 CPU would share one pointer to the tiles, and launches from several threads

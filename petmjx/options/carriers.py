@@ -89,8 +89,8 @@ MOST_BOARDS: Final = 64
 ``mjx-jax`` compiles code for each pair."""
 
 TOUCH_MM: Final = 0.5
-"""Gaps and overlaps between boards up to this size count as touching, mm. The value is the rounding error of whole
-millimetres, as for boxes (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
+"""Largest gap or overlap between two boards that touch, mm. It is the rounding error of lengths in whole millimetres;
+boxes have the same tolerance (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
 
 _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
 """Smallest and largest length of a carrier's longer side, and largest height of a carrier, mm. Real examples: the
@@ -100,19 +100,19 @@ _THINNEST_MM: Final = 0.001
 """Smallest extent of a board, mm. Even if a user gives the extents in metres by mistake, the numbers are above this
 limit. So the check of single boards passes, and the check of the whole carrier can suggest the right unit."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
-"""Smallest and largest mass of a carrier. A carrier of cardboard has 2 kg. A carrier with a thousandth of its load's
-mass would sink deeply into its soft contacts."""
+"""Smallest and largest mass of a carrier, kg. A carrier of cardboard has 2 kg. If a carrier had a thousandth of its
+load's mass, the load would sink deeply into it."""
 _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
-"""Smallest and largest density of a board. Foam has 15 kg/m³, wood 400 to 800 kg/m³, steel 7,850 kg/m³ and lead 11,340
-kg/m³."""
+"""Smallest and largest density of a board, kg/m³. Foam has 15 kg/m³, wood 400 to 800 kg/m³, steel 7,850 kg/m³ and lead
+11,340 kg/m³."""
 _LEVEL_MM: Final = 10.0
-"""The top of a carrier must be level. If no other board lies on a board, and its upper face is less than this length
-below the carrier's highest point, the board is part of the top."""
+"""Length below the carrier's highest point, mm. A board whose upper face is within this length belongs to the carrier's
+top, unless another board lies on it. All boards of the top must end at the same height."""
 _ROUNDING_MM: Final = 1e-6
 _UNITS: Final = ((1000.0, "metres"), (25.4, "inches"), (10.0, "centimetres"))
 _USUAL_MM: Final = (300.0, 2500.0)
-"""Usual range of the longer side of a carrier, mm. An error message suggests a unit if the side would be in this range
-with that unit."""
+"""Usual range of the longer side of a carrier, mm. If the side is too short in mm, but is in this range in another
+unit, an error message suggests that unit."""
 
 Place = Annotated[StrictFloat, Field(ge=0, le=_LONGEST_MM)]
 Length = Annotated[StrictFloat, Field(ge=_THINNEST_MM, le=_LONGEST_MM)]
@@ -125,7 +125,7 @@ Name = Annotated[str, Field(max_length=_MOST_NAME)]
 
 
 class Board(CheckedRecord):
-    """A board, block, stringer or bar of a carrier. Its shape is a cuboid."""
+    """A cuboid that is part of a carrier: a board, block, stringer or bar."""
 
     name: Name = Field("", description="name of the board in messages")
     corner_mm: tuple[Place, Place, Place] = Field(

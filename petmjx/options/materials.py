@@ -60,8 +60,8 @@ _ON_FLOORS: Final = {
     ("steel", TRAILER_FLOOR): 0.3,
     ("plastic", TRAILER_FLOOR): 0.2,
 }
-"""Coefficients of static friction of other materials on the wooden floor of a trailer. They are the values for wood
-from ``_CTU``."""
+"""Coefficients of static friction of other materials on the wooden floor of a trailer: the values for wood from
+``_CTU``."""
 
 FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     **_CTU,
@@ -91,7 +91,7 @@ Name = Annotated[str, Field(min_length=1, max_length=100)]
 
 
 class FrictionPair(CheckedRecord):
-    """The coefficient of sliding friction between two materials. Both may be the same material."""
+    """The coefficient of sliding friction between two materials, which may be the same material."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(description="coefficient of sliding friction")
@@ -115,7 +115,7 @@ class FrictionPair(CheckedRecord):
 
 
 class LandingPair(CheckedRecord):
-    """How a box of one material bounces and stops when it lands on another material. Both may be the same material."""
+    """How a box of one material bounces and stops when it lands on another material, or on the same material."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(
@@ -128,7 +128,7 @@ class LandingPair(CheckedRecord):
 
     @property
     def key(self) -> tuple[str, str]:
-        """The same as ``FrictionPair.key``."""
+        """The two materials in the form of ``FrictionPair.key``: in alphabetical order and in lower case."""
         return _pair(*self.between)
 
 
@@ -166,7 +166,7 @@ def kinetic_share_between(one: str, other: str, user_pairs: Sequence[FrictionPai
     in ``petmjx.Physics`` is used.
 
     Args:
-        user_pairs: as for ``friction_between``.
+        user_pairs: pairs that the user gives, as in ``friction_between``.
     """
     pair = _pair(one, other)
     user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)

@@ -13,7 +13,7 @@ from petmjx.common.checked_records import CheckedRecord, shown_value, within
 
 SHORTEST_TIMESTEP_S: Final = 0.0001
 HIGHEST_FRICTION: Final = 100.0
-"""Largest allowed coefficient of friction. A larger value is probably a mistake."""
+"""Largest allowed coefficient of friction. A larger coefficient is probably a mistake."""
 
 HIGHEST_RESTITUTION: Final = 0.9
 """Largest allowed restitution (speed after a bounce as a share of the speed before). Cardboard has 0.1 to 0.3, and up
@@ -22,8 +22,8 @@ to 0.6 in single tosses."""
 LANDING_S: Final = 0.003
 """Time in which the preset ``pallet`` stops a landing box, s. With this value, a box that falls 10 mm penetrates its
 support by less than 1 mm, and a box that falls 300 mm by less than 9 mm. The time is one and a half steps of 2 ms,
-which is sufficient for an accurate landing. It is an assumption, because no measured stiffness of landing cartons is
-known."""
+which is sufficient for an accurate landing. The value is an assumption, because no measurements of the stiffness of
+landing cartons are known."""
 
 SHORTEST_LANDING_S: Final = 0.0002
 LONGEST_LANDING_S: Final = 0.02
@@ -147,21 +147,22 @@ class Physics(CheckedRecord):
     def carrier_skin_m(self) -> float:
         """Distance by which the carrier is enlarged for collision detection, m.
 
-        The carrier is enlarged by more than boxes are. So if a box stands flush with the carrier's edge, the box's face
-        is inside the enlarged carrier, and collision detection finds contacts at the box's corners
+        The carrier is enlarged by twice as much as boxes. So if a box stands flush with the carrier's edge, the box's
+        face is inside the enlarged carrier, and collision detection finds contacts at the box's corners
         (docs/validation.md).
         """
         return 2 * self.skin_m
 
     @property
     def has_landings(self) -> bool:
-        """Whether landing boxes have a contact law of their own (petmjx/world/contact_laws.py). This is possible only
-        with elliptic friction cones."""
+        """Whether boxes that land have another contact law than boxes at rest (petmjx/world/contact_laws.py). Such a
+        law needs elliptic friction cones."""
         return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
     def has_own_friction(self) -> bool:
-        """Whether friction has a time constant of its own. This is possible only with elliptic friction cones."""
+        """Whether friction has another time constant than the normal force of a contact. A separate time constant needs
+        elliptic friction cones."""
         return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
 
     @computed_field(description="name of the preset that has these values, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
@@ -204,5 +205,6 @@ PHYSICS["reference"] = Physics(
 )
 """The presets, by name. ``reference`` has the values of the reference implementation (PET-Physics). With ``pallet``,
 pallets come to rest (docs/validation.md). For this purpose, ``pallet`` has elliptic friction cones, an impedance that
-rises from 0.1 to 0.999 within 0.1 mm, and friction that yields 250 times less than with MuJoCo's defaults. ``pallet``
-also has the friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
+rises from 0.1 to 0.999 within 0.1 mm, and stiff friction: a box that a sideways force pushes, but that friction holds,
+slips 250 times more slowly than with MuJoCo's defaults. ``pallet`` also has the friction of cardboard on a wooden
+pallet (CTU Code, Annex 7, Appendix 2)."""

@@ -26,7 +26,7 @@ MOST_WORKERS: Final = 4096
 
 ALL: Final = "all"
 FAILED: Final = "failed"
-"""Values of the option ``RunOptions.record``: record all plans, or only plans that fail."""
+"""Two values of the option ``RunOptions.record``: all plans are recorded, or only plans that fail."""
 
 WORLDS: Final = "worlds"
 """A value of the option ``RunOptions.keep``: keep only the tables with one row per world (one simulation of one plan),
@@ -48,7 +48,8 @@ def _share(text: str | None) -> str | None:
 
 
 def _workers(value: Any) -> Any:
-    """Validator of the option ``workers``: a whole number ≥ 1, or ``auto``. The command line passes both as text."""
+    """Validator of the option ``workers``: a whole number ≥ 1, or ``auto``. The command line passes the number and
+    ``auto`` as text."""
     number = int(value) if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value) else value
     if number is None or (isinstance(number, str) and number == AUTO):
         return number
@@ -104,7 +105,8 @@ File = Annotated[Path, BeforeValidator(_is_path)]
 """The type of options whose value is a path."""
 
 Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
-"""The point of a box that a plan's coordinates describe. ``far-corner`` has the largest x, y and z."""
+"""The point of a box to which the coordinates in a plan refer. ``far-corner`` is the corner with the largest x, y and
+z."""
 
 
 READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
@@ -117,8 +119,8 @@ _OR_BY_FILE: Final = "found out in files of other tools"
 
 
 class Confidence(CheckedRecord):
-    """Whether a score also reports how certain its verdicts are, and with which random errors of placements and boxes
-    this is computed."""
+    """Whether a score also reports how certain its verdicts are. To find this out, it simulates plans with random
+    errors of placements and boxes."""
 
     confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
         None,
@@ -324,8 +326,8 @@ class RunOptions(CheckedRecord):
         return AUTO if self.workers is None and self.ray is not None else self.workers
 
     def takes(self, plan_id: str) -> bool:
-        """Whether a plan belongs to this run's shard (its share of the plans). The shard of a plan depends only on the
-        plan's id, so all simulations of a plan are in the same shard."""
+        """Whether a plan belongs to this run's shard (the share of the plans that this run simulates). The shard of a
+        plan depends only on the plan's id, so all simulations of a plan are in the same shard."""
         if self.shard is None:
             return True
         share, shares = (int(number) for number in self.shard.split("/"))
@@ -334,7 +336,7 @@ class RunOptions(CheckedRecord):
 
 
 def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tuple[dict[str, Any], ...]:
-    """Sort options by the record to which they belong. Returns a dict for ``Simulation``, a dict for ``RunOptions``,
+    """Split options by the record to which they belong. Returns a dict for ``Simulation``, a dict for ``RunOptions``,
     and a dict for each record in ``more``.
 
     Raises:

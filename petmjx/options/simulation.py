@@ -21,12 +21,12 @@ from petmjx.options.placing import Placing, Way
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
-# Limits of options. A value beyond such a limit probably has the wrong unit or a digit too many. It would lead to
-# infinite numbers, to a run that does not end, or to tables that are too long to be useful.
+# Limits of options. A value above its limit probably has the wrong unit or a digit too many. With such a value, numbers
+# would become infinite, a run would not end, or tables would be too long to be useful.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Largest value of all other times, s. With this limit, the number of steps of a simulation fits into 32 bits, even
-with the shortest timestep and 512 boxes."""
+"""Largest value of options that are times, s. ``LONGEST_INTERVAL_S`` limits ``interval_s`` and ``longest_wait_s``. With
+this limit, the number of steps of a simulation fits into 32 bits, even with the shortest timestep and 512 boxes."""
 MOST_STEPS: Final = 100_000
 
 SOFT_START_STEPS: Final = 100
@@ -101,8 +101,8 @@ class Quiet(CheckedRecord):
 
     With elliptic friction cones, there are two more conditions. First, each box must be slow or have slowed down.
     Second, no moving box may have become faster, because a box that begins to topple becomes faster. A box that
-    violates one of these conditions is said to creep, and the next box is delayed. When a creeping box has dropped or
-    tilted too far, the outcome is known, so there is no more waiting for this box.
+    violates one of these conditions is said to creep, and the next box is delayed. A creeping box no longer delays the
+    next box once it has dropped or tilted too far, because the outcome is then known.
 
     A box that moves back and forth without net motion is said to tremble. Trembling boxes do not delay the next box
     either.
@@ -144,7 +144,7 @@ class Quiet(CheckedRecord):
 
     @property
     def tremble_looks(self) -> int:
-        """``tremble_steps`` converted to a number of checks, rounded up."""
+        """Number of checks whether the pallet is quiet within ``tremble_steps`` steps, rounded up."""
         return -(-self.tremble_steps // self.poll_steps)
 
 
@@ -257,7 +257,7 @@ class Simulation(CheckedRecord):
     @field_validator("schedule", mode="before")
     @classmethod
     def _no_brisk(cls, value: Any) -> Any:
-        if value == "brisk":  # a schedule of petmjx 0.1
+        if value == "brisk":  # petmjx 0.1 had this schedule
             raise ValueError(
                 "must be 'fixed' or 'adaptive': 'brisk' was removed, since adaptive now takes as few steps"
             )
@@ -305,7 +305,7 @@ class Simulation(CheckedRecord):
             )
         if self.placing.carries and self.schedule is Schedule.FIXED:
             raise complaint(
-                f"{way} needs schedule adaptive: a fixed one does not wait until a box is let go", "placing"
+                f"{way} needs schedule adaptive: the fixed schedule does not wait until a box is let go", "placing"
             )
         return self
 

@@ -33,8 +33,8 @@ class Stacking(CheckedRecord):
     McKee's formula and tests in a press give the strength of a box between two flat plates. On a pallet, the loads on a
     box's walls depend on the boxes above and below.
 
-    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. No source states how much
-    parts of walls bear that have nothing below them. Such parts are assumed to bear nothing.
+    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. If nothing is below a part of
+    a wall, this part is assumed to bear no load. No source states how much load it bears.
     """
 
     interlocked_loss: Annotated[float, within(0, 1)] = Field(
@@ -64,7 +64,7 @@ class Stacking(CheckedRecord):
     )
 
     def with_losses(self, factor: float) -> Self:
-        """The same options, with each loss by stacking multiplied by a factor and limited to 1."""
+        """The options with each loss by stacking multiplied by ``factor``, but at most 1."""
         names = ("interlocked_loss", "overhang_loss", "gap_loss", "soft_deck_loss")
         return self.changed(**{name: min(factor * getattr(self, name), 1.0) for name in names})
 

@@ -37,7 +37,7 @@ class Side(StrEnum):
 class Walls(CheckedRecord):
     """The walls around a carrier's top. A ``Walls`` can be made from a list of sides, or from a mapping.
 
-    A wall is a rigid upright plate along a whole side. It is part of the carrier's body. If a field is None, the
+    A wall is a rigid upright plate along a whole side, and part of the carrier's body. If a field is None, the
     carrier's own value is used (``petmjx.options.carriers.walls_of``), or else the value from ``USUAL``.
     """
 
@@ -94,7 +94,7 @@ class Walls(CheckedRecord):
         return None if value is None else tuple(side for side in Side if side in value)
 
     def or_of(self, other: Walls) -> Self:
-        """These walls, but with the values from ``other`` for fields that are None here."""
+        """A copy of these walls, in which each field that is not set has the value from ``other``."""
         missing = [name for name in type(self).model_fields if getattr(self, name) is None]
         return self.model_copy(
             update={name: getattr(other, name) for name in missing} | {"open": self.open or other.open}
@@ -115,8 +115,8 @@ class Walls(CheckedRecord):
     def room_fault(self, extent_mm: Sequence[float]) -> str | None:
         """The error text if the walls leave no room for boxes on a carrier's top; None if there is room.
 
-        A negative gap between walls and the carrier's sides narrows the room. The length of a wall is that of its side
-        plus two gaps, even if the adjacent sides have no walls.
+        A negative gap between walls and the carrier's sides narrows the room. The length of a wall is the length of the
+        carrier's side plus two gaps, even if the adjacent sides have no walls.
 
         Args:
             extent_mm: extents of the carrier's top along x and y, mm.
@@ -132,6 +132,6 @@ class Walls(CheckedRecord):
 USUAL: Final = Walls(
     sides=(), height_mm=1500.0, gap_mm=0.0, thickness_mm=30.0, mass_kg_m2=6.0, friction=None, material="wood"
 )
-"""The values that are used if neither the user nor the carrier sets them. The mass per area is an assumption. It is
-derived from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and walls
-of about 3 m²."""
+"""The values that are used if neither the user nor the carrier sets them. The mass per area is an assumption, derived
+from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and walls of
+about 3 m²."""

@@ -24,7 +24,7 @@ _LONGEST_HEADER: Final = 1 << 20
 
 
 def documented_table(frame: pd.DataFrame, name: str, described: Described) -> pa.Table:
-    """A data frame as an Arrow table, with the unit and the description of every column in its metadata.
+    """A data frame as an Arrow table whose metadata have the unit and the description of every column.
 
     Raises:
         KeyError: a column has no description.
@@ -66,8 +66,8 @@ def check_tables_free(
     inputs: Iterable[Path] = (),
     others: Mapping[str, IsOurs] | None = None,
 ) -> None:
-    """Check that :func:`write_documented_tables` would replace only files that it may replace. Call this function
-    before the tables are computed, which can take minutes.
+    """Check that :func:`write_documented_tables` may replace all existing files that it would replace. Call this
+    function before the tables are computed, which can take minutes.
 
     Args:
         tables: names of the tables.

@@ -1,8 +1,9 @@
 """A lock that lets only one run at a time write into a folder. The lock ends with the process that holds it, even if
 the process is killed.
 
-The package ``filelock`` is no alternative, for three reasons. It accepts any file with the name of the lock as a lock.
-It does not tell which process holds the lock. On file systems without locks, it leaves its file behind after a kill.
+The package ``filelock`` is no alternative, for three reasons. It uses any file with the name of the lock as a lock,
+even a file of the user. It does not tell which process holds the lock. On file systems without locks, it leaves its
+file behind after a kill.
 """
 
 from __future__ import annotations
@@ -70,8 +71,8 @@ def _lock_descriptor(folder: Path) -> int:
 
 
 def _check_ours(descriptor: int, folder: Path) -> None:
-    """Raise InputError if the file contains anything but a process number. The lock file is overwritten and later
-    deleted, so it must not be a file of the user."""
+    """Raise InputError if the lock file contains anything but the number of a process: such a file may belong to the
+    user, but petmjx overwrites and later deletes its lock file."""
     if not stat.S_ISREG(os.fstat(descriptor).st_mode) or not _OURS.fullmatch(os.pread(descriptor, 32, 0)):
         raise _not_ours(folder)
 
@@ -84,7 +85,7 @@ def _not_ours(folder: Path) -> InputError:
 
 
 def _take(descriptor: int, folder: Path) -> bool:
-    """Lock the file. If the process that held the lock before has deleted the file, lock the new file in the folder."""
+    """Lock the lock file. If another process deleted this file in the meantime, make and lock a new file."""
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -31,14 +31,14 @@ _KEY = ("plan_id", "variant")
 
 @dataclass(frozen=True)
 class Recording:
-    """Which worlds a run records, and which histories it keeps.
+    """Which worlds (simulations of one plan each) a run records, and which of the recorded histories it keeps.
 
     Whether a world fails is known only when it ends. So with ``failed_only``, all worlds are recorded, and the history
-    of a stable world is deleted when the world ends. No world is simulated twice, and the histories in memory are only
-    those of worlds that are still being simulated.
+    of a stable world is deleted when the world ends. Thus no world needs a second simulation for its recording, and the
+    histories of stable worlds do not fill the memory.
 
     Attributes:
-        record: settings of the recording, for the engine. If None, nothing is recorded.
+        record: how the engine records: time between two frames, and level of detail. If None, nothing is recorded.
         plan_ids: ids of the plans whose worlds are recorded. If None, the worlds of all plans are recorded.
         failed_only: whether to keep only the histories of worlds that are not stable.
     """
@@ -52,7 +52,7 @@ class Recording:
         return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
 
     def kept(self, outcome: Outcome) -> Outcome:
-        """The outcome, without its history if the run does not keep it."""
+        """The outcome. Its history is left out if the run does not keep this history."""
         if outcome.history is None or not self.failed_only or outcome.verdict is not Verdict.STABLE:
             return outcome
         return replace(outcome, history=None)
@@ -77,7 +77,7 @@ NO_RECORDING = Recording()
 
 
 def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Recording:
-    """Make the ``Recording`` of a run of these plans, from its options.
+    """Make the ``Recording`` of a run from the run's options.
 
     Args:
         engine: name of the engine of the run.
@@ -116,7 +116,8 @@ _WXYZ: Final = "wxyz"
 
 @dataclass(frozen=True, eq=False)
 class RecordedWorld:
-    """A recorded world with its history. ``rank`` is the position of the world in the order of the run."""
+    """A recorded world (simulation of a plan) with its history. ``rank`` is the position of the world in the order of
+    the run."""
 
     plan_id: str
     variant: int
@@ -135,8 +136,8 @@ Columns = Mapping[str, Any]
 
 
 def history_columns(worlds: Sequence[RecordedWorld]) -> Columns:
-    """Columns of the table ``histories``. It has one row per frame and placed box, sorted by frame, then by packing
-    order."""
+    """Columns of the table ``histories``: one row per frame and placed box of each recorded world, sorted by world,
+    frame and packing order."""
     parts = []
     for world in worlds:
         history = world.history
@@ -191,7 +192,7 @@ TABLES: Final[Mapping[str, Callable[[Sequence[RecordedWorld]], Columns]]] = {
 
 
 def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> History | None:
-    """Read the history of a world. None if the world was not recorded.
+    """Read the history of a world. The result is None if the world was not recorded.
 
     Args:
         n_boxes: number of boxes of the plan.
@@ -238,12 +239,14 @@ def _components(name: str, values: FloatArray, parts: str, end: str = "") -> dic
 
 
 def _vector(columns: Mapping[str, FloatArray], name: str, parts: str, end: str = "") -> FloatArray:
-    """Join the columns of a vector into an array of shape (rows, components). The inverse of ``_components``."""
+    """Join the columns of a vector into an array of shape (rows, components). This is the inverse of
+    ``_components``."""
     return np.stack([columns[f"{name}_{part}{end}"] for part in parts], axis=1)
 
 
 def _or_null(values: FloatArray | None, indices: tuple[NDArray[np.intp], NDArray[np.intp]], width: int) -> FloatArray:
-    """(rows, width) the values of the boxes at ``indices``. NaN if the values were not recorded."""
+    """(rows, width) one row of ``width`` components for each pair (frame, box) in ``indices``; NaN if ``values`` is
+    None."""
     if values is None:
         return np.full((len(indices[0]), width), np.nan)
     return values[indices].reshape(-1, width)
@@ -254,7 +257,8 @@ def _key(history: History, frame: NDArray[np.integer]) -> dict[str, Any]:
 
 
 def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) -> Columns:
-    """The columns of all worlds, one world after another, and the columns that identify the world of each row."""
+    """The columns of several worlds, one world after another, with additional columns that identify the world of each
+    row."""
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
     rows = np.repeat(np.arange(len(worlds)), [len(part["frame"]) for part in parts])
     columns["plan_id"] = pa.array([world.plan_id for world in worlds], pa.string()).take(pa.array(rows))
@@ -264,7 +268,8 @@ def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) 
 
 
 def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """The columns of the rows of one world, with NaN for null. None if the world has no rows."""
+    """Column → values, for the rows of one world in a table. Null becomes NaN. The result is None if the world has no
+    rows."""
     rows = rows_of(run, table, plan_id, variant)
     if rows is None:
         return None
@@ -273,7 +278,7 @@ def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, 
 
 
 def _fits(boxes: Mapping[str, Any], f: int, n_boxes: int) -> bool:
-    """Whether the frame and the box of every row exist."""
+    """Whether every row has the number of an existing frame and of an existing box."""
     frame, box = boxes["frame"], boxes["box"]
     return bool(((frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)).all())
 

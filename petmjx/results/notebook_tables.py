@@ -58,7 +58,7 @@ def worlds_as_html(title: str, worlds: pd.DataFrame) -> str:
 
 
 def block_as_html(lines: Sequence[str], tables: Sequence[str]) -> str:
-    """HTML with lines of text, of which the first is set as code, and with tables from :func:`table_as_html`."""
+    """HTML with lines of text, followed by tables from :func:`table_as_html`. The first line is set as code."""
     first, *other_lines = map(html.escape, lines)
     texts = "".join(f"<p>{line}</p>" for line in other_lines)
     return f"<div><p><code>{first}</code></p>{texts}{''.join(tables)}</div>"

@@ -29,7 +29,7 @@ def counts_block(check: OrderCheck) -> dict[str, Any]:
 
 
 def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
-    """Read the comparison of a run's plans with their orders. None if the run was not compared with orders.
+    """Read the comparison of a run's plans with their orders; None if the run was not compared with orders.
 
     Raises:
         InputError: the table ``plans`` of the run is damaged.
@@ -66,7 +66,7 @@ def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
     counts = {
         field.name: _sum([getattr(check.counts, field.name) for check in checks]) for field in fields(OrderCounts)
     }
-    # unusable orders belong to no single shard: each shard lists all of them
+    # each shard lists all unusable orders, so the list of the first shard is enough
     counts["unusable_orders"] = checks[0].counts.unusable_orders
     return replace(
         checks[0],
@@ -77,6 +77,6 @@ def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
 
 
 def _sum(values: Sequence[int | None]) -> Any:
-    """The sum of the values. None if one of the values is unknown (None)."""
+    """The sum of the values; None if a value is unknown (None)."""
     values_with_number = [value for value in values if value is not None]
     return sum(values_with_number) if len(values_with_number) == len(values) else None

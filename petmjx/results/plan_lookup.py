@@ -1,6 +1,6 @@
 """Finds the plans of a run again, in the run's table ``placements`` or in the files from which the plans were read.
 
-This is needed because only this table of a run has the sizes of boxes.
+Other tables of a run do not have the sizes of boxes.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ from petmjx.results.run_reader import RunResults, load_run
 
 @dataclass(frozen=True, eq=False)
 class PlanLookup:
-    """The plans of a run that were found again, that are missing, and that have changed since the run.
+    """The answer of a search for the plans of a run: which plans were found, are missing, or have changed since the
+    run.
 
     Attributes:
         plans: plan id → plan, for plans that are equal to the simulated plans.
         missing: ids of the plans that were not found, sorted.
         changed: ids of the plans that were found but have changed since the run, sorted.
-        gone: files from which plans were read and that no longer exist.
+        gone: files from which the run read plans, but which no longer exist.
     """
 
     plans: Mapping[str, Plan]
@@ -48,7 +49,7 @@ def find_plans(
     wanted: Collection[str],
     given: PlanSource | None = None,
 ) -> PlanLookup:
-    """Find the plans of a run. A plan counts as found only if it is equal to the simulated plan.
+    """Find the plans of a run. A plan is found only if it is equal to the simulated plan.
 
     Args:
         records: plan id → the run's record of the plan. A plan without a record is accepted without a check.
@@ -84,12 +85,12 @@ def find_plans(
 
 
 def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
-    """The plans of a source. If the source is the folder of a run, or several such folders, the plans that were
-    simulated.
+    """The plans of a source. If the source is the folder of a run, or several folders of runs, these are the plans that
+    the runs simulated.
 
     Raises:
         InputError: a run cannot be read, or none of its plans can be found in its tables or in a file. With ``strict``,
-            also if any single plan is missing.
+            a single missing plan is an error, too.
     """
     several: Any = [plans] if isinstance(plans, str | PathLike) else plans
     if not isinstance(several, list | tuple) or not several or not all(map(is_run, several)):
@@ -114,8 +115,8 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
     """The plans that a run simulated. Plans that cannot be found are listed as skipped.
 
     Raises:
-        InputError: the run lists no plans, or none of them can be found. With ``strict``, also if any single plan
-            cannot be found.
+        InputError: the run lists no plans, or none of them can be found. With ``strict``, a single missing plan is an
+            error, too.
     """
     records = Manifest.read(run.parts, run.info).plans
     simulated = set(run.worlds["plan_id"])
@@ -147,8 +148,8 @@ def how_read(info: Mapping[str, Any]) -> RunOptions:
 
 
 def plan_file(source: str) -> Path | None:
-    """The file from which a plan was read. None if the file no longer exists. For a bundled plan, the path of the
-    bundled file on this machine."""
+    """The file from which a plan was read; None if the file no longer exists. For a bundled plan, this is the path of
+    the bundled file on this machine."""
     file, bundled = Path(source), bundled_path()
     if file.is_file():
         return file

@@ -1,8 +1,8 @@
 """The order of a run's worlds: by plan in the order of the input, then by variant.
 
-Worlds end in any order, and the row of a world is written when the world ends. The column ``rank`` holds the position
-of each world in the order of the run, and readers sort rows by this column. Runs of petmjx before 0.3 have no ranks;
-their rows are sorted by the order of the table ``plans``.
+Worlds end in any order, and the row of a world is written when the world ends. So each row has a column ``rank``, the
+position of its world in the order of the run, and readers sort rows by this column. Runs of petmjx before 0.3 have no
+ranks; their rows are sorted by the order of the table ``plans``.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _MOST_VARIANTS: Final = 1 << 32
 
 
 class WorldRanks:
-    """The rank (position in the order of the run) of each world. If all plans of a whole run have the same variants,
-    ranks are 0, 1, 2, … without gaps. In a search, ranks have gaps.
+    """Computes the rank of each world: its position in the order of the run. If all plans of a whole run have the same
+    variants, ranks are 0, 1, 2, … without gaps. In a search, ranks have gaps.
 
     Args:
-        plan_ids: ids of all plans in the order of the input, including the plans of other shards. Plans that are not
-            listed come after these plans, in the order in which they first get a rank.
+        plan_ids: ids of all plans in the order of the input, including the plans of other shards. Other plans come
+            after these plans, in the order in which they first get a rank.
         variants: numbers of the variants of each plan, or None if they are unknown, as in a search.
     """
 
@@ -63,15 +63,15 @@ class WorldRanks:
 
 
 def is_ranked(parts: Parts, plan_ids: Sequence[str]) -> bool:
-    """Whether the rows of a run have ranks that match this order of plans. Either all tables of a run have ranks, or no
-    table has."""
+    """Whether the rows of a run have ranks, and the ranks match this order of plans. Either all tables of a run have
+    ranks, or none has."""
     ranked = all(RANK in parts.columns(file) for file in parts.files("worlds"))
     return ranked and PlanOrder.of(parts).plan_ids == plan_ids
 
 
 def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None) -> pa.Table | None:
-    """The rows of a table in the order of the run. None if the table has no part. Rows of the same world keep their
-    order.
+    """The rows of a table, sorted by the order of the run's worlds. Rows of the same world keep their order. The result
+    is None if the table has no file.
 
     Args:
         columns: names of the columns to read, which must include ``plan_id`` and ``variant``. If None, all columns are
@@ -99,7 +99,7 @@ class PlanOrder:
     """The plans of a run, in the order of the input.
 
     Attributes:
-        plan_ids: ids of all plans. Empty if they are unknown.
+        plan_ids: ids of all plans; empty if they are unknown.
         numbers: position of each plan in the input, where skipped plans also have a position.
     """
 
@@ -130,18 +130,19 @@ class PlanOrder:
         return np.asarray(pc.fill_null(places, len(self.plan_ids)), dtype=np.int64)
 
     def keys(self, table: pa.Table) -> NDArray[np.int64]:
-        """(n,) a sort key for the world of each row. Different worlds have different keys."""
+        """(n,) for each row, a number by which the rows are sorted into the order of the run. Different worlds have
+        different keys."""
         return self.places(table["plan_id"]) * _MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64)
 
     def ordered(self, table: pa.Table) -> pa.Table:
-        """The rows in the order of the run. Rows of the same world keep their order."""
+        """The rows of the table, sorted by the order of the run's worlds. Rows of the same world keep their order."""
         if not self.plan_ids or not len(table):
             return table
         keys = self.keys(table)
         return table if is_sorted(keys) else table.take(np.argsort(keys, kind="stable"))
 
     def index(self, plan_ids: pd.Series) -> pd.Index:
-        """The numbers of plans, as the index of a data frame with one row per plan."""
+        """The positions of plans in the input, as the index of a data frame with one row per plan."""
         import pandas as pd  # imported here: a caller that has ids in a Series has loaded pandas already
 
         number_of = dict(zip(self.plan_ids, self.numbers, strict=True))

@@ -1,8 +1,8 @@
 """The table ``placements`` of a run: all fields of its plans, with one row per box.
 
-With this table, a run can be shown and reported from its folder alone, even if the files of its plans were deleted or
-the folder was moved. Null means that the plan does not have the field. NaN is a possible value of some fields, so NaN
-is stored as NaN and not as null.
+This table makes the folder of a run complete: the run can be shown and reported even if the files of its plans were
+deleted or the folder was moved. If a plan lacks a field, its rows have null in the column of this field. NaN is a
+possible value of some fields, so NaN is stored as NaN and not as null.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _NUMBERS: Final = ("mass_kg", "sequence", "orientation", *SPARSE)
 
 
 def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
-    """Make the table ``placements``. None if a text of the plans cannot be written as UTF-8."""
+    """Make the table ``placements``. The result is None if a text of the plans cannot be written as UTF-8."""
     plans, schema = list(plans), placements_schema()
     counts = [plan.n_boxes for plan in plans]
     columns: dict[str, Sequence[Any]] = {}
@@ -54,8 +54,8 @@ def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
 
 
 def _array(values: Sequence[Any], counts: Sequence[int], kind: pa.DataType) -> pa.Array:
-    """One column: the values of a field for all boxes. A plan without the field has None in ``values``, and its boxes
-    get null."""
+    """One column of the table: the values of a field for the boxes of all plans. ``values`` has an entry for each plan;
+    if a plan lacks the field, the entry is None, and the plan's boxes get null."""
     if all(of_plan is None for of_plan in values):
         return pa.nulls(sum(counts), kind)
     if kind == pa.string():
@@ -67,8 +67,8 @@ def _array(values: Sequence[Any], counts: Sequence[int], kind: pa.DataType) -> p
 
 
 def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collection[str]) -> dict[str, Plan]:
-    """Plan id → plan, for the plans in the table of a run, in the order of the table. Plans that differ from the
-    simulated plans are left out.
+    """Plan id → plan, for the plans in the table of a run, in the order of the table. A plan is left out if its rows
+    were changed after the run.
 
     Args:
         records: plan id → the run's record of the plan.

@@ -13,8 +13,8 @@ from petmjx.results.run_folder import RUN_FILE, TABLES
 
 
 def source_files(*sources: Any) -> list[Path]:
-    """The files and folders that are read if a command gets these sources. For a run, its ``run.json`` and its tables;
-    for another folder, its files of plans; for a file, the file itself.
+    """The files and folders that a command reads if it gets these sources: ``run.json`` and the tables of a run's
+    folder, the files of plans in another folder, or a file itself.
 
     Args:
         sources: paths, lists of paths, or None. Other values, such as data frames and runs in memory, have no files.

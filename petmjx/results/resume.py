@@ -1,4 +1,4 @@
-"""Reads the earlier run in a folder, for a run that resumes it: the completed worlds, ``run.json`` and the files."""
+"""Reads an earlier run that a new run continues: its completed worlds, its ``run.json`` and its files."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _COLUMNS: Final = ("plan_id", "variant", *COUNTED, "culprit", "n_steps")
 
 
 class CompletedWorlds:
-    """The completed worlds of a run, and their rows in the table ``worlds``.
+    """The worlds (simulations of one plan each) that a run has completed, and their rows in the table ``worlds``.
 
     Args:
-        parts: files of the run. None if no world is completed yet.
+        parts: files of the run; None if no world is completed yet.
         columns: columns of ``worlds`` to read, in addition to the columns that all runs have.
 
     Raises:
@@ -76,8 +76,8 @@ class CompletedWorlds:
         return end - first
 
     def _rows_of(self, plan_id: str) -> dict[int, int]:
-        """Variant → row number, for the worlds of a plan. The result for the last plan is kept, since runs look up
-        worlds plan by plan."""
+        """Variant → number of the row, for the completed worlds of a plan. The mapping of the last plan is kept, since
+        runs look up worlds plan by plan."""
         if self._last[0] != plan_id:
             span = slice(*self._spans.get(plan_id, (0, 0)))
             rows = dict(zip(self._variants[span].tolist(), self._sorted[span].tolist(), strict=True))
@@ -85,7 +85,8 @@ class CompletedWorlds:
         return self._last[1]
 
     def row(self, plan_id: str, variant: int) -> dict[str, Any] | None:
-        """The row of a world as a dict: column → value, with None for null. None if the world is not completed."""
+        """The row of a world as a dict: column → value. Null becomes None. The result is None if the world is not
+        completed."""
         row = self._rows_of(plan_id).get(variant)
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 
@@ -103,7 +104,7 @@ class CompletedWorlds:
 
 
 def engine_of_run(folder: Path) -> str | None:
-    """The name of the engine of the run in a folder. None if the folder has no readable run of petmjx."""
+    """The name of the engine of the run in a folder; None if the folder has no readable run of petmjx."""
     try:
         engine = read_info(folder).get("identity", {}).get("engine")
     except InputError:  # the function that resumes the run reports the error
@@ -114,8 +115,8 @@ def engine_of_run(folder: Path) -> str | None:
 def resume_state(
     folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
 ) -> tuple[dict[str, Any], Parts, list[str]]:
-    """The ``run.json`` of the earlier run, its files, and its warnings. Warnings are added if versions of packages
-    differ or if data are missing.
+    """Three things of the earlier run in a folder: the content of its ``run.json``, its files, and its warnings.
+    Warnings are added if versions of packages differ or if data are missing.
 
     Args:
         versions: package → version in the run that resumes the earlier run.

@@ -23,13 +23,13 @@ Share = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}/[1-9][0-9]{0,8}$")]
 
 
 class _PartialRecord(BaseModel):
-    """Base class for records of ``run.json`` of which petmjx reads only some entries."""
+    """Base class for records in ``run.json``. A record may have further entries, which petmjx ignores."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
 _NEWER_FIELDS: Final = ("resized", "matched_by_size")
-"""Fields of ``OrderCounts`` that runs of petmjx 0.2 lack."""
+"""Fields of ``OrderCounts`` that the files of petmjx 0.2 lack. The value of a missing field is 0."""
 
 _ORDER_FIELDS: Final[dict[str, Any]] = {
     name: (kind, 0 if name in _NEWER_FIELDS else ...) for name, kind in get_type_hints(OrderCounts).items()
@@ -87,19 +87,19 @@ class RunFile(_PartialRecord):
     skipped: list[_Skipped] = []
     warnings: list[str] = []
     orders: _Orders | None = None
-    """Only runs that were compared with orders have this entry and the entry ``counts.orders``."""
+    """The comparison of the plans with orders. Runs without orders lack this entry and the entry ``counts.orders``."""
     parts: dict[TableName, dict[PartName, Digest]]
-    """Table → file name → digest, for all files that belong to the run."""
+    """Table → name of a file → digest (hash) of the file, for all files that belong to the run."""
     digest: Digest | None = None
-    """Digest of all other entries of ``run.json``."""
+    """Hash of all other entries of ``run.json``."""
 
 
 _OPTIONAL: Final = ("orders", "digest")
 
 
 def run_digest(info: Mapping[str, Any]) -> str:
-    """Digest of all entries of a ``run.json`` except the entry ``digest``. The digest does not depend on the order of
-    the entries or on white space."""
+    """Hash of all entries of a ``run.json`` except the entry ``digest``. The digest does not depend on the order of the
+    entries or on white space."""
     other_entries = {name: value for name, value in info.items() if name != "digest"}
     text = json.dumps(other_entries, sort_keys=True, ensure_ascii=True)
     return hashlib.blake2b(text.encode(), digest_size=DIGEST_BYTES).hexdigest()
@@ -113,7 +113,7 @@ def write_run_file(info: Mapping[str, Any], folder: Path) -> None:
 
 
 def check_run_file(info: Mapping[str, Any], file: Path) -> None:
-    """Check all entries that are present.
+    """Check the entries that a ``run.json`` has; entries may be missing.
 
     Raises:
         InputError: an entry is wrong, as in "DIR/run.json: counts.worlds must be a whole number, got None".

@@ -14,8 +14,8 @@
 
 A file never appears half-written. Tables are written as several files, called parts. A part belongs to the run only if
 ``run.json`` lists it with its digest (petmjx.results.run_tables). Parts that are not listed were left by a killed run.
-Parts of ``worlds``, ``boxes`` and ``attempts`` with the same number hold the same worlds. The same is true for parts of
-``histories``, ``frames`` and ``contacts``.
+Parts of ``worlds``, ``boxes`` and ``attempts`` with the same number hold the same worlds. Parts of ``histories``,
+``frames`` and ``contacts`` with the same number also hold the same worlds.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ from petmjx.common.safe_read import read_regular
 
 RUN_FILE: Final = "run.json"
 OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
-"""Tables in which parts may be missing. A part is missing if none of its worlds has a row in the table."""
+"""Tables in which some worlds have no rows. If none of the worlds of a part has a row in such a table, the table has no
+file with the number of this part."""
 
 OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
 TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")
@@ -61,8 +62,8 @@ MOST_RUN_FILE_BYTES: Final = 1 << 30
 
 
 def part_name(number: int) -> str:
-    """File name of the part with this number. Parts of different tables that hold the same worlds have the same
-    number."""
+    """Name of the file that is the part ``number`` of a table. Parts of different tables with the same number hold the
+    same worlds."""
     return f"part-{number:05d}.parquet"
 
 
@@ -72,7 +73,7 @@ def part_number(file: Path) -> int:
 
 
 def part_files(folder: Path, table: str) -> list[Path]:
-    """The files of a table's parts, in order."""
+    """The files of a table, sorted by number."""
     return sorted(_own_files(folder / table, _PART), key=part_number)
 
 
@@ -81,8 +82,8 @@ Write = Callable[[BinaryIO], object]
 
 
 def parquet(table: pa.Table) -> Write:
-    """A function that writes a table as Parquet. Measured values hardly repeat, so they are stored without a
-    dictionary. A dictionary would double the time and take more space."""
+    """A function that writes a table as Parquet. Measured values hardly repeat, so Parquet stores them without a
+    dictionary of values. A dictionary would double the time and take more space."""
     repeats = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
     return lambda file: pq.write_table(
         table, file, compression="zstd", compression_level=1, row_group_size=ROWS_PER_GROUP, use_dictionary=repeats
@@ -101,7 +102,8 @@ def text(content: str) -> Write:
 
 
 def write_together(files: Mapping[Path, Write]) -> None:
-    """Write several files. No file appears before all of them are completely on disk. The folders must exist.
+    """Write several files. All files are first written completely under hidden names, and are renamed only then. The
+    folders must exist.
 
     Raises:
         OSError: a file cannot be written. Existing files are then unchanged.
@@ -119,7 +121,8 @@ def write_together(files: Mapping[Path, Write]) -> None:
 
 
 def appear(hidden: Mapping[Path, Path]) -> None:
-    """Rename finished hidden files to their final paths. ``hidden``: final path → path of the hidden file."""
+    """Rename hidden files, which have been written, to their final paths. ``hidden``: final path → path of the hidden
+    file."""
     for path, temporary in hidden.items():
         os.replace(temporary, path)
     for folder in {path.parent for path in hidden}:
@@ -150,8 +153,7 @@ def copy_file(source: Path, path: Path) -> str:
 
 
 def digest_of(stream: BinaryIO) -> str:
-    """Hexadecimal digest (BLAKE2b) of a file, from its current position to its end. The speed is a gigabyte per
-    second."""
+    """Hexadecimal digest (BLAKE2b) of a file, from its current position to its end. A gigabyte takes a second."""
     digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
     while block := stream.read(_BLOCK):
         digest.update(block)
@@ -159,8 +161,8 @@ def digest_of(stream: BinaryIO) -> str:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder has a run or parts of a run. The tables ``plans`` and ``placements`` alone are not parts of a
-    run in this sense, since they are written before ``run.json``."""
+    """Whether a folder has a ``run.json`` or a table of results. The tables ``plans`` and ``placements`` do not count,
+    since they are written before ``run.json``."""
     tables = (table for table in TABLES if table not in ("plans", "placements"))
     return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in tables)
 
@@ -173,8 +175,8 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
         resume: whether an existing run may be resumed.
 
     Raises:
-        InputError: the folder has a run, and neither option is set; or the name of one of a run's files belongs to a
-            file, folder or link that petmjx did not write.
+        InputError: the folder has a run, and neither option is set; or a file, a folder or a link that petmjx did not
+            write has the name of a file of a run.
     """
     parts = {file: table for table in TABLES for file in part_files(folder, table)}
     hidden = [file for place in (folder, *(folder / table for table in TABLES)) for file in _own_files(place, _HIDDEN)]
@@ -182,7 +184,7 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
     def is_ours(file: Path) -> bool:
         if file.name == RUN_FILE:
-            return resume or _listed_parts(file) is not None  # when a run is resumed, the reader reports errors
+            return resume or _listed_parts(file) is not None  # if a run is resumed, its reader reports errors
         return file in hidden or file in listed or _is_part_of(parts[file], file)
 
     def check(*files: Path) -> None:
@@ -201,7 +203,7 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
 
 def _listed_parts(run_file: Path) -> frozenset[Path] | None:
-    """The files that a ``run.json`` lists. None if the file does not exist or petmjx did not write it."""
+    """The files that a ``run.json`` lists; None if there is no ``run.json`` or petmjx did not write it."""
     try:
         tables = json.loads(read_regular(run_file, MOST_RUN_FILE_BYTES))["parts"]
         return frozenset(run_file.parent / table / name for table, names in tables.items() for name in names)
@@ -210,7 +212,7 @@ def _listed_parts(run_file: Path) -> frozenset[Path] | None:
 
 
 def _is_part_of(table: str, file: Path) -> bool:
-    """Whether the metadata of a file state that it is a part of this table. The part may belong to any run."""
+    """Whether the metadata of a file state that petmjx wrote the file as a part of this table, in any run."""
     try:
         with open_for_arrow(file) as stream:
             metadata = pq.read_schema(stream).metadata or {}
@@ -222,7 +224,8 @@ def _is_part_of(table: str, file: Path) -> bool:
 def make_room(folder: Path) -> None:
     """Delete the files of the run in a folder, and no other files. Call :func:`check_run_folder` first.
 
-    ``run.json`` is deleted first. So a crash leaves a folder without a run, and not a run with missing parts.
+    ``run.json`` is deleted first. So if the process is killed, the folder has no run instead of a run with missing
+    files.
 
     Raises:
         OSError: the folder is not writable.
@@ -244,7 +247,7 @@ def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
     """Delete the parts that a killed run has left.
 
     Args:
-        kept: function that takes the name of a table and returns the files of this table that are not deleted.
+        kept: function that takes the name of a table and returns the files of this table that must stay.
     """
     for table in TABLES:
         files = kept(table)
@@ -254,7 +257,7 @@ def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
 
 
 def _own_files(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
-    """The files of a folder whose names match this pattern. Empty if the path is not a folder."""
+    """The files of a folder whose names match this pattern; an empty list if the path is not a folder."""
     return [file for file in folder.iterdir() if pattern.fullmatch(file.name)] if folder.is_dir() else []
 
 

@@ -26,7 +26,7 @@ class RunInfo:
         skipped: plans and files that are not simulated, each with the reason.
         warnings: warnings about the whole run, without repetitions.
         odd_plans: one line for each plan with boxes that overlap, float, or stand outside the carrier.
-        timings: name → seconds that were spent.
+        timings: name of a task, such as ``wall_s`` → time that it took, s.
         earlier_s: timings of the earlier run that this run resumes. ``run.json`` gets the sums of ``timings`` and
             ``earlier_s``.
         head: entries whose values are known when the run begins.
@@ -71,7 +71,7 @@ class RunInfo:
         self.warnings[message] = None
 
     def entries(self, counts: WorldCounts) -> dict[str, Any]:
-        """The entries at this moment.
+        """All entries of ``run.json`` at this moment, except the list of files.
 
         Args:
             counts: the numbers of worlds that have been written.

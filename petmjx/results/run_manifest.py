@@ -28,7 +28,7 @@ DIGEST_BYTES: Final = 8
 probability that two different plans have the same digest is one in 30 million."""
 
 MOST_NAMED: Final = 4
-"""Largest number of differences that a message names. Of further differences, only the number is given."""
+"""Largest number of differences that a message names. If there are more, the message gives the number of the others."""
 
 
 def plan_digest(plan: Plan) -> str:
@@ -50,7 +50,7 @@ def plan_digest(plan: Plan) -> str:
 
 
 class PlanRecord(NamedTuple):
-    """The record of one plan in a run.
+    """What a run stores about one plan, besides its placements.
 
     Attributes:
         digest: digest of everything in the plan that affects the results.
@@ -58,7 +58,7 @@ class PlanRecord(NamedTuple):
         volume_m3: total volume of the plan's boxes, m³.
         extent_x_m, extent_y_m: extents of the bounding box of all boxes, m.
         height_m: height of the top of the highest box above the carrier, m.
-        number: position of the plan in the input, where skipped plans also have a position. None if it is unknown.
+        number: position of the plan in the input, where skipped plans also have a position; None if it is unknown.
     """
 
     digest: str
@@ -74,7 +74,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
     """Plan id → record of the plan, in the order of the input.
 
     Args:
-        numbers: plan id → position of the plan in the input. None if no plan was skipped.
+        numbers: plan id → position of the plan in the input; None if no plan was skipped.
     """
     if not plans:
         return {}
@@ -90,7 +90,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
         plan.plan_id: PlanRecord(
             plan_digest(plan),
             plan.source,
-            # added plan by plan, because ``reduceat`` would add in another order
+            # a separate sum for each plan, because ``reduceat`` adds in another order and rounds differently
             float(volume_of_box[begin:end].sum()),
             extent_x,
             extent_y,
@@ -104,7 +104,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
 
 
 def _arrow_column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """The same array as ``pyarrow.array`` makes of texts or numbers. ``pyarrow.array`` would first load pandas, which
+    """Texts or numbers as an Arrow array. ``pyarrow.array`` makes the same array, but would first load pandas, which
     would delay the first world of a run."""
     if None in values:
         return pa.array(values, kind)
@@ -133,7 +133,8 @@ class Manifest:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The identity as it is written into ``run.json``. Its digest does not depend on the order of the plans."""
+        """The identity as it is written into ``run.json``. The digest of all plans does not depend on the order of the
+        plans."""
         lines = "\n".join(f"{record.digest} {plan_id!r}" for plan_id, record in sorted(self.plans.items()))
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
@@ -175,7 +176,7 @@ class Manifest:
         return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
 
     def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
-        """The differences from an earlier manifest, in one line. Empty if there are none.
+        """The differences from an earlier manifest, in one line; "" if there are none.
 
         Args:
             without: names of the settings that are not compared.
@@ -206,8 +207,8 @@ _NOTHING: Final = object()
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Rename settings to the names that the command uses. For a score, the entry ``sweep`` becomes two entries:
-    ``confidence`` (the number of worlds) and ``errors``. Some entries are written only if their option is on; if such
-    an entry is missing, its value is False."""
+    ``confidence`` (the number of worlds with errors per plan) and ``errors``. Entries that ``run.json`` may lack get
+    their defaults."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
         settings["simulation"] = _with_later_fields(simulation)
@@ -220,8 +221,8 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of a simulation, with the fields added that earlier versions of petmjx did not write. Each added
-    field has the value with which it has no effect."""
+    """The options of a simulation from ``run.json``. Fields that earlier versions of petmjx did not write are added;
+    each has the value with which it has no effect."""
     walls = Walls().model_dump(mode="json")
     later = {"walls": walls, **simulation}
     if isinstance(carrier := later.get("carrier"), Mapping):
@@ -239,12 +240,12 @@ def _setting_differences(was: Any, now: Any) -> Iterator[str]:
 
 
 def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield the name of every setting that differs, such as "simulation.schedule", and its two values. A value is None
-    if the setting is missing."""
+    """Yield every setting that differs: its name, such as "simulation.schedule", its value in ``was``, and its value in
+    ``now``. A value is None if the setting is missing."""
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):
-                continue  # only one of the two runs has confidence, which another entry reports
+                continue  # only one of the two runs has ``errors``; the difference of ``confidence`` says so
             inner = f"{path}.{name}" if path else str(name)
             yield from differing_settings(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif _are_tables(was) and _are_tables(now) and len(was) == len(now):

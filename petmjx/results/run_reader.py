@@ -1,5 +1,4 @@
-"""Reads the folder of a run into pandas data frames. Single worlds can be read without reading the other worlds.
-
+"""Reads the folder of a run into pandas data frames. A single world can be read without the other worlds.
 petmjx.results.run_folder describes the layout of the folder.
 """
 
@@ -45,19 +44,19 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""Table → the table that tells which worlds a part of the first table holds: the part with the same number in the
-second table lists these worlds. For a table without an entry, the second table is ``worlds``."""
+"""Table → the table that is searched for the file with a world: the two files with the same number, one of each table,
+hold the same worlds. For a table without an entry here, ``worlds`` is searched."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """The row of a world in the table ``worlds``, as a dict: column → value, with None for null. None if the run does
-    not have this world."""
+    """The row of a world in the table ``worlds``, as a dict: column → value. Null becomes None. The result is None if
+    the run does not have this world."""
     rows = rows_of(run, "worlds", plan_id, variant)
     return None if rows is None else dict(rows.to_pylist()[0])
 
 
 def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
-    """Make the outcome of a world again from the tables. None if the run does not have this world.
+    """The outcome of a world, made from the rows of the world in the tables; None if the run does not have this world.
 
     Values of boxes that were never placed are NaN. Measured values have the precision of the table ``boxes``.
     """
@@ -89,7 +88,7 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
 
 
 def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table | None:
-    """The rows of one world in a table of a run. None if there are none.
+    """The rows of one world in a table of a run; None if the table has no rows of this world.
 
     Raises:
         InputError: a part is damaged or missing.
@@ -97,7 +96,7 @@ def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table
     of_table = {file.name: file for file in run.parts.files(table)}
     for file in run.parts.files(_NAMES_WORLDS.get(table, "worlds")):
         if len(_rows_of_one_world(run.parts.read(file, ("plan_id", "variant")), plan_id, variant)):
-            table_file = of_table.get(file.name)  # parts with the same number hold the same worlds
+            table_file = of_table.get(file.name)  # files with the same number hold the same worlds
             rows = None if table_file is None else _rows_of_one_world(run.parts.read(table_file), plan_id, variant)
             return rows if rows is not None and len(rows) else None
     return None
@@ -144,7 +143,7 @@ class RunResults:
     """The results of a run. Each table is read when it is first used.
 
     Attributes:
-        parts: the files of the tables, for callers that read single columns.
+        parts: the files of the tables. Callers that need only some columns read them here.
         info: the entries of ``run.json``.
         held: plan id → plan, for plans that exist only as objects in memory.
     """
@@ -166,29 +165,30 @@ class RunResults:
 
     @property
     def where(self) -> str:
-        """The path of the run's folder as text. If the run has no folder, the words "in memory"."""
+        """The path of the run's folder as text, or "in memory" if the run has no folder."""
         return "in memory" if isinstance(self.parts, MemoryParts) else str(self.path)
 
     @property
     def unfinished(self) -> str | None:
-        """How an unfinished run ended, such as ``interrupted``. Some worlds of such a run are missing. None if the run
-        finished."""
+        """The status of a run that did not finish, such as ``interrupted``: some of its worlds are missing. None if the
+        run finished."""
         status = str(self.info.get("status", "unknown"))
         return None if status == FINISHED else status
 
     @property
     def carrier(self) -> Carrier | OwnCarrier:
-        """The carrier under the boxes. ``footprint`` if the run does not name a known carrier."""
+        """The carrier on which the run's boxes stand. If ``run.json`` does not name a known carrier, this is
+        ``footprint``."""
         return self._carrying.carrier
 
     @property
     def walls(self) -> Walls:
-        """The walls in the run's options. The carrier may have further walls."""
+        """The walls that the run's options set. The carrier itself may have further walls."""
         return self._carrying.walls
 
     @property
     def _carrying(self) -> Simulation:
-        """The simulation options of the run, with its carrier and walls. All other options have their defaults."""
+        """Simulation options with the carrier and the walls of the run. All other options have their defaults."""
         settings = self.info.get("config", {}).get("simulation", {})
         try:
             return Simulation.read({"carrier": settings["carrier"], "walls": settings.get("walls", {})})
@@ -196,8 +196,8 @@ class RunResults:
             return Simulation()
 
     def doubts(self, name: str) -> list[str]:
-        """A list with one line if the run is not finished, otherwise an empty list. ``name``: name of the run in the
-        line."""
+        """A list with one warning if the run is not finished, otherwise an empty list. ``name``: name of the run in the
+        warning."""
         return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
 
     @cached_property
@@ -229,8 +229,8 @@ class RunResults:
         missing numbers are NaN.
 
         In a score without ``confidence``, the index of the data frame is the number of the plan: ``worlds.verdict[k]``
-        is the verdict of plan k. A KeyError means that plan k has no row: it was skipped, belongs to another shard, or
-        was not simulated.
+        is the verdict of plan k. If this raises KeyError, plan k has no row: the plan was skipped, belongs to another
+        shard, or was not simulated.
         """
         frame = self._read("worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
@@ -261,7 +261,7 @@ class RunResults:
 
     @property
     def boxes_if_kept(self) -> pd.DataFrame:
-        """The table ``boxes``. If the run did not keep this table, a table without rows."""
+        """The table ``boxes``; a table without rows if the run did not keep ``boxes``."""
         return self.boxes if self.keeps_boxes else self._read("boxes")
 
     @property
@@ -271,12 +271,13 @@ class RunResults:
 
     @cached_property
     def attempts(self) -> pd.DataFrame:
-        """One row per attempt (simulation of a world), for worlds that needed more than one attempt. Often empty."""
+        """One row per attempt (simulation of a world), for worlds that needed more than one attempt. Most runs have no
+        such world."""
         return self._read("attempts")
 
     @cached_property
     def histories(self) -> pd.DataFrame:
-        """One row per frame and placed box of each recorded world. Often empty."""
+        """One row per frame and placed box of each recorded world. A run without the option ``record`` has no rows."""
         return self._read("histories")
 
     @cached_property
@@ -299,21 +300,22 @@ class RunResults:
 
     @cached_property
     def placements(self) -> pd.DataFrame:
-        """One row per box of the simulated plans, with all fields of the plan. A run in memory has no rows here, since
-        its plans are objects in memory or in their files."""
+        """One row per box of the simulated plans, with all fields of the plan. If the results are only in memory, this
+        table has no rows, since the plans are objects in memory or in their files."""
         parts = self.parts.table(PLACEMENTS)
         frame: pd.DataFrame = pa.concat_tables(parts or [placements_schema().empty_table()]).to_pandas()
         return frame
 
     @cached_property
     def summary(self) -> pd.DataFrame | None:
-        """The answers of a sweep, or of a score with confidence. None if the run has no such table."""
+        """The table ``summary``: the answers of a sweep, of a score with confidence, or of a chain. None for other
+        runs."""
         parts = self.parts.table("summary")
         return pa.concat_tables(parts).to_pandas() if parts else None
 
     def units(self, table: str) -> dict[str, str]:
-        """The units of a table: column → unit. The unit is ``""`` for text and ``"1"`` for counts. Empty if the table
-        is missing."""
+        """The units of a table: column → unit. The unit is ``""`` for text and ``"1"`` for counts. The mapping is empty
+        if the table is missing."""
         files = self.parts.files(table)
         schema = self.parts.read(files[0]).schema if files else pa.schema([])
         return {
@@ -322,7 +324,7 @@ class RunResults:
 
     @property
     def _varied(self) -> bool:
-        """Whether a plan may have several worlds."""
+        """Whether the run may have simulated a plan in several worlds."""
         config = self.info.get("config", {})
         return config.get("command") == "sweep" or "sweep" in config
 
@@ -372,7 +374,7 @@ def read_info(folder: Path) -> dict[str, Any]:
 
 def split_warnings(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     """Split the warnings of a ``run.json`` into two lists: warnings about the whole run, and one line for each plan
-    with oddly placed boxes. In the file, the lines about plans come last."""
+    with oddly placed boxes. The lines about plans come last in ``run.json``."""
     warnings = list(info.get("warnings", []))
     first_odd = len(warnings) - info.get("counts", {}).get("odd_plans", len(warnings))
     return warnings[:first_odd], warnings[first_odd:]

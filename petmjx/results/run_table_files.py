@@ -1,6 +1,6 @@
 """Writes and deletes the table files of a run in progress, and keeps the list of the files that belong to the run.
 
-If a run has no folder, its tables stay in memory while they fit into one part.
+If a run has no folder, its tables stay in memory as long as each table is small enough for a single file.
 """
 
 from __future__ import annotations
@@ -32,26 +32,27 @@ class Tables:
         self.parts = parts or Parts(folder, {})
 
     def write(self, table: str, number: int, content: pa.Table) -> dict[Path, str]:
-        """Write a part of a table. Returns the digest of the part's file. The file does not belong to the run yet."""
+        """Write a table, or a part of it, as a new file. Returns file → digest. The file belongs to the run only after
+        a call of ``add``."""
         path = self._folder / table / part_name(number)
         return {path: write_table(content, path)}
 
     def add(self, digests: Mapping[Path, str]) -> None:
-        """Add files to the run. ``digests``: file → digest."""
+        """Add written files to the run. ``digests``: file → digest."""
         self.parts = self.parts.plus(digests)
 
     def replace_worlds(self, digests: Mapping[Path, str]) -> None:
-        """Replace all tables of worlds of the run by these files."""
+        """Replace all files of ``worlds``, ``boxes`` and the other tables of worlds by these files."""
         self.parts = self.parts.without(*OF_WORLDS).plus(digests)
 
     def write_only(self, table: str, content: pa.Table) -> None:
-        """Write a table that has a single part. The earlier file of this table then no longer belongs to the run."""
+        """Write a table that has a single file. The earlier file of this table then no longer belongs to the run."""
         digests = self.write(table, self.parts.next_number(table), content)
         self.parts = self.parts.without(table).plus(digests)
 
     def copies(self, others: Parts, ranks: WorldRanks | None) -> Iterator[tuple[Path, str]]:
         """Copy the tables of worlds of this run or of another run, file by file, under unused numbers. Yields each copy
-        with its digest. The copies do not belong to the run yet.
+        with its digest. The copies belong to the run only after ``add`` or ``replace_worlds``.
 
         Args:
             ranks: new ranks for the rows. If None, the rows keep their ranks, and the files are copied byte by byte.
@@ -74,22 +75,22 @@ class Tables:
                     raise InputError(f"{file}: missing, although the table worlds has this part") from None
 
     def drop_others(self) -> None:
-        """Delete the parts that do not belong to the run."""
+        """Delete all files of tables that do not belong to the run."""
         drop_parts(self._folder, self.parts.files)
 
 
 @dataclass(frozen=True, eq=False)
 class MemoryParts(Parts):
-    """Tables in memory. Each part is stored under the name that its file would have in the run's folder."""
+    """Tables in memory. Each part of a table has the path that its file would have in the run's folder."""
 
     tables: dict[Path, pa.Table] = field(default_factory=dict)
 
     def files(self, table: str) -> list[Path]:
-        """The names of the parts of a table, in order."""
+        """The paths of the parts of a table, in order."""
         return [file for file in self.tables if file.parent.name == table]
 
     def columns(self, file: Path) -> list[str]:
-        """The names of the columns of a part."""
+        """The names of the columns of one part of a table."""
         names: list[str] = self.tables[file].column_names
         return names
 
@@ -98,12 +99,11 @@ class MemoryParts(Parts):
         return with_columns(self.tables[file], file, columns)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """The same tables. Nothing is added, since a table in memory belongs to the run as soon as it is written, and
-        has no digest."""
+        """This object, unchanged: a table in memory belongs to the run as soon as it is written, and has no digest."""
         return self
 
     def without(self, *tables: str) -> Parts:
-        """The same tables. Nothing is removed, since no table in memory replaces an earlier table."""
+        """This object, unchanged: no table in memory replaces an earlier table."""
         return self
 
     def write(self, folder: Path) -> dict[Path, str]:

@@ -28,8 +28,8 @@ run and are not read."""
 
 
 FREE_BYTES: Final = 256 << 20
-"""Memory that the tables of a run may always take, bytes. For larger tables, the limit depends on their size on disk.
-Boxes at rest and columns without values are compressed to a hundredth, so small files may unpack to large tables."""
+"""Memory that tables may take even if their files are small, bytes: boxes at rest and columns without values are
+compressed to a hundredth. For larger tables, the limit depends on their size on disk."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
 """Upper limit for the memory of a table, bytes. The limit is high, because the real limit of large runs is the memory
@@ -51,11 +51,11 @@ class Parts:
 
     @classmethod
     def of(cls, folder: Path, info: Mapping[str, Any]) -> Self:
-        """The files of the run in a folder, from the entries of its ``run.json``."""
+        """The files of the run in a folder. ``info``: the content of ``run.json``, which lists these files."""
         return cls(folder, info[LISTED])
 
     def files(self, table: str) -> list[Path]:
-        """The listed files of a table, in order, even if they are missing on disk."""
+        """The files of a table that ``run.json`` lists, sorted by number, even if they are missing on disk."""
         return sorted((self.folder / table / name for name in self.digests.get(table, ())), key=part_number)
 
     def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -76,7 +76,7 @@ class Parts:
         return names
 
     def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
-        """Read all parts of a table in parallel. Each part is read as by :meth:`read`."""
+        """Read all parts of a table in parallel. Errors are those of :meth:`read`."""
         files = self.files(table)
         if len(files) < 2:
             return [self.read(file, columns) for file in files]
@@ -96,24 +96,25 @@ class Parts:
             raise InputError(f"{files[0].parent}: its rows would take {size(needed)}, too much for files of their size")
 
     def check_tables(self, tables: Iterable[str]) -> None:
-        """Check all files of these tables, as by :meth:`check`."""
+        """Apply :meth:`check` to all files of these tables."""
         for file in (file for table in tables for file in self.files(table)):
             self.check(file)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """The files of this object and some new files. ``digests``: new file → digest."""
+        """A copy of this list of files, with further files. ``digests``: further file → digest."""
         listed = {table: dict(files) for table, files in self.digests.items()}
         for file, digest in digests.items():
             listed.setdefault(file.parent.name, {})[file.name] = digest
         return Parts(self.folder, listed, {*self._checked, *digests})
 
     def without(self, *tables: str) -> Parts:
-        """The files of this object, except those of the given tables."""
+        """A copy of this list of files, without the files of the given tables."""
         remaining = {table: dict(files) for table, files in self.digests.items() if table not in tables}
         return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
-        """The files of this object, except the parts of worlds that have the given numbers."""
+        """A copy of this list of files, without the files of ``worlds``, ``boxes`` and the other tables of worlds that
+        have these numbers."""
         removed_names = {part_name(number) for number in numbers}
         remaining = {
             table: {
@@ -124,11 +125,12 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def with_worlds(self) -> Parts:
-        """The files of this object, except for those parts of which the part of ``worlds`` was deleted. A user deletes
-        such a part to have its worlds simulated again.
+        """A copy of this list of files, adapted to deleted files of ``worlds``: a user deletes such a file to have its
+        worlds simulated again. The copy lacks this file, and the files of the other tables with the same number.
         """
         missing_names = {file.name for file in self.files("worlds") if not file.exists()}
-        if not missing_names or self.files("frames"):  # it is unknown which histories belong to the deleted worlds
+        # With histories, nothing is left out, because it is unknown which histories belong to the deleted worlds.
+        if not missing_names or self.files("frames"):
             return self
         remaining = {
             table: {
@@ -139,12 +141,12 @@ class Parts:
         return Parts(self.folder, remaining)
 
     def lacking_boxes(self) -> list[int]:
-        """Numbers of the parts that exist for ``worlds`` but not for ``boxes``."""
+        """The numbers for which the run lists a file of ``worlds`` but no file of ``boxes``."""
         have = {part_number(file) for file in self.files("boxes")}
         return [number for number in map(part_number, self.files("worlds")) if number not in have]
 
     def next_number(self, *tables: str) -> int:
-        """A number for the next part: a number that no file of these tables has."""
+        """A number for the next file: it is larger than the number of any file of these tables."""
         return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)
 
     def check(self, file: Path) -> None:
@@ -170,7 +172,7 @@ class Parts:
         self._checked.add(file)
 
     def _cure(self, file: Path) -> str:
-        """Advice on how to repair a run if this file is missing or damaged."""
+        """The end of an error message: how to repair the run if this file is missing or damaged."""
         if file.parent.name == "summary":
             return f"use {option('--resume', 'True')} to make it again"
         if file.parent.name not in OF_WORLDS or self.files("frames"):
@@ -202,7 +204,7 @@ def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
 
 
 def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> pa.Table:
-    """Some columns of a part. All columns if ``columns`` is None.
+    """The named columns of a table; all columns if ``columns`` is None.
 
     Raises:
         InputError: the part lacks a column.
@@ -215,7 +217,7 @@ def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> 
 
 @contextlib.contextmanager
 def open_part(file: Path) -> Iterator[pq.ParquetFile]:
-    """Open a part of a table in any folder.
+    """Open a file of a table, which may belong to any run.
 
     Raises:
         InputError: the file is missing, or is not a whole Parquet file.

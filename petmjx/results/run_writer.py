@@ -1,8 +1,9 @@
 """Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes its layout.
 
 One thread owns the folder. Other threads put finished worlds and requests into a queue, and the owning thread processes
-the queue in order. It collects worlds into parts, and writes each part once: when the part is full, when a world has
-waited for a minute, on request, or at the end. Signals interrupt only the main thread, so they never interrupt a write.
+the queue in order. This thread collects worlds into parts (files), and writes each part once: when the part is full,
+when a world has waited for a minute, on request, or at the end. Signals interrupt only the main thread, so they never
+interrupt a write.
 """
 
 from __future__ import annotations
@@ -49,17 +50,18 @@ WORLDS_PER_PART: Final = 5_000
 make 200 parts."""
 
 BYTES_PER_PART: Final = 64 << 20
-"""Memory at which a part is full, bytes. It has room for 4,000 worlds of 43 boxes, for 60 worlds with histories, or for
-20 worlds with detailed histories."""
+"""Memory of its rows at which a part is full and is written, bytes. This is room for 4,000 worlds of 43 boxes, for 60
+worlds with histories, or for 20 worlds with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
 """Longest time for which a finished world waits until its part is written, s, even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory that waiting worlds may take, bytes. If they take more, ``add`` waits."""
+"""Memory that waiting worlds may take, bytes. ``add`` waits while they take more."""
 
 RETRY_S: Final = 10.0
-"""Time between a write error and the next try, s. On a full disk, at most one part is packed in this time."""
+"""Time between an error of writing and the next try, s. On a full disk, at most one part is prepared for writing in
+this time."""
 
 PLACEMENTS_S: Final = 2.0
 """Delay before a run writes its table ``placements``, s, unless worlds are written earlier. Writing takes 0.3 s for
@@ -70,25 +72,26 @@ LOOK_S: Final = 1.0
 
 
 class _Request(NamedTuple):
-    """A function that the writer's thread is to call, and the queue for its result or its error."""
+    """A function that another thread passes to the writer's thread, and the queue for the function's result or
+    error."""
 
     call: Callable[[], Any]
     reply: SimpleQueue[tuple[Any, BaseException | None]]
 
 
 class _CutShortError(Exception):
-    """Raised if a request was dropped because the run was interrupted."""
+    """The run was interrupted before the writer's thread answered a request."""
 
 
 class RunWriter(RunInfo):
     """Writes the results of one run while its worlds finish. A context manager.
 
     At the end, even after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` states how the run
-    ended: ``finished``, ``interrupted`` or ``failed``. Waiting worlds take at most ``MOST_WAITING_BYTES`` of memory.
-    After a disk error, the thread tries again every ``RETRY_S``. When ``MOST_WAITING_BYTES`` are waiting, ``add``
+    ended: ``finished``, ``interrupted`` or ``failed``. After a disk error, the writer's thread tries again every
+    ``RETRY_S`` seconds, and finished worlds wait in memory. If they take more than ``MOST_WAITING_BYTES``, ``add``
     raises the error.
 
-    Rows are written in the order in which worlds finish. Within a part, rows are sorted by rank
+    Worlds are written in the order in which they finish. Within a part (file), rows are sorted by rank
     (petmjx.results.plan_order).
 
     Args:
@@ -102,7 +105,7 @@ class RunWriter(RunInfo):
         boxes: whether the run has the table ``boxes``.
         versions: package → version. The version of Python is added.
         device: name of the device on which the worlds were simulated.
-        expected_worlds: number of worlds of the run, if known.
+        expected_worlds: number of worlds of the run; None if it is unknown.
         manifest: settings and plans of the run. A run without a manifest cannot be resumed.
         orders: comparison of the plans with their orders. In a resumed run, it replaces the stored comparison.
         overwrite: whether a run that is in the folder is replaced.
@@ -115,8 +118,8 @@ class RunWriter(RunInfo):
         counts: numbers of the written worlds.
         out_dir: folder of the run.
 
-    Raises InputError if the folder is not writable or already has a run. With ``resume``, it is raised if the folder
-    has a different run.
+    Raises InputError if the folder is not writable, or already has a run and neither ``overwrite`` nor ``resume`` is
+    set. With ``resume``, InputError is raised if the folder has a different run.
     """
 
     def __init__(
@@ -156,7 +159,7 @@ class RunWriter(RunInfo):
         # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
         # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # receives an entry after each try to write
+        self._room: SimpleQueue[None] = SimpleQueue()  # has an entry for each try to write; ``add`` waits for it
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # changed only by the thread that adds worlds
         self._cut_short = False  # set only by the main thread
@@ -204,10 +207,10 @@ class RunWriter(RunInfo):
             plan: the plan of the world. The boxes in ``outcome`` have the same order.
             variant: number of the variant. 0 is the unchanged plan.
             schedule: name of the schedule in the results.
-            outcome: the outcome. It is copied, so its arrays may be reused. Its ``state`` is not kept.
+            outcome: the outcome. Its values are copied, except ``state``, so the caller may reuse its arrays.
             attempts: all attempts (simulations) in order, if the world needed more than one.
             params: name of a parameter → value. Missing values become null.
-            interval_n: (boxes, 2) smallest and largest possible force on the top of each box at rest, N. None if they
+            interval_n: (boxes, 2) smallest and largest possible force on the top of each box at rest, N; None if they
                 are unknown.
 
         Raises:
@@ -227,7 +230,7 @@ class RunWriter(RunInfo):
         self._queue.put(row)
 
     def flush(self) -> None:
-        """Write all added worlds, so that they can be read before the run ends.
+        """Write all added worlds now, so that they can be read before the run ends.
 
         Raises:
             PetmjxError: the worlds cannot be written.
@@ -235,10 +238,11 @@ class RunWriter(RunInfo):
         self._ask(lambda: self._write_waiting(last=True))
 
     def adopt(self, parts: Parts, *, ranked: bool = False) -> None:
-        """Copy the worlds of another run that has the same columns.
+        """Copy all worlds of another run, whose tables have the same columns, into this run.
 
         Args:
-            ranked: whether the rows already have the ranks (positions in the order) that they have in this run.
+            ranked: whether the rows already have the ranks (positions in the order of the worlds) that they need in
+                this run.
 
         Raises:
             InputError: a part is damaged.
@@ -247,7 +251,7 @@ class RunWriter(RunInfo):
         self._ask(lambda: self._adopt(parts, ranked))
 
     def write_summary(self, answers: pa.Table) -> None:
-        """Write the table ``summary`` of a sweep (petmjx.results.schema.summary_table). It replaces an earlier table.
+        """Write the table ``summary`` (petmjx.results.schema.summary_table), which replaces an earlier one.
 
         Raises:
             PetmjxError: the file cannot be written.
@@ -302,7 +306,7 @@ class RunWriter(RunInfo):
                 result, error = request.reply.get(timeout=LOOK_S)
                 break
             if not self._thread.is_alive() and request.reply.empty():
-                raise _CutShortError  # the thread ended before it came to this request
+                raise _CutShortError  # the writer's thread ended before it answered this request
         if error is not None:
             raise error
         return result
@@ -313,8 +317,8 @@ class RunWriter(RunInfo):
         atexit.unregister(self._end_at_exit)
 
     def _end_at_exit(self) -> None:
-        """End the run when the process exits. This is needed only if a second Ctrl-C came before ``__exit__`` could
-        defer signals."""
+        """End the run when the process exits. The run is still open only if a second Ctrl-C came before ``__exit__``
+        could defer signals."""
         with contextlib.suppress(_CutShortError):
             self.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
 
@@ -339,7 +343,7 @@ class RunWriter(RunInfo):
             request.reply.put((None, error))
 
     def _due_s(self) -> float | None:
-        """Time after which something must be written even if nothing is added, s. None if nothing waits to be
+        """Time after which the thread must write something even if no world is added, s; None if nothing waits to be
         written."""
         due_s = []
         if self._is_full or self._is_behind:
@@ -355,7 +359,8 @@ class RunWriter(RunInfo):
         return len(self._rows) >= self._worlds_per_part or self._row_bytes >= BYTES_PER_PART
 
     def _try_to_write(self) -> None:
-        """Write everything that waits. If this fails, the error is stored, and the thread tries again after a while."""
+        """Write all worlds and tables that wait. If this fails, the error is stored, and the thread tries again after a
+        while."""
         try:
             self._write_waiting()
         except Exception as error:
@@ -367,11 +372,11 @@ class RunWriter(RunInfo):
         self._room.put(None)
 
     def _write_waiting(self, last: bool = False) -> None:
-        """Write everything that waits. With ``last``, a run in memory stays in memory, and a run without worlds gets an
-        empty part, so that readers find the names of the columns.
+        """Write all worlds and tables that wait. With ``last``, a run in memory stays in memory, and a run without
+        worlds gets a table ``worlds`` without rows, so that readers find the names of the columns.
 
         Raises:
-            PetmjxError: something cannot be written.
+            PetmjxError: a file cannot be written.
         """
         if self._in_memory and not last:
             self._leave_memory()
@@ -385,7 +390,7 @@ class RunWriter(RunInfo):
                 self._write_part(begin)
             except PetmjxError:  # the disk fails, so writing other parts would fail, too
                 raise
-            except Exception as error:  # rows that cannot be packed must not keep other rows from being written
+            except Exception as error:  # a value of this part may have a wrong type; other parts are still written
                 begin, failure = begin + self._worlds_per_part, failure or error
         if self._is_behind:
             self._write_info()
@@ -393,7 +398,8 @@ class RunWriter(RunInfo):
             raise failure
 
     def _write_part(self, begin: int) -> None:
-        """Write the waiting rows from row ``begin`` on as a part. If writing fails, the worlds keep waiting."""
+        """Write waiting rows, from row ``begin`` on, as one part (one file of each table). If writing fails, the worlds
+        keep waiting."""
         rows = self._rows[begin : begin + self._worlds_per_part]
         number = self.parts.next_number(*OF_WORLDS)
         digests: dict[Path, str] = {}
@@ -416,7 +422,7 @@ class RunWriter(RunInfo):
             self._is_behind = False
 
     def _write_placements(self) -> None:
-        """Write the table ``placements`` while worlds are being simulated."""
+        """Write the table ``placements``. Worlds are simulated at the same time."""
         content = self._manifest.placements() if self._manifest else None
         if content is not None:
             with self._writing():
@@ -484,7 +490,7 @@ class RunWriter(RunInfo):
         self._tables.drop_others()
 
     def _leave_memory(self) -> None:
-        """Move the run from memory to a temporary folder."""
+        """Write the tables in memory to a temporary folder, and continue there."""
         assert isinstance(self.parts, MemoryParts)
         with self._writing():
             temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
@@ -494,7 +500,7 @@ class RunWriter(RunInfo):
         self._in_memory, self._lacks_placements, self._is_behind = False, self._manifest is not None, True
 
     def _adopt(self, parts: Parts, ranked: bool) -> None:
-        """Copy the worlds of another run. The files belong to this run only when all of them exist."""
+        """Copy the worlds of another run. The copied files belong to this run as soon as all of them exist."""
         counts = [WorldCounts.of(worlds) for worlds in parts.table("worlds", COUNTED)]
         with self._writing():
             digests = self._copies(parts, None if ranked else self._ranks)
@@ -503,7 +509,7 @@ class RunWriter(RunInfo):
         self._write_info()
 
     def _copies(self, parts: Parts, ranks: WorldRanks | None) -> dict[Path, str]:
-        """Copy tables of worlds. Returns the digest of each file. The files do not belong to the run yet."""
+        """Copy the tables of worlds of a run. Returns copy → digest. The copies do not belong to the run yet."""
         digests: dict[Path, str] = {}
         for path, digest in self._tables.copies(parts, ranks):
             digests[path] = digest
@@ -522,7 +528,7 @@ class RunWriter(RunInfo):
         """Write the remaining worlds, state in ``run.json`` how the run ended, and leave the folder.
 
         Args:
-            error: error that ended the run. None if the run is complete.
+            error: error that ended the run; None if the run is complete.
 
         Returns:
             The error that occurred while the remaining worlds were written, if any.

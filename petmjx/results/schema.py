@@ -2,10 +2,11 @@
 
 The types, with reasons:
 
-- Texts are plain strings. On disk, Parquet encodes them with a dictionary. In memory, they have the same type for all
-  readers, whereas two pandas categoricals with different categories cannot even be compared.
-- Numbers of ``worlds`` are float64, because times are float64 sums of the timestep and are compared exactly. ``boxes``
-  has about forty times as many rows, so its measured values are float32 and only its times are float64.
+- Texts are plain strings. On disk, Parquet encodes them with a dictionary. In memory, all readers get plain strings,
+  too: pandas cannot even compare two categoricals whose categories differ.
+- Numbers in the table ``worlds`` are float64, because times are float64 sums of the timestep and are compared exactly.
+  The table ``boxes`` has about forty times as many rows, so its measured values are float32 and only its times are
+  float64.
 - A value that does not exist is null. For example, there is no culprit, a box was never placed, or a world never came
   to rest. However, the ``reason`` of a stable world is the empty string, since pandas drops null keys when grouping.
 """
@@ -30,7 +31,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA_VERSION: Final = 2
-"""Version of the columns. It is increased when a column is renamed, removed or redefined, but not for new columns."""
+"""Version of the tables' columns. The version is increased when a column is renamed, removed or redefined, but not for
+new columns."""
 
 _FLAG_BITS = ", ".join(
     f"{flag.value} {(flag.name or '').lower().replace('_', '-')}"
@@ -45,8 +47,8 @@ def _column(name: str, kind: pa.DataType, unit: str, text: str) -> pa.Field:
 
 @dataclass(frozen=True)
 class Param:
-    """A parameter of the variants of a sweep. It becomes a column of ``worlds``. ``type`` is float, int, bool or
-    str."""
+    """A quantity that a sweep varies, such as friction, and whose values become a column of ``worlds``. ``type`` is
+    float, int, bool or str."""
 
     name: str
     unit: str = DIMENSIONLESS
@@ -99,7 +101,7 @@ _WORLD_COLUMNS = (
     *_texts(verdict=_one_of(Verdict), reason="why it is not stable; empty where it is"),
     *_counts(culprit="box that first crossed a threshold (packing order from 0); null where none did"),
 )
-"""Columns of ``worlds`` before the metrics. The column ``flags`` follows the metrics."""
+"""The first columns of the table ``worlds``. The metrics and the column ``flags`` follow."""
 
 _BOX_COLUMNS = (
     *_KEY,
@@ -107,7 +109,7 @@ _BOX_COLUMNS = (
     *_texts(item_id="id of the item in the plan", article="article of the item"),
     _column("sequence", pa.int64(), DIMENSIONLESS, "sequence number of the item in the plan"),
 )
-"""Columns of ``boxes`` before the metrics."""
+"""The first columns of the table ``boxes``. The metrics follow."""
 
 
 _ATTEMPT_COLUMNS = (
@@ -173,7 +175,7 @@ _EXTENT_COLUMNS = (
     _column("extent_y_m", pa.float64(), "m", "extent of its bounding box along y"),
     _column("height_m", pa.float64(), "m", "height of its highest box above the carrier"),
 )
-"""Columns of ``plans`` about the extents of a plan."""
+"""Columns of the table ``plans`` with the volume and the extents of a plan's boxes."""
 
 _PLACEMENT_COLUMNS = (
     *_texts(plan_id="id of the packing plan", item_id="id of the item", article="article of the item"),
@@ -199,7 +201,7 @@ _ORDER_COLUMNS = _counts(
     not_ordered="boxes in the plan that were not ordered",
     resized="boxes of the plan that were ordered with another size, mass, centre of mass, stiffness or kind",
 )
-"""Columns of ``plans`` about the comparison with orders."""
+"""Columns of the table ``plans`` with the comparison of a plan and its order."""
 
 
 def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
@@ -253,7 +255,7 @@ def placements_schema() -> pa.Schema:
 
 
 def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: Mapping[str, str]) -> pa.Schema:
-    """Schema of ``summary``, derived from the columns of a data frame, with a unit for every numeric column.
+    """Schema of the table ``summary``, from the schema ``inferred`` of a data frame. Every numeric column gets a unit.
 
     Raises:
         ValueError: a numeric column has no unit.
@@ -283,19 +285,19 @@ def summary_table(
 
 
 _NUMBERS: Final = tuple(metric.name for metric in metrics.world_metrics() if metric.numbers)
-"""Columns of ``worlds`` whose value is the number of a box or of a step."""
+"""Columns of the table ``worlds`` whose values are numbers of boxes or of steps."""
 
 
 def data_frame(table: pa.Table) -> pd.DataFrame:
-    """A table as a data frame, without the column of ranks, since the rows are already in order. The columns
-    ``_NUMBERS`` are always float64, the type that pandas uses if values are missing. So the type does not depend on the
-    worlds."""
+    """A table as a data frame. The column of ranks is left out, since the rows are already in order. The columns
+    ``_NUMBERS`` are always float64: pandas uses this type if values are missing, and the type must not depend on
+    that."""
     frame: pd.DataFrame = table.select([name for name in table.column_names if name != RANK]).to_pandas()
     return frame.astype({name: "float64" for name in _NUMBERS if name in frame})
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
-    """The schema version in the metadata of a file. 0 if the metadata have no version."""
+    """The schema version in the metadata of a file; 0 if the metadata have no version."""
     text: Any = (metadata or {}).get(b"schema_version", b"0")
     try:
         return int(text)

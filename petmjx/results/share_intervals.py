@@ -23,20 +23,21 @@ DEFAULT_CONFIDENCE = 0.95
 
 ALL_PLANS = "all"
 ONE_PLAN = "plan"
-"""Values of the column ``scope`` in rows of the summary. The first is for rows about all plans together, whose
-``plan_id`` is null; the second is for rows about one plan."""
+"""Values of the column ``scope`` of the summary. ``ALL_PLANS`` is for rows about all plans together, whose ``plan_id``
+is null; ``ONE_PLAN`` is for rows about one plan."""
 
 KEYS = ("scope", "plan_id", "axis", "value")
-"""Columns that say which worlds a row of the summary is about."""
+"""Columns of the summary whose values say which worlds a row is about."""
 
 
 def wilson_interval(
     successes: ArrayLike, n: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
 ) -> tuple[FloatArray, FloatArray]:
-    """Wilson's score interval of the share successes / n, element by element. (0, 1) if n is 0.
+    """Lower and upper bound of Wilson's score interval of the share successes / n, element by element; 0 and 1 if n is
+    0.
 
     Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval always lies inside [0, 1]. For shares of 0 and
-    1, its width is above 0, whereas the usual ± interval has the width 0.
+    1, the interval has a width above 0, whereas the usual ± interval has the width 0.
 
     Raises:
         ValueError: successes are not in 0 … n, or the confidence is not in (0, 1).
@@ -51,22 +52,22 @@ def wilson_interval(
     share = k / n_or_one
     centre = (share + z * z / (2 * n_or_one)) / (1 + z * z / n_or_one)
     half = z / (1 + z * z / n_or_one) * np.sqrt(share * (1 - share) / n_or_one + z * z / (4 * n_or_one * n_or_one))
-    # for a share of 0 or 1, one bound is exactly the share, which rounding must not change
+    # for a share of 0 or 1, one bound must be exactly the share; rounding could change it
     low = np.where((total == 0) | (k == 0), 0.0, centre - half)
     high = np.where((total == 0) | (k == total), 1.0, centre + half)
     return low, high
 
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
-    """Aggregate worlds in groups. There are groups of worlds of all plans, and groups of worlds of each plan. Of each
-    kind, there is one group of all worlds (axis ""), and one group for each value of each axis.
+    """Aggregate worlds in groups: once over all plans, and once for each plan. In both cases, all worlds form a group
+    (axis ""), and for each axis, the worlds with the same value form a group.
 
     Args:
-        columns: aggregates of each group, as keyword arguments of pandas' ``agg``: name=(column, function).
+        columns: the values to compute for each group, as keyword arguments of pandas' ``agg``: name=(column, function).
 
     Returns:
         Data frame with the columns ``KEYS`` and the aggregates. Rows about all plans come first. The column ``scope``
-        distinguishes them from rows about one plan.
+        distinguishes rows about all plans from rows about one plan.
     """
     parts = []
     for scope, rows in ((ALL_PLANS, worlds.assign(plan_id="")), (ONE_PLAN, worlds)):
@@ -85,20 +86,19 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
     """The share of worlds that stand, for every value of every axis. If the worlds have random draws, the share has a
     Wilson 95 % interval.
 
-    Invalid worlds say nothing about the pallet: they are counted separately and are not part of the share. A world
-    without a value on an axis (the world without changes) is not part of the rows of this axis.
+    Invalid worlds say nothing about the pallet: they are counted separately and are not part of the share. The world
+    without changes has no value on any axis, so it is counted only in the row for all worlds.
 
-    A world without random values always has the same outcome, so a row with such a world has no interval. Worlds of the
-    same draw are not independent of each other. So the number of trials is the number of draws, and not the number of
-    worlds. The interval is then wide enough, because the mean over the worlds of a draw varies at most as much as a
-    single world.
+    A world without random values always has the same outcome, so a row with such a world has no interval. Worlds with
+    the same random numbers (a draw) are not independent of each other, so the number of trials is the number of draws.
+    The interval is wide enough, because the mean over the worlds of a draw varies at most as much as a single world.
 
     Args:
         worlds: data frame with the columns ``plan_id`` and ``verdict``, and a column for each axis. It may have the
             column ``draw``, which has the same value for all worlds with the same random numbers, and null for worlds
             without random numbers.
-        axes: names of the parameter columns. A row of the summary is about one value of one axis, over all values of
-            the other axes.
+        axes: names of the columns that have the values of the axes. A row of the result is about all worlds that have
+            one value on one axis, whatever their values on the other axes.
 
     Returns:
         Data frame with the columns ``KEYS``, n_worlds, n_standing, n_invalid, share, n_draws (0 if the row has no
@@ -130,7 +130,7 @@ def _text(value: object) -> str:
 
 @dataclass(frozen=True)
 class PairedCounts:
-    """Numbers of trials, by their outcomes with the two alternatives a and b.
+    """Numbers of trials in which two alternatives a and b were both tried, by outcome.
 
     Attributes:
         both, only_a, only_b, neither: number of trials that succeeded with both, only with a, only with b, or with
@@ -175,7 +175,8 @@ def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDEN
 
 
 def _correlation(counts: PairedCounts) -> float:
-    """Newcombe's corrected correlation φ of the four counts. 0 if one of the two shares is 0 or 1."""
+    """The correlation φ of the four counts, with Newcombe's continuity correction; 0 if one of the two shares is 0 or
+    1."""
     hits_a, hits_b = counts.both + counts.only_a, counts.both + counts.only_b
     product = hits_a * (counts.n - hits_a) * hits_b * (counts.n - hits_b)
     if product == 0:
@@ -187,7 +188,7 @@ def _correlation(counts: PairedCounts) -> float:
 
 def mcnemar_p(counts: PairedCounts) -> float:
     """Two-sided p-value of McNemar's exact test. The null hypothesis is that a and b succeed equally often in the
-    trials in which they differ. 1 if they differ in no trial.
+    trials in which they differ. The p-value is 1 if a and b differ in no trial.
 
     Raises:
         InputError: SciPy is not installed.
@@ -203,11 +204,12 @@ def mcnemar_p(counts: PairedCounts) -> float:
 
 
 def holm(p_values: Sequence[float]) -> FloatArray:
-    """P-values corrected for the number of tests, so that the probability of any false alarm stays below the level.
+    """P-values corrected for the number of tests. If corrected p-values are compared with a level such as 0.05, the
+    probability of at least one false alarm stays below the level.
 
     Source: Holm (1979), "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics
-    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on. If a result is smaller
-    than the result before it, it is raised to the latter.
+    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on. No corrected value is
+    below the one before it, and none is above 1.
     """
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p, kind="stable")

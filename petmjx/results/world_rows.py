@@ -26,17 +26,18 @@ ROW_BYTES: Final = 2_000
 texts of the world itself."""
 
 _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")
-"""Columns of ``worlds``, besides the metrics, that are fields of ``Outcome``."""
+"""Columns of the table ``worlds`` that are fields of ``Outcome``, without the metrics."""
 
 
 def _block_columns() -> list[Column]:
-    """The metrics that have a value for each box. The schema of ``boxes`` determines which of them are written."""
+    """The columns of all metrics that have a value for each box. The schema of the table ``boxes`` determines which of
+    these columns are written."""
     return [*box_columns(), *FORCE_INTERVAL]
 
 
 class _Layout:
-    """Which values of an outcome are copied into a row. The layout is prepared once, since looping over the metrics for
-    every world takes longer than copying their values.
+    """Determines which values of an outcome are copied into a row. The layout is prepared once for all worlds, because
+    a loop over the metrics takes longer than copying their values.
 
     Attributes:
         of_boxes: the metrics of boxes.
@@ -64,7 +65,7 @@ _layouts: Final[list[_Layout]] = []
 
 
 def _layout() -> _Layout:
-    """The layout for the metrics as they are now."""
+    """The layout for the present list of metrics, which may get further entries."""
     if not _layouts or _layouts[0].of_boxes is not box_metrics():
         _layouts[:] = [_Layout()]
     return _layouts[0]
@@ -72,13 +73,14 @@ def _layout() -> _Layout:
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One finished world that waits to be written. The row holds copies, so the engine may reuse its arrays.
+    """One finished world that waits to be written. The row has copies of the outcome's values, so the engine may reuse
+    its arrays.
 
     Attributes:
         cells: column → value, for the columns of ``worlds`` that are not computed from all boxes.
         block: (columns, boxes) metrics of the boxes, in the order of ``_block_columns``.
-        attempts: records of all attempts (simulations). Empty if the world needed only one.
-        recorded: the world with its history. None if the world was not recorded.
+        attempts: records of all attempts (simulations); empty if the world needed only one.
+        recorded: the world with its history; None if the world was not recorded.
         ended_s: time at which the world ended, s (monotonic clock).
     """
 
@@ -112,7 +114,8 @@ class Row:
         params: Mapping[str, Any],
         interval_n: FloatArray | None = None,
     ) -> Row:
-        """Make a row by copying the values of an outcome that are written. The ``state`` of the outcome is not kept.
+        """Make a row with copies of those values of an outcome that are written to tables. The ``state`` of the outcome
+        is not copied.
 
         Raises:
             ValueError: the outcome does not belong to the plan, since the numbers of boxes differ.
@@ -140,13 +143,13 @@ class Row:
 
 @dataclass(frozen=True)
 class Part:
-    """The rows of one part of a run, in the order in which they are written."""
+    """The finished worlds of one part (one file of each table), in the order in which they are written."""
 
     rows: Sequence[Row]
 
     def tables(self, schemas: Mapping[str, pa.Schema]) -> Iterator[tuple[str, pa.Table]]:
-        """Yield the name and the content of every table of the part, ``worlds`` last. ``boxes`` is left out if it has
-        no schema."""
+        """Yield the name and the content of each table that has rows of these worlds; ``worlds`` comes last. ``boxes``
+        is left out if it has no schema."""
         recorded = [row.recorded for row in self.rows if row.recorded is not None]
         for name, columns_of in history_tables.TABLES.items() if recorded else ():
             columns = columns_of(recorded)
@@ -159,8 +162,8 @@ class Part:
         yield "worlds", self.worlds(schemas["worlds"])
 
     def worlds(self, schema: pa.Schema) -> pa.Table:
-        """Make the table ``worlds`` for the whole part at once, including the values that are computed from all
-        boxes."""
+        """Make the table ``worlds`` for all worlds of the part at once. Some columns are computed from the values of
+        all boxes of a world."""
         blocks, counts = self._blocks
         starts = np.cumsum(counts) - counts
         columns: dict[str, Any] = {}
@@ -191,7 +194,7 @@ class Part:
         return _typed_table(columns, schema)
 
     def attempts(self, schema: pa.Schema) -> pa.Table:
-        """Make the table ``attempts``. It has no rows if every world needed only one attempt."""
+        """Make the table ``attempts``, which has no rows if every world needed only one attempt."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
         cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
         return _typed_table({name: [cell[name] for cell in cells] for name in schema.names}, schema)

@@ -1,7 +1,7 @@
-"""The legs of a chain: their tables in sweep files, and the outcome of a world after a leg.
+"""The legs of a transport chain: their tables in sweep files, and the outcome of a simulation after a leg.
 
-A chain is the journey of a pallet: its boxes are placed, and it is then shaken in several parts, called legs. The
-tables are ``[[legs]]`` and ``[[remedies]]``. docs/chains.md explains chains to users.
+A chain is the journey of a pallet: its boxes are placed, and the pallet is then shaken in several parts, called legs.
+In sweep files, the tables ``[[legs]]`` and ``[[remedies]]`` define a chain. docs/chains.md explains chains to users.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from petmjx.world.profiles.profile_registry import resolve
 from petmjx.world.variants import DriveSpec, LegSpec
 
 PLACING: Final = "placing"
-"""Name of the part of a chain before its first leg, in which boxes are placed and come to rest."""
+"""Name of the first part of a chain, in which boxes are placed and come to rest. The first leg follows."""
 
 AS_IS: Final = ""
-"""The name that stands for the unchanged chain where other worlds have the name of a remedy."""
+"""The name of the unchanged chain, in columns where changed chains have the name of their remedy."""
 
 MOST_LEGS: Final = 100
 
 _EDGES: Final = ("plan_edge_m", "plan_edge_box", "build_edge_m", "build_edge_box", "build_edge_step")
-"""Fields of an outcome about loads near edges in the plan. A leg does not change them."""
+"""Fields of an outcome that tell how near to an edge loads act in the plan. A leg does not change these fields."""
 
 Name = Annotated[str, Field(max_length=100)]
 Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]
 
 
 class Event(CheckedRecord):
-    """One profile (motion of the carrier) of a leg."""
+    """One profile (motion of the carrier) that shakes the pallet during a leg."""
 
     profile: Name = Field(description="name of a profile of accelerations, or of a family of them")
     direction: Direction = Field(0.0, description="turn of the profile from +x to +y")
@@ -82,7 +82,8 @@ class Leg(CheckedRecord):
 
 
 class Remedy(CheckedRecord):
-    """One table ``[[remedies]]``: a change of one leg, which is tried in the same worlds as the unchanged chain."""
+    """One table ``[[remedies]]``: a change of one leg. The changed and the unchanged chain are simulated with the same
+    random numbers."""
 
     name: Name = Field(description="what is done, in the results")
     leg: Name = Field(description="name of the leg that is changed")
@@ -97,18 +98,20 @@ class Remedy(CheckedRecord):
 
 
 def _ends(strength: float | Range[Any]) -> tuple[float, float | None]:
-    """The values of the fields ``scale`` and ``scale_to`` of a drive."""
+    """The smallest and the largest strength that may be drawn, as the fields ``scale`` and ``scale_to`` of a drive. The
+    second is None if nothing is drawn."""
     return (strength.low, strength.high) if isinstance(strength, Range) else (strength, None)
 
 
 def check_name(name: str, *path: str | int) -> None:
-    """Raise a ValidationError if a name is invisible or would break lines and tables."""
+    """Raise a ValidationError if a name has no visible characters, or has characters, such as line breaks, that would
+    spoil tables."""
     if not name.strip() or not name.isprintable():
         raise complaint(f": '{printable_name(name)}' must have visible characters, and no others", *path, "name")
 
 
 def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mapping[str, Profile]) -> None:
-    """Check the tables of a chain against one another. Called by a validator.
+    """Check that the tables of a chain fit together. A validator calls this function.
 
     Args:
         defined: name → profile, for the profiles that the file defines.
@@ -172,8 +175,8 @@ def profiles_of_legs(legs: Sequence[Leg], defined: Mapping[str, Profile]) -> dic
 
 
 def legs_with(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Profile]) -> tuple[LegSpec, ...]:
-    """The legs that shake the pallet or open walls, with the changes of a remedy. Each leg has the turns of film that
-    are around the pallet during this leg."""
+    """The legs that shake the pallet or open walls, changed as the remedy says. Each returned leg has the number of
+    turns of film that are around the pallet during the leg."""
     return tuple(_specs(legs, remedy, defined))
 
 
@@ -198,18 +201,19 @@ def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Pro
 
 
 def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: float) -> Excitation:
-    """Join drives of accelerations into one excitation (an array of samples), with pauses between the drives. Without
-    drives, the excitation is one pause."""
+    """Join several motions of the carrier into one excitation (an array of samples), with pauses between the motions.
+    Without motions, the excitation is one pause."""
     pause = np.zeros((seconds_to_steps(pause_s, timestep_s), 3))
     if not drives:
         return Excitation(name, ACCELERATION, pause if len(pause) else np.zeros((1, 3)))
-    # the total mass matters only for drives of forces, so any value will do
+    # any total mass will do: only forces depend on it, and these drives are accelerations
     parts = [part for drive in drives for part in (drive.rows(total_mass=0.0), pause)]
     return Excitation(name, ACCELERATION, np.concatenate(parts[:-1]))
 
 
 def with_sustained_force(leg: Outcome, before: BoxMetrics) -> Outcome:
-    """The outcome of a leg, with the largest force at rest on each box so far (``sustained_top_force_n``).
+    """The outcome of a leg, to which ``sustained_top_force_n`` is added: the largest force at rest on the top of each
+    box after this leg or any earlier part of the journey.
 
     Args:
         before: metrics after the previous leg, or after the placement if this is the first leg.
@@ -219,10 +223,10 @@ def with_sustained_force(leg: Outcome, before: BoxMetrics) -> Outcome:
 
 
 def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
-    """The outcome of a world after one more leg. Its metrics and times are measured from the first placement on.
+    """The outcome of a world after one more leg. Times are counted from the placement of the first box.
 
-    Largest values are those of the whole journey, also the largest force at rest (``sustained_top_force_n``). The poses
-    of the boxes and ``rest_top_force_n`` are those at the end of the leg.
+    Metrics that are largest values, such as the largest force at rest (``sustained_top_force_n``), are those of the
+    journey so far. The poses of the boxes and ``rest_top_force_n`` are those at the end of the leg.
 
     Args:
         before: the outcome after the previous leg, in which the pallet still stood.
@@ -239,7 +243,7 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     if history is not None and before.history is not None:
         history = before.history.then(_later(history, since_s))
     edges: dict[str, Any] = {}
-    if leg.verdict is Verdict.STABLE:  # a leg does not change distances of loads from edges in the plan
+    if leg.verdict is Verdict.STABLE:  # the plan determines how near to an edge loads act, so a leg changes nothing
         largest["plan_edge_m"] = old.plan_edge_m
         edges = {name: getattr(before, name) for name in _EDGES}
     return replace(

@@ -24,10 +24,11 @@ from petmjx.runs.chain_legs import AS_IS, PLACING
 from petmjx.runs.sweep_worlds import SweepPlan
 
 WHOLE_WAY: Final = ""
-"""Value of the column ``leg`` in rows about the whole journey, from the placing to the end of the last leg."""
+"""Value of the column ``leg`` in rows about the whole journey, from the placement of boxes to the end of the last
+leg."""
 
 OF_WORLDS: Final = ("plan_id", "variant", "verdict", "culprit", "leg", "remedy")
-"""Columns of ``worlds`` that the summary needs."""
+"""The columns of the table ``worlds`` from which the summary is computed."""
 
 _KEYS: Final = ["scope", "plan_id", "remedy", "leg"]
 _COUNTS: Final = ["n_worlds", "n_standing", "n_invalid"]
@@ -57,8 +58,8 @@ _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})
 
 @dataclass(frozen=True)
 class ChainColumns:
-    """Facts about a chain that its summary needs. They are stored in ``run.json``, so that shards of a run can be
-    merged.
+    """What the summary of a chain must know about the chain. ``run.json`` stores this record, so that shards of a run
+    can be merged.
 
     Attributes:
         legs: names of the legs that shake the pallet or open walls, in order.
@@ -72,17 +73,19 @@ class ChainColumns:
 
     @classmethod
     def of(cls, plan: SweepPlan) -> ChainColumns:
-        """The facts about the chain of a sweep."""
+        """The record of the chain that a sweep simulates."""
         first, *remedies = plan.ways
         return cls([leg.name for leg in plan.ways[first]], remedies, bool(plan.draws()))
 
 
 def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
-    """The summary of a chain. There are rows about all plans together, and rows about each plan. In both, there is one
-    row for the whole journey and one row for each leg, without remedies and with each remedy.
+    """The summary of a chain. Some rows are about all plans together, the others about one plan. For all plans and for
+    each plan, there is a row for the whole journey and a row for each leg; each of these rows exists without remedies
+    and with each remedy.
 
-    The worlds of a plan are independent draws, so each share has a Wilson interval. A world without remedies and the
-    same world with a remedy form a pair.
+    The worlds (simulations) of a plan have independent random numbers, so each share has a Wilson interval. To compute
+    the gain from a remedy, each world with the remedy is compared with the world that has the same random numbers but
+    no remedy.
 
     Args:
         worlds: the columns ``OF_WORLDS`` of all worlds of the run, in the order of the run.
@@ -116,7 +119,8 @@ def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
 
 
 def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
-    """The columns ``_KEYS`` and ``_COUNTS`` of the summary, in order."""
+    """The rows of the summary, with the columns ``_KEYS`` and ``_COUNTS``: how many worlds reached each leg, and how
+    many of these stand or are invalid after it."""
     invalid = worlds["verdict"] == Verdict.INVALID.value
     arrives = worlds["leg"] == WHOLE_WAY
     end = worlds["leg"].cat.codes.where(~arrives, len(legs))
@@ -150,7 +154,7 @@ def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 
 
 def _gains(worlds: pd.DataFrame, *, random: bool) -> pd.DataFrame:
-    """The gain from each remedy, for the rows about the whole journey."""
+    """The columns about the gain from a remedy, for those rows of the summary that are about the whole journey."""
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     pairs = ["scope", "plan_id", "pair", "draw"]
     without = judged.loc[judged["remedy"] == AS_IS, [*pairs, "verdict"]]
@@ -170,8 +174,8 @@ def _gains(worlds: pd.DataFrame, *, random: bool) -> pd.DataFrame:
 
 
 def _gain(counts: PairedCounts, random: bool) -> tuple[float, float, float]:
-    """The gain from a remedy, and the two ends of its interval. In ``counts``, a means without the remedy, b with
-    it."""
+    """The gain from a remedy, and the lower and upper end of its interval. In ``counts``, a is the chain without the
+    remedy, and b is the chain with it."""
     low, high = newcombe_interval(counts) if random and counts.n else (np.nan, np.nan)
     return counts.difference, low, high
 
@@ -190,18 +194,19 @@ def write_chain(writer: RunWriter, chain: ChainColumns) -> None:
 
 
 def arrivals(summary: pd.DataFrame, remedy: str = AS_IS) -> pd.DataFrame:
-    """The rows of the summary about the whole journey of each plan, in the order of the run."""
+    """Those rows of the summary that are about the whole journey of one plan with this remedy, in the order of the
+    run."""
     chosen = (summary["scope"] == ONE_PLAN) & (summary["leg"] == WHOLE_WAY) & (summary["remedy"] == remedy)
     return summary[chosen].reset_index(drop=True)
 
 
 def shares_by_leg(summary: pd.DataFrame) -> pd.DataFrame:
-    """Probability that the pallet stands after a leg, given that it reached the leg, for the chain without remedies.
-    One row per plan, and one column per leg in the order of the legs."""
+    """Share of the pallets that stand after a leg, among the pallets that reached the leg, for the chain without
+    remedies. One row per plan, and one column per leg in the order of the legs."""
     chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS) & (summary["leg"] != WHOLE_WAY)]
     return chosen.pivot(index="plan_id", columns="leg", values="share")[chosen["leg"].unique().tolist()]
 
 
 def is_chain(info: Mapping[str, Any]) -> bool:
-    """Whether a run is a run of a chain. ``info``: the content of ``run.json``."""
+    """Whether a run simulated a transport chain. ``info``: the content of its ``run.json``."""
     return info.get("config", {}).get("chain") is not None

@@ -1,8 +1,9 @@
 """Scores with confidence: the share of worlds in which a pallet stands, given the errors of a robot and of its cartons.
 
-A score with confidence is a sweep in which each axis has one error. Each plan is simulated once without errors (the
-nominal world) and many times with random errors (the replicates). The summary has other columns than that of a sweep.
-docs/confidence.md explains such scores to users.
+A score with confidence is a sweep in which each axis (varied quantity) has a single error, such as a normal
+distribution of places. Each plan is simulated once without errors (the nominal world) and many times with random errors
+(the replicates). The summary has other columns than the summary of a sweep. docs/confidence.md explains scores with
+confidence to users.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ READY_MADE: Final = "confidence"
 EVEN: Final = 0.5
 
 SIGNIFICANCE: Final = 0.05
-"""Accepted probability of at least one false alarm about the manner of placing. A false alarm is a plan that the run
-reports as dependent on how its boxes are placed, although it is not."""
+"""Accepted probability that the run has at least one false alarm: a plan whose stability, according to the run, depends
+on how its boxes are placed, although it does not."""
 
 PLACING: Final = "placing"
 """Name of the axis, and of the column of ``worlds``, that states how boxes with errors were placed."""
@@ -105,7 +106,7 @@ def confidence_sweep(
 
 
 def _error_sweep_fault(sweep: Sweep) -> str:
-    """One line about the first entry that a file of errors must not have. Empty if there is none."""
+    """An error text about the first entry that a sweep file of errors must not have; "" if all entries are allowed."""
     if sweep.search is not None:
         return "[search] contradicts confidence, which asks for a share: use petmjx sweep"
     if sweep.legs:
@@ -155,7 +156,7 @@ def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
 
 
 def _shares(drawn: pd.DataFrame) -> pd.DataFrame:
-    """For each plan, the share of worlds that stand."""
+    """For each plan, the share of worlds with errors in which the pallet stands, and the share's interval."""
     shares = share_standing(drawn.assign(draw=drawn["variant"]), ())
     return shares[shares["scope"] == ONE_PLAN]
 
@@ -170,8 +171,9 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
-    """Compare the two manners of placing (carried, and appearing) for each plan: the numbers of draws that stand with
-    only one of them, and a test of these numbers. A draw with an invalid world is left out."""
+    """Compare, for each plan, carried boxes with boxes that appear at their places: count the sets of random errors
+    with which the pallet stands in only one of the two cases, and test whether the two numbers differ. A set of errors
+    with an invalid world is left out."""
     pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
     one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
@@ -194,7 +196,7 @@ def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
     """Write the table ``summary`` of a run with confidence. All other tables of the run must be complete.
 
     Args:
-        axes: names of the axes of the sweep.
+        axes: names of the axes of the sweep. With ``PLACING``, each world with errors was simulated twice.
 
     Raises:
         PetmjxError: the file cannot be written.

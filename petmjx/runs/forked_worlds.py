@@ -1,4 +1,5 @@
-"""Settled placements, and the worlds that start from them: drives (motions of the carrier), and the legs of a chain."""
+"""Settled placements (simulations in which all boxes are placed and at rest), and the simulations that start from their
+states: drives (motions of the carrier), and the legs of a chain."""
 
 from __future__ import annotations
 
@@ -19,30 +20,30 @@ from petmjx.world.variants import LegSpec, Variant
 
 @dataclass(frozen=True, eq=False)
 class PlacementWorld(World):
-    """The placement of a plan's boxes, as a world that the engine simulates."""
+    """A simulation in which the boxes of a plan are placed, as a job for the engine."""
 
     group: PlacementGroup
 
 
 @dataclass(frozen=True, eq=False)
 class SettledPlacement:
-    """A placement that has settled: its outcome, with the state from which drives start."""
+    """A simulated placement of boxes that are now at rest: its outcome, with the state from which drives start."""
 
     group: PlacementGroup
     scene: Scene
     outcome: Outcome
     attempts: tuple[Attempt, ...]
     _of_legs: dict[tuple[float | None, tuple[Side, ...]], Scene] = field(default_factory=dict, init=False)
-    """(turns of film, open walls) → the scene with this film and these open walls."""
+    """(number of turns of film, open walls) → the scene with this film and these open walls."""
 
     @cached_property
     def load_height_m(self) -> float:
-        """Height of the load at rest, m. It is the same for all drives of the placement."""
+        """Height of the load at rest, m. All drives that start from this placement have this height."""
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
-        """The outcome of a drive or leg, judged together with the outcome of its placement. Its history begins with the
-        history of the placement."""
+        """The outcome of a drive or leg, judged together with the outcome of the placement from which it started. The
+        history of the outcome begins with the history of the placement."""
         placed = self.outcome
         if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
             judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
@@ -60,7 +61,8 @@ class SettledPlacement:
         return replace(outcome, history=placed.history.then(outcome.history))
 
     def undriven(self, variant: Variant) -> FinishedWorld:
-        """A world that is not shaken. It has the outcome of the placement, and nothing more is simulated."""
+        """The finished world of a variant that is not shaken: it has the outcome of the placement, and no further
+        simulation."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
         end = LegEnd(PLACING, 0.0) if variant.legs else None
         return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
@@ -82,13 +84,14 @@ class SettledPlacement:
 
 
 Test = tuple[int, int]
-"""(number of an item of a search, index of the tested level), as in `Bisection`."""
+"""A test of a search: the number of the item (placement × profile × direction), and the index of the tested level, as
+in `Bisection`."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveWorld(World):
-    """A drive from a settled placement, as a world that the engine simulates. ``test``: the test of a search for which
-    the drive is simulated. (-1, -1): no search."""
+    """A simulation in which the carrier is shaken, from the settled state of a placement on, as a job for the engine.
+    ``test``: the test of a search to which this simulation belongs; (-1, -1) outside a search."""
 
     settled: SettledPlacement
     change: Variant
@@ -97,11 +100,11 @@ class DriveWorld(World):
 
 @dataclass(frozen=True, eq=False)
 class LegStart:
-    """The state from which a leg of a chain begins.
+    """The beginning of a leg of a chain, which several worlds with equal journeys so far may share.
 
     Attributes:
-        changes: variants of the worlds that begin this leg together. Their chains are equal up to this leg.
-        number: index of the leg in these chains.
+        changes: variants of the worlds that share this beginning.
+        number: index of the leg in the chain.
         before: the outcome of the previous leg. None in the first leg.
     """
 
@@ -113,7 +116,7 @@ class LegStart:
 
 @dataclass(frozen=True, eq=False)
 class LegWorld(World):
-    """A leg of a chain, as a world that the engine simulates."""
+    """A simulation of one leg of a chain, as a job for the engine."""
 
     begin: LegStart
 

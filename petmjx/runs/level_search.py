@@ -37,13 +37,14 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 
 @dataclass(frozen=True)
 class Probe:
-    """The result of one test of a search. The row of the test in ``worlds`` has the same values, so that a search can
-    be resumed.
+    """The result of one test of a search, which is a simulation at one level. The row of the test in the table
+    ``worlds`` has the same values, so that a search can be resumed.
 
     Attributes:
         culprit: number of the box that failed first, or −1 if no box failed.
         mode: the mode of failure (`failure_mode`).
-        moving: whether boxes were still moving when the world ended. A longer wait may then change the verdict.
+        moving: whether boxes were still moving at the end of the simulation. If so, a longer simulation may have
+            another verdict.
         values: column → value, for the columns that the sweep adds to ``worlds``.
     """
 
@@ -55,13 +56,13 @@ class Probe:
 
     @classmethod
     def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
-        """The probe of a simulated world. ``tilt_deg``: angle above which a tilted box has the mode "tilt"."""
+        """The result of a test from its outcome. ``tilt_deg``: angle above which a tilted box has the mode "tilt"."""
         moving = Flag.MOVING in outcome.flags
         return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), moving, values or {})
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> Probe:
-        """The probe of a world from its row: column → value, with None for null."""
+        """The result of a test from its row in the table ``worlds``: column → value, where None stands for null."""
         culprit = -1 if row["culprit"] is None else int(row["culprit"])
         return cls(Verdict(row["verdict"]), culprit, row["mode"], bool(row["flags"] & Flag.MOVING), row)
 
@@ -99,20 +100,20 @@ class SearchBracket:
 class Bisection:
     """Searches the largest level survived for many items (placement × profile × direction) together.
 
-    All items share one grid of levels. So an answer is exact to within one step of the grid, and the tested levels do
-    not depend on the order in which worlds end. In each round, up to ``sections`` levels of an item are tested at the
-    same time, evenly spread between the largest survived and the smallest failed level. Items do not wait for one
-    another.
+    All items share one grid of levels. So the error of an answer is at most one step of the grid, and the tested levels
+    do not depend on the order in which simulations end. In each round, up to ``sections`` levels of an item are tested
+    at the same time, evenly spread between the largest survived and the smallest failed level. The rounds of one item
+    do not wait for the rounds of other items.
 
-    The search assumes that a pallet that survives a level also survives all lower levels. This can be wrong: a stronger
-    push may press a box against its neighbour, so that the box jams. If a level above a failed level was survived, the
-    answer is still the largest level below all failed levels, and ``monotone`` is False for the item.
+    The search assumes that a pallet that survives a level also survives all lower levels. The assumption can be wrong:
+    a stronger push may press a box against its neighbour, so that the box jams. If a level above a failed level was
+    survived, the answer is still the largest level below all failed levels, and ``monotone`` is False for the item.
 
     Args:
         levels: (n_levels,) levels in ascending order, in g or as a scale.
-        at_rest: for each item, the probe of its world before any profile. If the world does not stand at rest, the
-            search for the item ends at once, and no level is survived. If ``levels[0]`` is 0, an item that stands at
-            rest has survived level 0.
+        at_rest: for each item, the result of the simulation without a profile. If the pallet does not stand there, the
+            search for the item ends at once, and no level is survived. If ``levels[0]`` is 0, a pallet that stands
+            without a profile has survived level 0.
         sections: number of levels of an item that are tested at the same time, ≥ 1. 1 is plain bisection.
 
     Attributes:
@@ -127,7 +128,7 @@ class Bisection:
     ) -> None:
         self.levels: FloatArray = np.asarray(levels, dtype=np.float64)
         if self.levels.ndim != 1 or len(self.levels) < 1 or np.any(np.diff(self.levels) <= 0):
-            raise ValueError("levels must be a rising list of at least one level")
+            raise ValueError("levels must be a list of ascending numbers, with at least one number")
         if sections < 1:
             raise ValueError(f"sections must be ≥ 1, got {sections}")
         self.sections = sections
@@ -140,24 +141,27 @@ class Bisection:
         return SearchBracket(True, survived, len(self.levels), survived)
 
     def bounds(self, item: int) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Two pairs (item, level index): for the largest level survived, and for the smallest level that failed."""
+        """Two tests (item, index of the level): at the largest level survived, and at the smallest level that
+        failed."""
         bracket = self.items[item]
         return (item, bracket.survived), (item, bracket.failed)
 
     def largest_survived(self, item: int) -> float | None:
-        """Largest survived level that is below all failed levels, in g or as a scale. None if there is none."""
+        """The largest survived level below all failed levels, in g or as a scale; None if no level below all failed
+        levels was survived."""
         survived = self.items[item].survived
         return float(self.levels[survived]) if survived >= 0 else None
 
     def first_failed(self, item: int) -> float | None:
-        """Smallest level that failed, in g or as a scale. None if no level failed, or if nothing was tested."""
+        """The smallest level that failed, in g or as a scale; None if no level failed, or if nothing was tested."""
         bracket = self.items[item]
         return (
             float(self.levels[bracket.failed]) if bracket.stands_at_rest and bracket.failed < len(self.levels) else None
         )
 
     def next_tests(self, item: int) -> list[tuple[int, int]]:
-        """The next tests of an item, as pairs (item, level index). Empty if the answer for the item is found."""
+        """The next tests of an item, as pairs (item, index of the level). The list is empty if the answer for the item
+        is known."""
         bracket = self.items[item]
         untested = bracket.failed - bracket.survived - 1
         count = min(self.sections, untested)
@@ -165,10 +169,10 @@ class Bisection:
         return [(item, bracket.survived + step) for step in steps.tolist()]
 
     def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
-        """Record the results of tests. All levels that ``next_tests`` returned for an item must be recorded together;
-        any number of items is allowed.
+        """Record the results of tests. All tests that ``next_tests`` returned for an item must be recorded in one call,
+        which may contain tests of several items.
 
-        The level of an invalid world counts as failed. Its mode is the reason why the world is invalid.
+        If a test is invalid, its level counts as failed, and the mode of failure is the reason why the test is invalid.
         """
         if len(tests) != len(worlds):
             raise ValueError("record needs one answer for each test")
@@ -183,7 +187,7 @@ class Bisection:
             elif level < bracket.failed:
                 bracket.failed = level
                 bracket.box, bracket.mode = world.culprit, world.mode
-        # Failures are recorded first, since a level survived above a failed level must not raise the answer.
+        # Survived levels come last: a survived level that is above a failed level must not raise the answer.
         for bracket, level in survivors:
             bracket.highest = max(bracket.highest, level)
             if level < bracket.failed:

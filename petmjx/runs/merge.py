@@ -29,7 +29,7 @@ from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
 
 _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
-"""Columns that identify a row in the summary of a search. Rows are sorted by these columns."""
+"""Columns that identify a row in the summary of a search, and by which the rows are sorted."""
 
 
 def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:
@@ -114,7 +114,7 @@ def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
             raise InputError(f"{run.path}: is shard {shard}, and so is {run_by_shard[number].path}")
         run_by_shard[number] = run
     if not run_by_shard:
-        raise InputError("no shard to merge: name their folders")
+        raise InputError("no shard to merge: name the folders of the shards")
     total = of.pop()
     missing = [f"{number}/{total}" for number in range(1, total + 1) if number not in run_by_shard]
     if missing:
@@ -147,20 +147,20 @@ def _is_search(info: Mapping[str, Any]) -> bool:
 
 
 def _variants(runs: Sequence[RunResults]) -> range:
-    """All numbers from the smallest to the largest variant that occurs in the runs."""
+    """The numbers of variants, from the smallest to the largest number that occurs in the runs."""
     parts = [part for run in runs for part in run.parts.table("worlds", ("variant",)) if len(part)]
     least, most = pc.min_max(pa.concat_tables(parts)["variant"]).values()
     return range(least.as_py(), most.as_py() + 1)
 
 
 def _placements(runs: Sequence[RunResults]) -> pa.Table | None:
-    """The table ``placements`` of all plans. None if a shard lacks the table."""
+    """The table ``placements`` for the plans of all shards together; None if a shard lacks the table."""
     tables = [run.parts.table(PLACEMENTS) for run in runs]
     return pa.concat_tables(itertools.chain.from_iterable(tables)) if all(tables) else None
 
 
 def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
-    """The comparison of all plans with their orders. None if no shard was compared with orders.
+    """The comparison of the plans of all shards with their orders; None if no shard was compared with orders.
 
     Raises:
         InputError: not all shards were compared with the same orders.
@@ -177,7 +177,7 @@ def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
 
 
 def _of_shard(run: RunResults) -> dict[str, Any]:
-    """The entries about one shard in the ``run.json`` of the merged run."""
+    """What the ``run.json`` of the merged run has about one shard."""
     info = run.info
     return {
         "shard": info["identity"]["shard"],
@@ -219,8 +219,8 @@ def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
 
 
 def _write_summary(writer: RunWriter, runs: Sequence[RunResults]) -> None:
-    """Write the table ``summary``. Shares are computed again from all worlds. For a search, the rows of all shards are
-    put together, since each row is about one plan."""
+    """Write the table ``summary``. For a grid or a sample, the shares of standing worlds are computed again from the
+    worlds of all shards. For a search, the rows of all shards are put together, since each row is about one plan."""
     tables = [table for run in runs for table in run.parts.table("summary")]
     shares = runs[0].info["config"].get("shares")
     if shares is None:

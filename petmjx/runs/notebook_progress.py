@@ -51,7 +51,7 @@ class NotebookBar:
 
     @property
     def _left(self) -> int | None:
-        """Number of worlds that this run simulates. None if it is unknown."""
+        """Number of worlds that this run simulates, without the worlds of an earlier run; None if it is unknown."""
         start = self._start
         return None if start is None or start.total is None else start.total - start.recorded
 
@@ -96,7 +96,7 @@ class ScriptLines:
             self.end()
 
     def end(self) -> None:
-        """Write the last line, unless it has been written."""
+        """Write the last line, unless this has already been done."""
         if not self._ended.is_set():
             self._ended.set()
             self._say_pace()
@@ -119,8 +119,8 @@ class ScriptLines:
 
 
 def notebook_bar() -> NotebookBar | None:
-    """A bar if this process is the kernel of a notebook, otherwise None. This function never imports IPython for
-    this."""
+    """A progress bar if this process is the kernel of a notebook, otherwise None. If IPython is not loaded, this
+    function does not load it."""
     ipython: Any = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):  # IPython in a terminal has no kernel

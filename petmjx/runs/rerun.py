@@ -1,4 +1,4 @@
-"""Restores the plans and the sweep of an earlier run, from the files that the run names or from the run's folder."""
+"""Makes the plans and the sweep of an earlier run again, from the files that the run names or from the run's folder."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ def _file(run: RunResults, plan_id: str, source: str) -> Path:
 def worlds_of_run(
     run: RunResults, plan_id: str, plans: PlanSource | None = None, variant: int | None = None
 ) -> tuple[SweepPlan, int]:
-    """The sweep over one plan of a run, and the number of the requested variant. Without ``variant``, the number is 0
-    (the nominal world, which is the unchanged plan).
+    """The sweep of a run, restricted to one plan, and the number of the requested variant. If ``variant`` is None, the
+    number is 0 (the nominal world, which is the unchanged plan).
 
     Raises:
-        InputError: the variant does not exist, or one of the reasons of :func:`plan_of_run` and :func:`sweep_of_run`.
+        InputError: the variant does not exist, or :func:`plan_of_run` or :func:`sweep_of_run` raises an error.
     """
     sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
     if variant is None and not sweep.nominal:
@@ -78,13 +78,13 @@ def worlds_of_run(
     if variant is not None:
         try:
             worlds.find(plan_id, variant)
-        except InputError as error:  # the error names a sweep file, which a score does not have; name the run
+        except InputError as error:  # that error names a sweep file, but a score has none, so this error names the run
             raise InputError(f"{run.path}: plan {printable_name(plan_id)} has no variant {variant}") from error
     return worlds, variant or 0
 
 
 def sweep_of_run(run: RunResults) -> Sweep:
-    """The sweep of a run. The sweep of a plain score has only the unchanged plan.
+    """The sweep of a run. For a plain score, this is a sweep whose only variant is the unchanged plan.
 
     Raises:
         InputError: the file of the sweep no longer exists or has changed, or ``run.json`` is damaged.
@@ -115,7 +115,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
         sweep_file = sweep_path if sweep_path.is_file() else find_sweep(sweep_path.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file from which the run was made no longer exists") from None
-    has_both_ways = PLACING in config["sweep"].get("axes", {})  # exact_too adds this axis to the axes of the file
+    has_both_ways = PLACING in config["sweep"].get("axes", {})  # the option exact_too adds this axis
     sweep = (
         chain_sweep(sweep_file, worlds, changes)
         if is_chain(run.info) and worlds

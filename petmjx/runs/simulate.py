@@ -1,4 +1,5 @@
-"""Runs one score or sweep from start to end: plans → worlds → engine → results.
+"""Runs one score or sweep from start to end: plans become worlds (simulations), the engine simulates them, and the
+outcomes become results.
 
 A *study* makes the worlds from the plans, and the summary from the results (petmjx.runs.study).
 """
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
     from petmjx.plans.articles import Articles
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
-"""Function that computes (n, 2) the smallest and the largest possible force on the top of each box at rest, N. It
-returns None for a world without such intervals."""
+"""Function that computes force intervals (n, 2): the smallest and the largest possible force on the top of each of n
+boxes at rest, N. The function returns None for a world without these intervals."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,11 @@ class RunStart:
 
     Attributes:
         what: the noun for a world in messages: "plan", or "world" if plans have several worlds.
-        total: number of worlds. None if it is unknown, as in searches.
+        total: number of worlds; None if it is unknown, as in searches.
         size: one line with the number of worlds and steps, and the estimated time.
         choice: the engine, and the reason for its choice.
         progress: the progress of the run, which the engine updates.
-        recorded: number of worlds that a resumed run already has. They are included in ``total``.
+        recorded: number of worlds that were completed before the run was resumed. ``total`` includes them.
     """
 
     what: str
@@ -70,7 +71,7 @@ class RunStart:
 
 
 class Watcher(Protocol):
-    """Follows a run, such as the progress bar of the command line."""
+    """An object that follows the progress of a run, such as the progress bar of the command line."""
 
     def begin(self, start: RunStart) -> None:
         """Called when the run starts."""
@@ -93,7 +94,7 @@ def simulate(
         ask: function that makes the study from the loaded plans.
         sim: options of the simulation.
         plans: as for ``petmjx.score``.
-        intervals: function that computes intervals of forces. It is used if ``options.force_intervals`` is set.
+        intervals: function that computes intervals of forces, for the option ``force_intervals``.
 
     Raises:
         InputError: plans or options are unusable.
@@ -123,7 +124,7 @@ def simulate(
         plan_set = replace(plan_set, skipped=[*plan_set.skipped, *later_inputs], notes=notes)
         records = records_of(study.everything, plan_set.numbers)
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
-    hands_over = not options.record_details  # C MuJoCo alone records details, so it must keep all worlds
+    hands_over = not options.record_details  # only C MuJoCo records details, so it must keep all worlds
     with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
@@ -131,8 +132,8 @@ def simulate(
 
 
 def _last_permille_s(ends_s: Sequence[float]) -> float:
-    """How long the run waited for its last worlds: the time from the end of the first 99.9 % of the worlds to the end
-    of the last world, s. With fewer than 1,000 worlds, the time between the ends of the last two worlds."""
+    """How long the run waited for its last worlds, s: the time between two moments, the end of 99.9 % of the worlds and
+    the end of all worlds. With fewer than 1,000 worlds, it is the time between the ends of the last two worlds."""
     last = -(-len(ends_s) // 1000)
     return round(ends_s[-1] - ends_s[-1 - last], 3) if len(ends_s) > last else 0.0
 
@@ -148,10 +149,10 @@ def _articles(options: RunOptions) -> Articles | None:
 
 @dataclass(eq=False)
 class _Run:
-    """A run with valid input and an available engine.
+    """A run whose input has been checked and whose engine has been chosen.
 
     Attributes:
-        found: the loaded plans, with skipped entries and warnings.
+        found: the loaded plans, the skipped entries of the input, and warnings about the input.
         records: plan id → record of the plan.
         intervals_s: time spent on computing intervals of forces, s.
     """
@@ -169,7 +170,7 @@ class _Run:
     intervals_s: float = 0.0
 
     def identity(self) -> dict[str, Any]:
-        """The settings that must be the same when a run is resumed."""
+        """The settings that may not differ when a run is resumed."""
         return {
             "command": self.study.command,
             "simulation": self.study.sim.model_dump(mode="json"),
@@ -222,7 +223,7 @@ class _Run:
                 watcher.begin(self._start(len(writer.recorded)))
             ends_s = array("d")
             for world in study.worlds(self.engine, writer.recorded, self.recording, self.progress):
-                if not ends_s:  # load pandas while the engine works, since results need pandas when the run ends
+                if not ends_s:  # load pandas while the engine works: the results need it later
                     threading.Thread(target=import_module, args=("pandas",), name="petmjx-tables").start()
                 self._write(writer, world)
                 ends_s.append(time.monotonic())
@@ -271,9 +272,9 @@ class _Run:
             writer.warn(f"plan {printable_name(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
-        """(n, 2) the smallest and the largest possible force on the top of each box, N. None if intervals are not
-        requested. Also None after a drive (motion of the carrier), since the position of the carrier is then
-        unknown."""
+        """(n, 2) the smallest and the largest possible force on the top of each box, N; None if intervals are not
+        requested. The result is also None after a drive (motion of the carrier), since the position of the carrier is
+        then unknown."""
         if self.intervals is None or world.driven:
             return None
         start = time.perf_counter()

@@ -1,7 +1,6 @@
-"""``Study``: the worlds that a run makes from its plans, and their summary.
-
-This module also has the study of a plain score: one unchanged world per plan. Studies with variants are in
-petmjx.runs.sweep_study.
+"""``Study``: defines which worlds (simulations) a run makes from its plans, and how it summarises them. This module
+also has the study of a plain score, ``Nominal``: one unchanged world per plan. Studies with several variants of each
+plan are in petmjx.runs.sweep_study.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from petmjx.world.scene import Scene, build_scenes
 from petmjx.world.variants import UNCHANGED, Variant
 
 MAX_WORLDS: Final = 1_000_000
-"""A run with more worlds is refused unless the user allows it (``allow_large``)."""
+"""Largest number of worlds of a run, unless the user allows more (``allow_large``)."""
 
 NOMINAL: Final = Variant(0, UNCHANGED)
 
@@ -45,7 +44,7 @@ class LegEnd:
     """The leg (part of the journey) in which a world of a chain ended.
 
     Attributes:
-        began_s: time in the world at which the leg began, s. 0 for the placing.
+        began_s: simulated time at which the leg began, s; 0 for the placement of boxes.
     """
 
     leg: str
@@ -54,15 +53,15 @@ class LegEnd:
 
 @dataclass(frozen=True, eq=False)
 class FinishedWorld:
-    """One world with its final outcome.
+    """One world (simulation of a plan) with its final outcome.
 
     Attributes:
-        placement: outcome of the placement from which the world started. None if placement and world were simulated in
-            one piece.
+        placement: outcome of the settled placement from which the world started; None if the world placed the boxes
+            itself.
         driven: whether the drive (motion of the carrier) was simulated. If the placement does not stand and early stop
             is on, the drive is skipped, and the world gets the outcome of the placement. Without early stop, the drive
             is simulated, but the world cannot be stable.
-        ended_in: the leg in which a world of a chain ended. None if the pallet arrived, or if the world has no chain.
+        ended_in: the leg in which a world of a chain ended; None if the pallet arrived, or if the world has no chain.
     """
 
     plan: Plan
@@ -77,19 +76,20 @@ class FinishedWorld:
 
 @dataclass(eq=False, kw_only=True)
 class Study(ABC):
-    """The worlds that a run makes from its plans, and their summary.
+    """Defines which worlds (simulations) a run makes from its plans, and how it summarises them.
 
     Attributes:
-        sim: options of every world, before further attempts change them.
+        sim: options of every world. Further attempts at a world may use other options.
         everything: all plans that can be simulated, including the plans of other shards.
         plans: the plans of this run.
         work: amount of work of all worlds, for estimates of time.
         n_worlds: largest possible number of worlds.
-        known: whether ``n_worlds`` is exact. In searches it is not, since the outcomes determine the number.
-        first_variant: number of the variant of each plan's first world. If ``known``, further variants follow without a
-            gap.
-        amount: the amount of simulation, in words.
-        command: "score" or "sweep", as in the results.
+        known: whether ``n_worlds`` is exact. The number of worlds of a search is not known, since the outcomes
+            determine it.
+        first_variant: number of the first variant of each plan. If ``known``, the numbers of further variants follow
+            without a gap.
+        amount: text with the numbers of plans and worlds, for messages.
+        command: the command in ``run.json``, "score" or "sweep".
         what: the noun for a world in messages.
         skipped: plans that this study cannot simulate.
         notes: warnings about the whole run.
@@ -124,12 +124,12 @@ class Study(ABC):
 
     @property
     def total(self) -> int | None:
-        """Number of worlds. None if it is unknown."""
+        """Number of worlds of the run; None if it is unknown."""
         return self.n_worlds if self.known else None
 
     @property
     def variants(self) -> range | None:
-        """Numbers of the variants of each plan. None if they differ between plans, as in a search."""
+        """Numbers of the variants of each plan; None if they differ between plans, as in a search."""
         if not self.known:
             return None
         return range(self.first_variant, self.first_variant + self.n_worlds // max(len(self.plans), 1))
@@ -138,8 +138,9 @@ class Study(ABC):
         """One line with the number of worlds, the expected number of steps, and the expected time.
 
         Args:
-            seconds: expected time of all worlds, s. None if it is unknown.
-            recorded: number of completed worlds. The numbers of steps and the time in the line exclude them.
+            seconds: expected time of all worlds, s; None if it is unknown.
+            recorded: number of worlds that are already completed. The line gives the steps and the time of the other
+                worlds.
         """
         share = 1 - recorded / max(self.n_worlds, 1)
         left = " left" if recorded else ""
@@ -159,15 +160,16 @@ class Study(ABC):
         """
 
     def values(self, world: FinishedWorld) -> Mapping[str, Any]:
-        """The values of the columns ``params`` for a world."""
+        """Column → value, for the columns ``params`` of a world."""
         return {}
 
     def timings(self) -> Mapping[str, float]:
-        """Name → seconds or number, about the simulation of all worlds. Complete when all worlds are done."""
+        """Name → a time in s or a number, such as numbers of steps, about the simulation of all worlds. The values are
+        final when all worlds have ended."""
         return {}
 
     def summarise(self, writer: RunWriter) -> None:
-        """Write the table ``summary``. All worlds of the run have already been written."""
+        """Write the table ``summary``, after all worlds of the run have been written."""
         return None
 
 
@@ -212,7 +214,7 @@ class Nominal(Study):
         total_s, done_s = sum(expected_s[plan.plan_id] for plan in missing), 0.0
         for scored_world in score_worlds(worlds, self.sim, engine, progress=progress):
             world = scored_world.world
-            # long worlds come first, so the share of finished worlds would say too little
+            # long worlds come first, so the share of finished worlds would be smaller than the share of the work
             done_s += expected_s[world.plan.plan_id]
             progress.work_share = done_s / total_s
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)

@@ -78,7 +78,8 @@ def _axis_text(value: object) -> str:
 
 
 def _value_or(tag: str) -> Discriminator:
-    """Discriminator of a union of types: tells whether a value is a table (or a list), or a single value."""
+    """Discriminator of a union of two types: it tells a value that has the shape ``tag`` (a table or a list) from a
+    single value."""
     return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
@@ -109,8 +110,8 @@ Number = TypeVar("Number", bound=float)
 
 
 class Range(CheckedRecord, Generic[Number]):
-    """A range of numbers. It has a step or a number of values. In mode ``sample``, it may also be continuous between
-    its ends."""
+    """A range of numbers. The range has a step or a number of values. In mode ``sample``, it may have neither; then,
+    all numbers between its ends are allowed."""
 
     low: Number = Field(alias="from", description="the first value")
     high: Number = Field(alias="to", description="the last value, if the steps reach it")
@@ -132,7 +133,7 @@ class Range(CheckedRecord, Generic[Number]):
         return self.step is None and self.count is None
 
     def values(self) -> tuple[float, ...]:
-        """The values of the range. They are rounded, so that 0.1 + 2 × 0.1 is 0.3."""
+        """The values of the range, rounded so that 0.1 + 2 × 0.1 is 0.3."""
         if self.step is not None:
             # 1e-9 offsets rounding errors, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
             step, count = self.step, math.floor((self.high - self.low) / self.step + 1e-9) + 1
@@ -166,11 +167,11 @@ Directions = Annotated[
 
 
 Strengths = Annotated[Annotated[DrawnRange, Tag(TABLE)] | Annotated[Positive, Tag(VALUE)], _value_or(TABLE)]
-"""The type of a level or a scale, or of a range from which it is drawn at random."""
+"""The type of the strength of a profile: a level, a scale, or a range from which one of these is drawn at random."""
 
 
 def _value_list(setting: Any) -> tuple[Any, ...]:
-    """The values of a setting of type `OneOrMore`, as a tuple."""
+    """The values of a setting as a tuple. A setting may be one value or a list of values (`OneOrMore`)."""
     return setting if isinstance(setting, tuple) else (setting,)
 
 
@@ -257,8 +258,7 @@ Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 
 
 def _up_to(largest: float) -> AfterValidator:
-    """A validator that requires errors to lie within ±``largest``. This range is narrower than the one for errors of
-    positions."""
+    """A validator that limits errors to ±``largest``, a narrower range than that for errors of positions."""
 
     def check(setting: Any) -> Any:
         for error in _value_list(setting):
@@ -276,13 +276,14 @@ YawErrors = Annotated[Errors, _up_to(MAX_YAW_ERROR_DEG)]
 
 @dataclass(frozen=True)
 class AxisKind:
-    """One kind of axis: its allowed values, the fields that they change, and its column in the results.
+    """One kind of axis (varied quantity): its allowed values, the fields that the values change, and its column in the
+    results.
 
     Attributes:
-        unit: unit of the column. "1" for factors, "" for names.
+        unit: unit of the column, such as "mm"; "1" for factors, "" for names.
         values: the type that checks the values.
         meaning: what the axis changes, in one line.
-        changes: names of the fields of `PlacementChange` that get the value of the axis. Empty if the axis changes the
+        changes: names of the fields of `PlacementChange` that get the value of the axis; empty if the axis changes the
             drive (motion of the carrier).
         suffix: end of the column's name, which follows the name of the axis.
         plain: for axes of errors, the distribution that a plain number stands for. With a normal distribution, the
@@ -304,7 +305,7 @@ class AxisKind:
 
     @property
     def placement(self) -> bool:
-        """Whether each value of the axis needs a placement of its own."""
+        """Whether the boxes must be placed again for each value of the axis."""
         return bool(self.changes)
 
 
@@ -352,8 +353,8 @@ AXIS_KINDS: Final = {
         AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )
 }
-"""All axes of sweep files, in the order of nesting. Among the axes of placements, the last one varies fastest. The same
-is true among the axes of drives."""
+"""All axes of sweep files, in the order of nesting. Among the axes that change placements, the last one varies fastest.
+Among the axes that change drives (motions of the carrier), the last one varies fastest, too."""
 
 _FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
 _Axes = create_model("_Axes", __base__=CheckedRecord, **_FIELDS)
@@ -378,19 +379,20 @@ class Axis:
 
     @property
     def random(self) -> bool:
-        """Whether replicates (repetitions with other random numbers) get different values on this axis."""
+        """Whether the values on this axis are random, so that they differ between replicates (repetitions with other
+        random numbers)."""
         return any(isinstance(value, Distribution) and value.random for value in self.values)
 
     def pick(self, key: WorldKey) -> Value:
-        """A random value of the axis. It depends only on the key and the axis."""
+        """A value of the axis, drawn with random numbers that depend only on the key and the axis."""
         rng = key.rng(f"design:{self.name}")
         if self.continuous:
             return float(rng.uniform(self.low, self.high))
         return self.values[int(rng.integers(len(self.values)))]
 
     def cell(self, value: Value) -> float | str:
-        """A value as it is written to the results. If all values of the axis can be written as plain numbers,
-        distributions are written as plain numbers, otherwise as text."""
+        """A value of the axis in the form in which the results have it. A distribution becomes a plain number if a
+        plain number can stand for each value of the axis; otherwise, it becomes text."""
         if not isinstance(value, Distribution):
             return value
         number = self._plain_number(value)
@@ -398,7 +400,7 @@ class Axis:
         return number if one_shape and number is not None else value.label()
 
     def _plain_number(self, value: Value) -> float | None:
-        """The plain number that stands for a value in sweep files. None if the value needs a table."""
+        """The plain number with which a sweep file can write a value; None if the file needs a table for the value."""
         if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
             return None
         if value.shape is DistributionShape.FIXED:
@@ -413,7 +415,7 @@ class Axis:
 
 
 def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
-    """Name → axis, for the table ``[axes]`` of a file, in the order of the file. Called by a validator.
+    """Name → axis, for the table ``[axes]`` of a sweep file, in the order of the file. A validator calls this function.
 
     Args:
         sampled: whether a range {from, to} without step or count is allowed (mode ``sample``).

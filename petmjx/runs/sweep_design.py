@@ -1,6 +1,5 @@
-"""The variants of a sweep (sets of changes to a plan), and the identity of a sweep. All plans have the same variants.
-
-Two sweeps with the same identity make the same worlds.
+"""The variants of a sweep (sets of changes to a plan), and the settings that identify a sweep. All plans of a sweep
+have the same variants. Two sweeps with the same identifying settings make the same worlds (simulations).
 """
 
 from __future__ import annotations
@@ -21,14 +20,15 @@ from petmjx.world.random_streams import WorldKey
 from petmjx.world.variants import Distribution, DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
 
 MOST_KEPT: Final = 100_000
-"""If a sweep has at most this number of variants, they are made once and kept for all plans. A variant takes 1 kB. If
-there are more, the variants are made again for each plan."""
+"""Largest number of variants that are made once and kept in memory for all plans. If a sweep has more variants, they
+are made again for each plan. A variant takes 1 kB."""
 
 REMEDY: Final = "remedy"
-"""Name of the column of ``worlds`` with the name of the remedy (a change that is tried), in a chain."""
+"""Column of the table ``worlds`` in the run of a chain: the name of the remedy (a change of the chain that is
+tried)."""
 
 Point = Mapping[str, Value]
-"""Name of an axis → a value of this axis, for all axes."""
+"""A point of the grid: name of an axis → a value of this axis."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,8 @@ class Design:
 
     @property
     def n_variants(self) -> int:
-        """Number of variants per plan, including the nominal one. For a search, an upper bound, which assumes that
-        every item needs all rounds of the search."""
+        """Number of variants per plan, including the nominal world if the sweep has it. For a search, this is the
+        largest possible number: every item needs all rounds of the search."""
         sweep = self.sweep
         nominal = int(sweep.nominal)
         if sweep.sample is not None:
@@ -93,21 +93,21 @@ class Design:
 
     @property
     def n_placements(self) -> int:
-        """Number of placements per plan, without the nominal world."""
+        """Number of placements that are simulated per plan, without the placement of the nominal world."""
         if self.sweep.sample is not None:
             return len({variant.placement_key for variant in self._sampled()})
         return sum(points * repeats for points, repeats in self._placement_counts())
 
     @property
     def n_random_placements(self) -> int:
-        """Number of placements per plan that have random errors."""
+        """Number of placements with random errors that are simulated per plan."""
         if self.sweep.sample is not None:
             return self.n_placements if any(axis.random for axis in self._axes(placement=True)) else 0
         return sum(points * repeats for points, repeats in self._placement_counts()[1:])
 
     def _placement_counts(self) -> tuple[tuple[int, int], ...]:
-        """Pairs (number of points, replicates of each). Points with a random error are repeated, all others occur
-        once."""
+        """Two pairs (number of grid points, number of placements of each point): for points without a random error,
+        which have one placement, and for points with a random error, which are repeated."""
         if not self.sweep.axes and not self.sweep.legs:
             return ()
         axes = self._axes(placement=True)
@@ -120,8 +120,8 @@ class Design:
 
     @cached_property
     def ways(self) -> Mapping[str, tuple[LegSpec, ...]]:
-        """Name of each remedy of a chain → the legs with this remedy. The first entry, ``AS_IS``, is the chain without
-        remedies."""
+        """Name of a remedy → the legs of the chain, changed by this remedy. The first entry, ``AS_IS``, is the
+        unchanged chain."""
         sweep = self.sweep
         remedies: tuple[Remedy | None, ...] = (None, *sweep.remedies)
         return {
@@ -131,18 +131,18 @@ class Design:
 
     @property
     def _chain_replicates(self) -> int:
-        """Number of replicates (repetitions with other random numbers) of a chain. 1 if nothing in the chain is
+        """Number of replicates (repetitions with other random numbers) of a chain; 1 if nothing in the chain is
         random."""
         random = [axis.random for axis in self.sweep.axes.values()]
         random += [self._is_drawn(drive) for legs in self.ways.values() for leg in legs for drive in leg.drives]
         return self.sweep.replicates if any(random) else 1
 
     def _is_drawn(self, drive: DriveSpec) -> bool:
-        """Whether a drive is random, so that it differs from world to world."""
+        """Whether a drive (motion of the carrier) has random numbers, so that it differs from world to world."""
         return drive.scale_to is not None or self.sweep.profiles[drive.profile].random
 
     def _ways_from(self, placement: Variant, again: Sequence[int]) -> Iterator[Variant]:
-        """The worlds of a chain that share a placement: for each replicate of the legs, one world for each remedy."""
+        """The variants of a chain that share a placement: one for each replicate of the legs and each remedy."""
         ways = self.ways
         for replicate in again:
             for number, (remedy, legs) in enumerate(ways.items()):
@@ -153,16 +153,16 @@ class Design:
                 yield replace(placement, index=index, replicate=replicate, parameters=parameters, legs=legs)
 
     def _axes(self, placement: bool) -> list[Axis]:
-        """The axes of placements; if ``placement`` is False, the axes of drives (motions of the carrier). The axes are
-        in the order of nesting, which may differ from their order in the file."""
+        """The axes that change placements, or, if ``placement`` is False, the axes that change drives (motions of the
+        carrier). The order of the axes is that of nesting, which may differ from the order in the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 
     # Enumeration.
 
     def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
-        """Each placement with its worlds. In a search, a placement comes without worlds, because they are made level by
-        level."""
+        """Each placement with the variants that start from it. In a search, a placement comes without variants, because
+        these are made level by level."""
         return iter(self._kept_placements if self.n_variants <= MOST_KEPT else self._placements())
 
     @cached_property
@@ -203,10 +203,11 @@ class Design:
                 yield placement, variants
 
     def draws(self) -> dict[int, int]:
-        """Number of each variant with random values → its draw. All variants of a draw use the same random numbers.
+        """Number of a variant → number of its draw, for variants with random values. Variants of the same draw use the
+        same random numbers.
 
-        In a grid, a draw is a replicate, and its random numbers differ from plan to plan. In a sample, each variant is
-        a separate draw, and its parameters are the same for all plans.
+        In a grid, the draw is the replicate, and the random numbers of a draw differ from plan to plan. In a sample,
+        each variant is a separate draw, and the values of a variant are the same for all plans.
         """
         sweep = self.sweep
         if sweep.sample is not None:
@@ -220,7 +221,7 @@ class Design:
         return {variant.index: variant.replicate for variant in drawn}
 
     def search_items(self) -> tuple[SearchItem, ...]:
-        """The questions that a search asks about each placement: every profile in every direction."""
+        """The questions that a search asks about each placement: one for each profile in each direction."""
         directions = self.sweep.axes["direction"].values if "direction" in self.sweep.axes else (0.0,)
         return tuple(
             SearchItem(name, direction)
@@ -236,8 +237,8 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants whose values are drawn from the axes. They are the same for all plans. Each variant has its own
-        replicate number."""
+        """The variants of a sample: the value of each axis is drawn at random. All plans have the same variants, and
+        each variant has a different replicate number."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)
@@ -266,7 +267,7 @@ class Design:
 
 
 def _drives(variant: Variant) -> Iterator[DriveSpec]:
-    """The drives of a variant, including the drives of its legs."""
+    """The drives (motions of the carrier) of a variant, including the drives of its legs."""
     if variant.drive is not None:
         yield variant.drive
     for leg in variant.legs:
@@ -285,16 +286,17 @@ def _n_points(axes: Iterable[Axis]) -> int:
 
 
 _BESIDE = {"name", "description", "plans", "simulation", "axes", "own_profiles"}
-"""Fields of a sweep file that do not change worlds, or that are compared separately when a run is resumed."""
+"""Fields of ``Sweep`` that are not part of its identity: they do not change worlds, or are compared separately when a
+run is resumed."""
 
 
 def sweep_identity(sweep: Sweep) -> dict[str, Any]:
-    """The settings of a sweep as plain JSON values, without the options of its simulation. Profiles are replaced by
-    digests of their samples."""
+    """The settings that identify a sweep, as plain JSON values. The options of the simulation are left out, and digests
+    of samples stand for profiles."""
     settings = sweep.model_dump(mode="json", exclude=_BESIDE)
     if sweep.search is not None:
         settings["search"]["levels"] = len(sweep.search_levels)
-    if not sweep.legs:  # runs of earlier versions do not have these entries in their identities
+    if not sweep.legs:  # earlier versions did not have these entries, so runs of these versions lack them
         del settings["legs"], settings["remedies"]
     settings["axes"] = {name: _values(axis) for name, axis in sweep.axes.items()}
     settings["profiles"] = {name: _digest(sweep, name) for name in sweep.profiles}
@@ -308,8 +310,8 @@ def _values(axis: Axis) -> object:
 
 
 def _digest(sweep: Sweep, name: str) -> str:
-    """Digest of one random realisation of a profile. One realisation is enough, because realisations differ only by
-    their random numbers."""
+    """Digest of the samples of a profile. If a profile is random, one realisation of it is enough, because all
+    realisations come from the same settings."""
     profile = sweep.profiles[name]
     excitation = profile.excitation(sweep.simulation.physics.timestep_s, 0.0, WorldKey(sweep.seed, "", 0))
     digest = hashlib.blake2b(f"{excitation.kind} {excitation.samples.shape}".encode(), digest_size=8)

@@ -53,10 +53,11 @@ def ready_sweeps() -> dict[str, Path]:
 
 
 def find_sweep(name_or_path: str | Path) -> Path:
-    """The file of a sweep, from its path or from the name of a ready-made sweep such as ``eumos``.
+    """The path of a sweep file. The argument is this path, or the name of a ready-made sweep such as ``eumos``.
 
     Raises:
-        InputError: there is no such file or name. The message lists the ready-made names.
+        InputError: there is no such file and no ready-made sweep with this name. The message lists the ready-made
+            sweeps.
     """
     path = Path(name_or_path)
     with suppress(OSError, ValueError):  # for instance, the name is too long or contains a null character
@@ -74,7 +75,7 @@ def find_sweep(name_or_path: str | Path) -> Path:
 
 
 SAMPLES: Final = "samples"
-"""Value of ``plans`` that stands for the bundled sample plans."""
+"""The value ``plans = "samples"`` in a sweep file means the bundled sample plans."""
 
 DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
 """Default accuracy of the largest level (g) or scale that a search finds."""
@@ -85,14 +86,15 @@ MAX_PROFILE_STEPS: Final = 4_000_000
 MAX_TEXT: Final = 100_000
 """Largest number of characters of a description."""
 MIN_TOLERANCE: Final = 1e-5
-"""Smallest tolerance of a search. Levels are rounded to 1e-12, so levels with much smaller distances would become
-equal."""
+"""Smallest tolerance of a search (g, or a scale). Levels are rounded to 1e-12, so levels at such small distances would
+become equal."""
 MAX_REPEATS: Final = 2**31 - 1
-"""Largest number of samples or replicates. The results store the number in 32 bits."""
+"""Largest number of samples or replicates. The results store the number of a variant in 32 bits."""
 
 
 class Search(CheckedRecord):
-    """The table ``[search]``: find the largest level or scale survived, instead of an axis ``level`` or ``scale``."""
+    """The table ``[search]`` of a sweep file: it asks for the largest level or scale that pallets survive. A sweep with
+    this table has no axis ``level`` or ``scale``."""
 
     lower: StrictFloat = Field(0.0, ge=0, le=MAX_STRENGTH, description="lowest level (g) or scale")
     upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale")
@@ -110,7 +112,8 @@ class Search(CheckedRecord):
         return self
 
     def tests(self, n_levels: int) -> int:
-        """Largest number of worlds that one question needs: the number of tested levels, summed over all rounds."""
+        """Largest number of simulations that one question of the search needs: the number of tested levels, summed over
+        all rounds."""
         tests = 0
         while n_levels > 0:
             tests += min(self.sections, n_levels)
@@ -127,8 +130,8 @@ def _own_profiles(tables: Any, info: ValidationInfo) -> dict[str, Profile]:
 
 
 def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
-    """Name → axis. On the axis ``profile``, names of families of profiles are replaced by the names of their
-    profiles."""
+    """Name → axis. If the axis ``profile`` names a family of profiles, the names of the profiles in the family replace
+    its name."""
     axes = read_axes(tables, info.data.get("mode") == "sample")
     if "profile" in axes:
         names: list[str] = []
@@ -184,7 +187,7 @@ class Sweep(CheckedRecord):
     _tables: Mapping[str, Any] | None = None
 
     def model_post_init(self, context: Any) -> None:
-        """Keep the path of the file, which validation receives as its context."""
+        """Keep the path of the sweep file. pydantic passes it here as the context of the validation."""
         self._file = context
 
     @property
@@ -203,7 +206,7 @@ class Sweep(CheckedRecord):
 
     @property
     def is_random(self) -> bool:
-        """Whether two worlds of a plan with the same changes may differ, because something is random."""
+        """Whether anything in the sweep is random, so that replicates of the same variant differ."""
         axes, profiles = self.axes.values(), self.profiles.values()
         drawn = any(event.drawn for leg in self.legs for event in leg.events)
         return drawn or any(axis.random for axis in axes) or any(profile.random for profile in profiles)
@@ -215,8 +218,8 @@ class Sweep(CheckedRecord):
 
     @property
     def strength(self) -> Strength:
-        """The quantity that a search varies: a level or a scale. The value of this enum member is the name of the
-        axis."""
+        """The quantity that a search varies: a level or a scale. The value of the returned enum member is the name of
+        the axis."""
         levels = any(profile.strength is Strength.LEVEL for profile in self.profiles.values())
         return Strength.LEVEL if levels else Strength.SCALE
 
@@ -230,7 +233,8 @@ class Sweep(CheckedRecord):
         if self.search is None:
             return np.zeros(0)
         lower, upper = self.search.lower, self.search.upper
-        # 1e-6 offsets rounding errors: 0 … 2 by 0.01 must end with `upper`, without a second level just below it.
+        # 1e-6 offsets rounding errors: the levels 0, 0.01 … 2 must end with `upper`, without a second level just below
+        # it.
         count = max(math.ceil((upper - lower) / self._tolerance - 1e-6), 1)
         return np.append(np.round(lower + np.arange(count) * self._tolerance, 12), upper)
 
@@ -377,7 +381,7 @@ def _contradiction(axis: str, other: str) -> ValueError:
 
 
 def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None) -> Sweep:
-    """Read and check a sweep file.
+    """Read a sweep file and check its content.
 
     Args:
         plans_given: whether the caller provides plans. The file then need not name plans, and plans that it names need
@@ -395,11 +399,12 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
 def sweep_of_tables(
     tables: Mapping[str, Any], path: Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None
 ) -> Sweep:
-    """Check a sweep like :func:`load_sweep`, but from the tables of a file that was read earlier."""
+    """Do the same as :func:`load_sweep` for the tables of a sweep file that has already been read."""
     said_by_file = _json_tables(tables)
     simulation_table = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
-        # The options replace the carrier. The carrier's own file belongs to an earlier run, and may be gone or changed.
+        # The options replace the carrier that the tables name. The carrier's file is not read, because it may have been
+        # deleted or changed since an earlier run.
         simulation_table.pop("carrier", None)
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)
@@ -414,7 +419,8 @@ def sweep_of_tables(
 
 
 def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Tables of TOML as JSON values. None if they contain times or infinities, or are nested too deeply."""
+    """Tables of TOML as JSON values; None if JSON cannot represent the tables, because they contain times or infinities
+    or are nested too deeply."""
     try:
         return None if tables is None else json.loads(json.dumps(tables, allow_nan=False))
     except (TypeError, ValueError, RecursionError):
@@ -422,7 +428,8 @@ def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
 
 
 def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:
-    """The plan files, which must exist. Their names are relative to the folder of the sweep file."""
+    """The paths of the plan files that a sweep file names relative to its folder. Raises InputError if one does not
+    exist."""
     if plans is None:
         raise InputError("plans is missing: name plan files here or on the command line "
                          f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip
@@ -442,13 +449,13 @@ def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str |
 
 
 def nominal_sweep(sim: Simulation) -> Sweep:
-    """The sweep of a plain score. Its only variant is the unchanged plan."""
+    """The sweep that stands for a plain score: its only variant is the unchanged plan."""
     return Sweep(name="nominal", nominal=True, simulation=sim)
 
 
 def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str, Any]) -> Sweep:
-    """The sweep of a score with a chain. It has the worlds of the chain, and the nominal world, in which the unchanged
-    plan is placed but not shaken.
+    """The sweep that stands for a score with a transport chain. The sweep has the variants of the chain, and the
+    nominal world, in which the unchanged plan is placed but not shaken.
 
     Args:
         file: a sweep file with legs, or the name of a ready-made one.

@@ -1,7 +1,8 @@
-"""Runs a sweep: simulates each placement once, starts all drives or chains from its settled state, and searches levels.
+"""Runs a sweep: simulates each placement of boxes once, starts all drives (motions of the carrier) or chains from its
+settled state, and searches for the largest levels survived.
 
-The engine gets placements, drives (motions of the carrier) and legs (parts of a chain) of many plans in one stream,
-since a device is fast with many worlds. ``Batching`` limits the memory of a sweep, whatever its size.
+The engine gets the placements, drives and legs (parts of a chain) of many plans in one stream, since a GPU is efficient
+only with many simulations at a time. ``Batching`` limits the memory of a sweep, whatever its size.
 """
 
 from __future__ import annotations
@@ -38,16 +39,16 @@ from petmjx.world.variants import LegSpec, Variant
 
 @dataclass(frozen=True)
 class Batching:
-    """How much of a sweep is in memory and in the engine at the same time. Results do not depend on these limits.
+    """Limits for the numbers of simulations and states of a sweep that are in memory and in the engine at the same
+    time. Results do not depend on these limits.
 
     Attributes:
-        undriven: largest number of worlds without a drive in one call of the engine. The states of such worlds are not
-            stored.
+        undriven: largest number of simulations without a drive, whose states are not stored, in one call of the engine.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
-        worlds: largest number of variants that start from stored states at the same time. A single placement may have
-            more.
-        drives: for searches and chains, largest number of worlds that start from stored states in one call of the
-            engine: the first tests of all items in a search, and all worlds in a chain.
+        worlds: largest number of variants that start from stored states at the same time. If a single placement has
+            more, they all start.
+        drives: for searches and chains, largest number of simulations that start from stored states in one call of the
+            engine. A search counts the first tests of all items, a chain counts all worlds.
         histories: largest number of settled states that are stored with their histories. A history with 43 boxes takes
             1 MB.
     """
@@ -61,7 +62,8 @@ class Batching:
 
 @dataclass
 class Tally:
-    """The cost of a sweep so far. Steps are those after the soft start, in the last attempt at each world."""
+    """What a sweep has cost so far: numbers of simulations, numbers of steps, and times in s. Only steps after the soft
+    start and in the last attempt at each simulation are counted."""
 
     placements: int = 0
     placement_steps: int = 0
@@ -73,12 +75,12 @@ class Tally:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """The answer of a search for one placement, profile and direction.
+    """The answer of a search for one placement, one profile and one direction.
 
     Attributes:
-        largest_survived, first_failed: largest level survived and smallest level that failed, in g or as a scale. None
-            if there is none.
-        at_largest, at_failure: results of the tests at these two levels. None if no world was simulated at this level.
+        largest_survived, first_failed: largest level survived and smallest level that failed, in g or as a scale; None
+            if there is no such level.
+        at_largest, at_failure: results of the tests at these two levels; None if there was no test at the level.
     """
 
     group: PlacementGroup
@@ -91,13 +93,13 @@ class Answer:
 
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
-"""The attempts for placements whose states are stored, and for the worlds that start from these states. The attempt
-with half the timestep is left out. A state counts time in steps, so no world can start from a state that was reached
-with half the timestep."""
+"""The attempts for placements whose states are stored, and for the simulations that start from these states. Attempts
+with half the timestep or with soft boxes are left out: a state counts time in steps of the usual timestep, and attempts
+with soft boxes neither store states nor start from them."""
 
 
 def _n_drives(variant: Variant) -> int:
-    """Number of drives or legs of a world, if the pallet stands until the end of the world."""
+    """Number of drives or legs of a variant that are simulated if the pallet stands until the end."""
     return len(variant.legs) or int(variant.drive is not None)
 
 
@@ -110,18 +112,18 @@ def _drained(worlds: list[AnyWorld]) -> list[AnyWorld]:
 
 @dataclass(eq=False)
 class SweepRun:
-    """One sweep on one engine. Iterate over :meth:`worlds` once. During the iteration, ``tally`` is updated.
+    """Runs one sweep on one engine. Iterate over :meth:`worlds` once; the iteration updates ``tally``.
 
     Args:
-        plan: the worlds to simulate.
-        engine: the engine for placements and drives. Both must be simulated by the same engine object, since no other
-            object can use its states.
-        progress: progress of the run, which is updated during the simulation. While boxes are placed, its message has
-            the number of ended placements.
+        plan: the sweep with its plans.
+        engine: the engine for placements and drives. The engine object must stay the same for the whole sweep, since no
+            other object can use its states.
+        progress: progress of the run, which is updated during the simulation. While placements are simulated, its
+            message has the number of placements that have ended.
         on_answer: function that is called for each answer of a search.
         values_of: function that returns column → value, for the columns that the sweep adds to the row of a world.
-        recorded: the completed worlds of the run. They are not simulated again, and answers are computed from their
-            rows.
+        recorded: the completed worlds of the run. These worlds are not simulated again; the answers of a search are
+            computed from their rows.
         recording: determines which worlds are recorded, and which histories are stored.
     """
 
@@ -137,12 +139,12 @@ class SweepRun:
     _check_pool: CheckPool[Any] | None = field(default=None, init=False)
     _work_done: int = field(default=0, init=False)
     _work: int = field(default=0, init=False)
-    """Total work: the number of boxes, summed over all placements, drives and legs. 0 if the total is unknown or if
+    """Total work: the sum of the numbers of boxes over all placements, drives and legs; 0 if the total is unknown or if
     there are only placements."""
 
     @cached_property
     def sim(self) -> Simulation:
-        """The options of every world, before further attempts change them."""
+        """The options of every world. Further attempts at a world may use other options."""
         return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[FinishedWorld]:
@@ -188,23 +190,24 @@ class SweepRun:
         return world
 
     def _groups(self) -> Iterator[PlacementGroup]:
-        """Placements that have missing worlds. In a search, these are all placements, since earlier worlds determine
-        which worlds a search needs."""
+        """The placements from which worlds must still be simulated. In a search, these are all placements, since the
+        outcomes determine which worlds a search needs."""
         return (group for group in self.plan.groups(self._has_all_worlds) if not group.variants or self._missing(group))
 
     def _has_all_worlds(self, plan: Plan) -> bool:
-        """Whether all worlds of a plan are completed, so that they need not be checked one by one."""
+        """Whether a resumed run has already completed all worlds of a plan. If so, the worlds need not be checked one
+        by one."""
         is_counted = self.plan.sweep.search is None
         return is_counted and self.recorded.n_of(plan.plan_id) == self.plan.n_variants
 
     def _missing(self, group: PlacementGroup) -> list[Variant]:
-        """The worlds of a placement that are not completed."""
+        """The variants of a placement whose worlds must still be simulated."""
         return [variant for variant in group.variants if (group.plan.plan_id, variant.index) not in self.recorded]
 
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in groups as large as ``Batching`` allows."""
         search = self.plan.sweep.search
-        # in a chain, the samples of a leg may differ from world to world
+        # chains have a lower limit, since each world may have other samples in a leg
         most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
         per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
         chunk: list[PlacementGroup] = []
@@ -262,8 +265,8 @@ class SweepRun:
         )
 
     def _note_work(self, plan: Plan, count: int = 1) -> None:
-        """Count ``count`` placements, drives or legs of a plan as done, for the progress display. They have ended, or
-        will not be simulated."""
+        """Tell the display of progress that ``count`` placements, drives or legs of a plan have ended or will not be
+        simulated."""
         self._work_done += count * plan.n_boxes
         if self._work:
             self.progress.work_share = self._work_done / self._work
@@ -278,8 +281,7 @@ class SweepRun:
         return self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan))
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Simulate placements without drives. All worlds of a placement have the outcome of the placement, which
-        includes the rest window (the last 0.2 s)."""
+        """Simulate placements without drives. All variants of a placement get the outcome of the placement."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
             for variant in self._missing(placed.group):
                 if variant is placed.group.variants[0]:
@@ -296,13 +298,13 @@ class SweepRun:
         self.progress.message = ""
 
     def _settle(self, groups: Sequence[PlacementGroup]) -> list[SettledPlacement]:
-        """Simulate placements, and keep their settled states. Returns the placements in the order of the groups."""
+        """Simulate placements, and return them with their settled states, in the order of the groups."""
         settled_by_group = {id(settled.group): settled for settled in self._settling(groups)}
         return [settled_by_group[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: SettledPlacement) -> bool:
-        """Whether drives of a placement are simulated. With early stop, the placement must stand. Without early stop,
-        it only has to be valid."""
+        """Whether drives (motions of the carrier) are simulated after a placement. With the option ``early_stop``, the
+        pallet must stand at the end of the placement. Without this option, the placement only has to be valid."""
         outcome = settled.outcome
         shaken = outcome.verdict is Verdict.STABLE if self.sim.early_stop else outcome.verdict is not Verdict.INVALID
         return shaken and outcome.state is not None
@@ -311,7 +313,7 @@ class SweepRun:
 
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Simulate placements, and start all their variants from the settled states. Drives and the first legs of
-        chains begin as soon as their own placement has settled, while other placements continue. Another leg begins
+        chains begin as soon as their own placement has settled, while other placements continue. A further leg begins
         when the leg before it has ended."""
         begin = time.perf_counter()
         n_settled = 0
@@ -352,10 +354,10 @@ class SweepRun:
     def _drive(
         self, worlds: Iterable[DriveWorld], following: Callable[[], Iterable[DriveWorld]] | None = None
     ) -> Iterator[tuple[Test, FinishedWorld]]:
-        """Simulate drives. Yields each finished world with its test. ``following`` returns the drives that follow from
-        results."""
+        """Simulate drives, and yield each finished world with its test. ``following`` returns further drives, which
+        depend on the results so far."""
         begin = time.perf_counter()
-        most = self.batching.drives  # all drives of a group begin at once, since their scenes already exist
+        most = self.batching.drives  # all drives can begin at once, since their scenes have already been made
         for result in self._score(worlds, most, forks=True, begin_with=most, following=following):
             yield result.world.test, self._driven(result)
         self.tally.drive_s += time.perf_counter() - begin
@@ -373,8 +375,8 @@ class SweepRun:
     # Chains.
 
     def _legs_of(self, begin: LegStart) -> Iterator[LegWorld]:
-        """The next legs of worlds that had the same outcome so far. Worlds with the same next leg are simulated as one
-        world."""
+        """The jobs for the next leg of variants whose journeys were equal so far. Variants whose next leg is also equal
+        share one job."""
         placed, before = begin.settled, begin.before
         plan, record = placed.group.plan, self.recording.of(placed.group.plan)
         alike: dict[tuple[LegSpec, int], list[Variant]] = {}
@@ -388,8 +390,8 @@ class SweepRun:
             yield LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
 
     def _after_leg(self, result: WorldResult[Any]) -> tuple[list[FinishedWorld], LegStart | None]:
-        """The worlds that end with this leg, and the start of the next leg for all other worlds. The start is None if
-        all worlds have ended."""
+        """The finished worlds of variants that end with this leg, and the beginning of the next leg of all other
+        variants; None if all variants have ended."""
         self.tally.drives += 1
         self.tally.drive_steps += result.outcome.n_steps
         world: LegWorld = result.world
@@ -413,7 +415,8 @@ class SweepRun:
         return ended, LegStart(begin.settled, further, number, outcome) if further else None
 
     def _end(self, world: LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
-        """The leg in which an unstable or invalid world ended. ``n_steps``: number of steps of the world's last leg."""
+        """The leg in which the pallet of an unstable or invalid world failed. ``n_steps``: number of steps of this
+        leg."""
         if world.begin.settled.outcome.verdict is not Verdict.STABLE:
             return LegEnd(PLACING, 0.0)
         return LegEnd(world.leg.name, outcome.sim_time_s - n_steps * self.sim.physics.timestep_s)
@@ -421,11 +424,11 @@ class SweepRun:
     # Search.
 
     def _search(self, settled: Sequence[SettledPlacement]) -> Iterator[FinishedWorld]:
-        """Search the largest level survived for all placements, profiles and directions of a group together.
+        """Search for the largest level survived, for all given placements, profiles and directions at the same time.
 
-        When all tests of an item have ended, its next tests begin, while tests of other items continue. A placement
-        that does not stand has one row per profile and direction, at the lowest level, with the outcome of the
-        placement. Nothing else is simulated for it.
+        When all tests of an item have ended, its next tests begin, while tests of other items continue. If the pallet
+        does not stand at the end of a placement, no drive is simulated. The table ``worlds`` then has one row per
+        profile and direction, at the lowest level, with the outcome of the placement.
         """
         items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
         searches = [(start, number) for start in settled for number in range(len(items))]
@@ -446,22 +449,22 @@ class SweepRun:
         missing: dict[int, set[Test]] = {}
 
         def next_drives(which: int) -> list[DriveWorld]:
-            """The drives that an item needs next. Empty if the item is finished."""
+            """The drives that an item needs next; an empty list if the answer for the item is known."""
             while tests := bisection.next_tests(which):
                 probes = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
                 tested.update(probes)
                 if missing_now := [test for test in tests if test not in probes]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
-                # Only the two worlds at the bounds of an item's search can still become the answer. All other worlds
-                # are dropped.
+                # Only the results at the largest survived and the smallest failed level can still become the answer of
+                # an item. All other results are dropped.
                 now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
                 bisection.record(tests, [now[test] for test in tests])
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
             return []
 
         ready_drives: list[DriveWorld] = []
-        # A list, because a generator would run the search in the thread in which the engine reads its worlds.
+        # ``first`` is a list, because the engine would run a generator, and with it the search, in another thread.
         first = [drive for which in range(len(searches)) for drive in next_drives(which)]
         for test, world in self._drive(first, partial(_drained, ready_drives)):
             which, _ = test
@@ -495,7 +498,8 @@ class SweepRun:
             )
 
     def _answer_again(self, group: PlacementGroup) -> bool:
-        """Answer all questions about a placement from completed worlds. Returns False if a world is missing."""
+        """Answer all questions about a placement from worlds that were completed before the run was resumed. Returns
+        False if a world is missing."""
         if not len(self.recorded):
             return False
         numbers = range(len(self.plan.search_items()))
@@ -503,7 +507,7 @@ class SweepRun:
         if any(
             bracket.stands_at_rest and not bisection.next_tests(which) for which, bracket in enumerate(bisection.items)
         ):
-            return False  # the search has only one level, so no world shows that the placement stood
+            return False  # the search has only one level, so no row shows whether the placement stood
         tested: dict[Test, Probe] = {}
         for which in range(len(bisection.items)):
             while tests := bisection.next_tests(which):
@@ -517,10 +521,9 @@ class SweepRun:
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """The outcome of a placement, as far as completed worlds show it. A placement that did not stand has a single
-        world: at the lowest level, with 0 steps. If the search tested the lowest level and this test failed, this world
-        may also have 0 steps. In this case, however, the run also has worlds of the other first tests, at higher
-        levels.
+        """Whether the pallet stood at the end of a placement, according to the rows of completed worlds. If it did not
+        stand, there is only one row: at the lowest level, with 0 steps. A failed test at the lowest level may also have
+        0 steps, but then there are also rows of the other first tests, at higher levels.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

@@ -1,4 +1,5 @@
-"""The study (worlds and summary) of runs with variants: sweeps, and scores with confidence."""
+"""The study of runs in which a plan has several variants: it defines the worlds (simulations) of sweeps, of scores with
+confidence and of chains, and how they are summarised."""
 
 from __future__ import annotations
 
@@ -72,8 +73,8 @@ class SweepStudy(Study):
             command="sweep" if confidence is None else "score",
             what="world",
             skipped=plan.skipped,
-            # no lines if friction depends on materials, since it may then hold loads that the general friction does not
-            # hold
+            # With friction that depends on materials, nothing is said about hopeless profiles: the friction of some
+            # materials may hold loads that the general friction does not hold.
             notes=() if any(input_plan.materials for input_plan in everything) else hopeless_profiles(sweep),
             params=self._columns.params,
             dynamic=self._columns.has_drives,

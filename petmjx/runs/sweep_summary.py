@@ -1,4 +1,5 @@
-"""What a sweep adds to the results: columns of ``worlds`` for parameters and answers, and the table ``summary``."""
+"""What a sweep adds to the results: columns of the table ``worlds``, for parameters and answers, and the table
+``summary``."""
 
 from __future__ import annotations
 
@@ -33,13 +34,13 @@ MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
 LEG = Param("leg", TEXT, "leg of the chain in which the world failed first; empty: it arrived", str)
 EUMOS_WORST = tuple(column.name for column in EUMOS_COLUMNS if column.unit)
-"""Columns with the deformations that a laboratory measures. The summary of a grid has their largest values over the
-worlds of each row."""
+"""Columns of the table ``worlds`` with the deformations that a laboratory measures. Each row of the summary of a grid
+has the largest values over the worlds that the row is about."""
 FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
 
 
 class SweepColumns:
-    """The columns that a sweep adds to ``worlds``."""
+    """Computes the columns that a sweep adds to the table ``worlds``."""
 
     def __init__(self, plan: SweepPlan) -> None:
         self._plan = plan
@@ -57,7 +58,7 @@ class SweepColumns:
 
     @property
     def params(self) -> list[Param]:
-        """All added columns, in order."""
+        """All columns that the sweep adds to the table ``worlds``, in order."""
         columns = [*self.parameters, MODE]
         columns += [LEG] if self.has_legs else []
         columns += [SIGN] if self.has_drives else []
@@ -73,7 +74,7 @@ class SweepColumns:
         return values
 
     def during_drive(self, world: FinishedWorld) -> dict[str, Any]:
-        """The values of the columns about the drive (motion of the carrier) or the legs of a chain."""
+        """Column → value, for the columns about the drive (motion of the carrier) or about the legs of a chain."""
         values: dict[str, Any] = {}
         if world.variant.legs:
             return self._of_leg(world)
@@ -99,8 +100,8 @@ class SweepColumns:
         return {LEG.name: end.leg, SIGN.name: since_s if since_s > 0.5 * self._sim.physics.timestep_s else None}
 
     def _eumos(self, world: FinishedWorld, placement: Outcome) -> dict[str, Any]:
-        """The values of the columns for EUMOS 40509. Displacements are measured from the positions of the boxes before
-        the drive. If the placement did not stand, the test is not passed."""
+        """Column → value, for the columns about the limits of EUMOS 40509. Displacements are measured from the
+        positions of the boxes before the drive. If the placement did not stand, the test is not passed."""
         values: dict[str, Any] = {}
         if world.driven:
             assessment = eumos_assessment(world.outcome.boxes, placement.boxes.pos, world.scene.half_size)
@@ -112,11 +113,11 @@ class SweepColumns:
         return values
 
     def _sign_in_profile_s(self, outcome: Outcome) -> float | None:
-        """Time from the beginning of the profile to the first sign of failure, s. None if there was no sign or it came
-        earlier."""
+        """Time from the beginning of the profile to the first sign of failure, s; None if there was no sign, or if the
+        sign came before the profile."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
-        # The comparison allows half a step, because the time is a running sum of timesteps, with rounding errors.
+        # The comparison allows half a step, because the time is a running sum of timesteps and has rounding errors.
         return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
 
 
@@ -134,15 +135,16 @@ def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] |
 
 @dataclass(frozen=True)
 class ShareColumns:
-    """The columns of ``worlds`` by which shares are grouped. The fields are stored in ``run.json``, so that shards of a
-    run can be merged.
+    """The columns of the table ``worlds`` from which the shares of standing worlds are computed. ``run.json`` stores
+    this record, so that shards of a run can be merged.
 
     Attributes:
         axes: names of the columns, in the order of the summary.
         ranges: column → (low, high), for columns whose values were drawn from a range.
         eumos, tilt: whether the sweep has the profile of EUMOS 40509, and whether it has profiles that tilt the
             carrier.
-        draws: pairs (variant, draw), for each variant with random values. See `Design.draws`.
+        draws: pairs (number of a variant, number of its draw), for each variant with random values. Variants of the
+            same draw have the same random numbers (`Design.draws`).
         same_draws: whether a draw has the same random numbers for all plans.
     """
 
@@ -155,7 +157,7 @@ class ShareColumns:
 
     @classmethod
     def of(cls, plan: SweepPlan) -> ShareColumns:
-        """The columns of a grid or a sample."""
+        """The columns for a sweep that is a grid or a sample."""
         columns = SweepColumns(plan)
         axes = tuple(AXIS_KINDS[name].column for name in AXIS_KINDS if name in plan.sweep.axes)
         drawn = [axis for axis in plan.sweep.axes.values() if axis.continuous]
@@ -165,7 +167,8 @@ class ShareColumns:
 
 
 def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
-    """The summary of a grid or a sample: the share of worlds that stand, by axis value, over all plans and per plan.
+    """The summary of a grid or a sample: for each value of each axis, the share of worlds that stand, over all plans
+    and per plan.
 
     Continuous ranges are divided into ``RANGE_BINS`` equal intervals. For the profile of EUMOS 40509, the summary also
     has the share of worlds within the limits of the standard, and the largest deformations. With ``tilt``, it has the
@@ -203,7 +206,8 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
 
 
 def _draws(worlds: pd.DataFrame, columns: ShareColumns) -> pd.Series[float]:
-    """For each world, a number that identifies its random numbers. NaN for worlds without random numbers."""
+    """For each world, a number that is the same for all worlds with the same random numbers; NaN for worlds without
+    random numbers."""
     drawn = worlds["variant"].map(dict(columns.draws))
     if columns.same_draws:
         return drawn
@@ -222,7 +226,7 @@ def _binned_values(values: pd.Series[float], lowest: float, highest: float) -> p
 
 
 def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
-    """One row of the summary of a search."""
+    """One row of the summary of a search: column → value."""
     group, bracket = answer.group, answer.bracket
     box = bracket.box if bracket.box >= 0 else None
     at_failure: Mapping[str, Any] = answer.at_failure.values if answer.at_failure is not None else {}
@@ -252,7 +256,8 @@ def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
 
 
 def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """The summary of a search. The order of rows does not depend on the order in which answers arrived."""
+    """The summary of a search as a data frame. The rows are sorted, so their order does not depend on the order in
+    which answers arrived."""
     frame = pd.DataFrame(list(rows))
     numbers = {
         "box": "Int32",

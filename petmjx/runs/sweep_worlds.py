@@ -1,4 +1,4 @@
-"""All worlds of a sweep over its plans, in groups of worlds that share one placement."""
+"""All worlds (simulations) of a sweep over its plans, in groups of worlds that share one placement of boxes."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, LegSpec, Variant, apply_all
 
 _TILTED: Final = 0.5
-"""Share of the steps of a tilting profile that is expected to be simulated. It is below 1, since pallets slide or
-topple before the end."""
+"""Expected share of the steps of a tilting profile that are simulated. The share is below 1, since pallets slide or
+topple before the end of the profile."""
 
 _ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
-"""Fields that axes with errors of places or sizes change. If there are such errors, boxes are carried to their places
-by a hand, unless the options name another manner of placing."""
+"""Fields of a variant that hold errors of places or sizes. With these errors, a hand carries boxes to their places,
+unless the options name another manner of placing."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementGroup:
-    """Worlds of one plan that share a placement. It is simulated once, and all these worlds start from its settled
-    state.
+    """Worlds of one plan that share a placement of boxes. The placement is simulated once, and all these worlds start
+    from its settled state.
 
     Attributes:
         number: number of the placement within its plan, from 0.
         placement: the variant whose scene is simulated. The drive of this variant is not used.
-        variants: the variants of the worlds. A world without a drive has the outcome of the placement. Empty in a
-            search, whose variants are made level by level with `SweepPlan.search_variant`.
+        variants: the variants of the worlds. A variant without a drive has the outcome of the placement. A search has
+            no variants here: `SweepPlan.search_variant` makes them level by level.
     """
 
     plan: Plan
@@ -59,13 +59,14 @@ class PlacementGroup:
 
     @property
     def index(self) -> int:
-        """Number of the variant of the group's first world. In a search, which has no variants yet, the number of the
-        placement."""
+        """Number of the variant of the group's first world. In a search, which has no variants yet, this is the number
+        of the placement."""
         return self.variants[0].index if self.variants else self.number
 
     @property
     def driven(self) -> bool:
-        """Whether the worlds of the group have drives. Either all of them have drives or none. True for a search."""
+        """Whether the worlds of the group have drives (motions of the carrier) or legs: either all of them or none.
+        True for a search."""
         return all(variant.drive is not None or variant.legs for variant in self.variants)
 
 
@@ -74,7 +75,7 @@ class SweepPlan(Design):
     """All worlds of a sweep, made one placement at a time.
 
     Args:
-        plans: the plans of the sweep. After construction, only the plans that can be simulated.
+        plans: the plans of the sweep. The constructor removes plans that cannot be simulated.
         allow_large: whether more than a million worlds are accepted.
         strict: whether to raise an error instead of skipping a plan.
 
@@ -129,8 +130,8 @@ class SweepPlan(Design):
                 raise InputError(f"{file}: {error}") from None
 
     def _has_time(self, plan: Plan) -> bool:
-        """Whether a profile can begin before the simulation of a plan ends. If not, the plan is added to
-        ``skipped``."""
+        """Whether a profile can begin before the simulation of a plan ends. A plan without time for a profile is added
+        to ``skipped``."""
         left = self._drive_steps_left(plan)
         if left is None or left > 0:
             return True
@@ -152,7 +153,7 @@ class SweepPlan(Design):
                 yield PlacementGroup(plan, number, placement, variants)
 
     def find(self, plan_id: str, index: int) -> tuple[PlacementGroup, Variant]:
-        """The placement group and the variant of the world of a plan that has this variant number.
+        """The variant of a plan that has the number ``index``, and the group of worlds to which it belongs.
 
         Raises:
             InputError: the sweep has no such plan, or the plan has no such variant.
@@ -170,8 +171,8 @@ class SweepPlan(Design):
         raise InputError(f"{self.sweep.file}: plan {printable_name(plan_id)} has no variant {index}")
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
-        """The variant of a placement that tests one level of one item of a search. Its number does not depend on the
-        order in which worlds are simulated."""
+        """The variant that tests one level for one item (profile and direction) of a search, from one placement. The
+        number of the variant does not depend on the order in which worlds are simulated."""
         items, levels = self.search_items(), self.sweep.search_levels
         search_item, level = items[item], float(levels[level_index])
         index = 1 + (group.number * len(items) + item) * len(levels) + level_index
@@ -183,12 +184,13 @@ class SweepPlan(Design):
         return replace(group.placement, index=index, drive=drive, parameters=parameters)
 
     def scene(self, group: PlacementGroup) -> Scene:
-        """The scene of a group's placement."""
+        """The scene of the placement that the worlds of a group share."""
         ((_, scene),) = self.scenes([group])
         return scene
 
     def scenes(self, groups: Iterable[PlacementGroup]) -> Iterator[tuple[PlacementGroup, Scene]]:
-        """Groups with the scenes of their placements. Scenes of consecutive groups of one plan are made together."""
+        """Each group with the scene of its placement. Scenes of consecutive groups of one plan are made together, which
+        saves time."""
         for plan, plan_groups in itertools.groupby(groups, key=lambda group: group.plan):
             these, groups_again = itertools.tee(plan_groups)
             placements = (group.placement for group in groups_again)
@@ -198,22 +200,23 @@ class SweepPlan(Design):
     def job(
         self, group: PlacementGroup, scene: Scene, *, keep_state: bool = False, record: Record | None = None
     ) -> Job:
-        """The job of a group's placement. A placement with random errors ends as soon as a box is lost (has tilted too
-        far), because it only has to answer whether the pallet stands."""
+        """The job that simulates the placement of a group. If the placement has random errors, the simulation ends as
+        soon as a box is lost (has tilted too far), because it only has to answer whether the pallet stands."""
         has_errors = group.placement.placement.random
         return Job(scene, keep_state=keep_state, record=record, has_errors=has_errors)
 
     # Drives.
 
     def drive_start_s(self, plan: Plan) -> float:
-        """Time at which a drive begins with the fixed schedule, s: ``settle_s`` after the nominal end of placement,
-        which is n × interval as in the reference implementation."""
+        """Time at which a drive begins with the fixed schedule, s: ``settle_s`` after the nominal end of the placement
+        of n boxes, which is n × ``interval_s`` as in the reference implementation."""
         sim = self.sweep.simulation
         placed_s = sim.interval_s * plan.n_boxes if sim.check is Check.ONE_BY_ONE else 0.0
         return placed_s + sim.settle_s
 
     def drive(self, plan: Plan, variant: Variant, load_height_m: float = 0.0) -> Drive | None:
-        """The drive of one world. Worlds whose drives have the same samples share one array of samples.
+        """The drive (motion of the carrier) of one variant of a plan. Variants whose drives have the same samples share
+        one array of samples.
 
         Args:
             load_height_m: height of the settled load, m. EUMOS's test limits the sway of boxes to a share of this
@@ -237,8 +240,8 @@ class SweepPlan(Design):
         return Drive(unit.excitation, spec.scale, yaw_rad, unit.rest_s, allowed_m)
 
     def leg_drive(self, plan: Plan, variant: Variant, leg: LegSpec, load_height_m: float = 0.0) -> Drive:
-        """All drives of one leg in one world, joined into one drive. A leg without drives does not shake the pallet.
-        Worlds whose drives have the same samples share one array of samples."""
+        """All drives of one leg in one variant of a plan, joined into one drive. A leg without drives does not shake
+        the pallet. Variants whose drives have the same samples share one array of samples."""
         sim = self.sweep.simulation
         made = (
             self.drive(plan, replace(variant, drive=self._with_strength(plan, variant, leg, place)), load_height_m)
@@ -259,8 +262,8 @@ class SweepPlan(Design):
         return Drive(self._rows[key], rest_s=rest_s, allowed_sway_m=allowed_m)
 
     def _with_strength(self, plan: Plan, variant: Variant, leg: LegSpec, place: int) -> DriveSpec:
-        """A drive of a leg, with the strength that is drawn for one world. The same world with a remedy has the same
-        strength."""
+        """A drive of a leg, with the strength that is drawn for one variant of a plan. If two variants differ only by a
+        remedy, they draw the same strength."""
         spec = leg.drives[place]
         if spec.scale_to is None:
             return spec
@@ -277,14 +280,14 @@ class SweepPlan(Design):
         timestep_s = sim.physics.timestep_s
         excitation = profile.excitation(timestep_s, start_s, world)
         if profile.strength is Strength.ANGLE and sim.physics.gravity_m_s2 != STANDARD_GRAVITY:
-            # the samples of a tilt scale with gravity, unlike those of other accelerations
+            # a tilt turns gravity, so its samples are proportional to gravity; those of other accelerations are not
             turned = excitation.samples * (sim.physics.gravity_m_s2 / STANDARD_GRAVITY)
             excitation = replace(excitation, samples=turned)
         left = self._drive_steps_left(plan)
         if left is None:
             return Drive(excitation, rest_s=sim.rest_s)
         samples = excitation.samples[:left]
-        # Half a step is added, so that rounding down to whole steps gives exactly this number.
+        # Half a step is added: rounding down to whole steps must give exactly this number in spite of rounding errors.
         rest_s = (left - len(samples) + 0.5) * timestep_s
         return Drive(replace(excitation, samples=samples), rest_s=rest_s)
 
@@ -299,7 +302,8 @@ class SweepPlan(Design):
         return seconds_to_steps(total_s, timestep_s) - seconds_to_steps(self.drive_start_s(plan), timestep_s)
 
     def job_bounds(self, groups: Collection[PlacementGroup]) -> JobBounds:
-        """Limits that hold for these placements and for the drives and legs that follow them."""
+        """Limits for the jobs of these placements and of the drives and legs that follow them, such as the largest
+        number of steps. Engines prepare themselves with these limits."""
         sim, profiles = self.sweep.simulation, self.sweep.profiles.values()
         jobs = sum(max(len(group.variants), 1) for group in groups)
         box_counts = {group.plan.n_boxes for group in groups}
@@ -311,13 +315,13 @@ class SweepPlan(Design):
         drive_steps = max((profile.n_steps(sim.physics.timestep_s) for profile in profiles), default=0)
         if sim.total_time_factor is not None:
             drive_steps = min(drive_steps, max(self._drive_steps_left(group.plan) or 0 for group in groups))
-        # with the fixed schedule, profiles of forces begin at a different time in each plan
+        # with the fixed schedule, a profile of forces begins at a different time in each plan, so its samples differ
         drawn = any(profile.random for profile in profiles) or sim.schedule is Schedule.FIXED
         wraps = sim.wrap.holds or "wrap_turns" in self.sweep.axes
         return JobBounds(jobs, box_counts, drive_steps, None if drawn else len(profiles), wraps)
 
     def _leg_samples(self, leg: LegSpec) -> int:
-        """Number of steps of a leg's drives and of the pauses between them."""
+        """Number of steps of a leg: those of its drives and of the pauses between the drives."""
         timestep_s = self.sweep.simulation.physics.timestep_s
         pauses = (len(leg.drives) - 1 if leg.drives else 1) * seconds_to_steps(leg.pause_s, timestep_s)
         return pauses + sum(self.sweep.profiles[drive.profile].n_steps(timestep_s) for drive in leg.drives)
@@ -360,7 +364,7 @@ class SweepPlan(Design):
 
     @property
     def amount(self) -> str:
-        """Description of the simulated worlds: their number, and the numbers of plans, variants and placements."""
+        """A text about the size of the sweep: the numbers of worlds, plans, variants and placements."""
         if not self.sweep.axes and not self.sweep.legs:
             return count_text(len(self.plans), "plan")
         most = "at most " if self.sweep.search is not None else ""
@@ -384,8 +388,8 @@ class SweepPlan(Design):
 
     @property
     def _carried(self) -> int:
-        """Number of placements per plan with errors in which boxes are carried to their places. With an axis
-        ``placing``, all placements by hand or tines count."""
+        """Number of placements per plan in which boxes are carried to their places, for placements with errors. With an
+        axis ``placing``, placements without errors are included."""
         sim = self.sweep.simulation
         if not sim.may_carry:
             return 0

@@ -1,6 +1,5 @@
-"""Limits of transport tests: the limits of EUMOS 40509:2020, and the profiles that no unsecured load survives.
-
-Such a profile is called hopeless: every load slides farther than the shift threshold, whatever the plan.
+"""Limits of transport tests: the limits of EUMOS 40509:2020, and hopeless profiles (motions of the carrier). With a
+hopeless profile, every unsecured load slides farther than the shift threshold, whatever the plan.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from petmjx.world.profiles.accelerations import Tilt
 from petmjx.world.variants import MIN_FRICTION_FRACTION, Distribution, DistributionShape
 
 EUMOS_PROFILE = "eumos-40509"
-"""The profile whose worlds are also checked against the limits of the standard."""
+"""Name of the profile of EUMOS 40509. Worlds with this profile are also checked against the limits of the standard."""
 
 EUMOS_ELASTIC_SHARE = 0.10
 """Largest allowed displacement during the test, as a share of the height of the load."""
@@ -45,8 +44,8 @@ EUMOS_COLUMNS = (
 
 
 def load_height_m(settled_pos: FloatArray, half_size: FloatArray) -> float:
-    """Height of a load above the carrier's top (z = 0), m, from (n, 3) settled centres and half extents of its boxes,
-    m."""
+    """Height of a load above the carrier's top (z = 0), m. Both arguments have the shape (n, 3): the centres of the n
+    boxes at rest, m, and half their extents, m."""
     return float((settled_pos[:, 2] + half_size[:, 2]).max())
 
 
@@ -56,12 +55,12 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
     The standard allows an elastic deformation of at most 10 % of the load's height during the test. After the test, the
     permanent deformation may be at most 5 % of the load's height, and at most 4 cm in the lowest 20 cm. Displacements
     are measured from the settled positions of box centres. The load's height is measured from the carrier's top, z = 0.
-    The elastic deformation includes the permanent deformation, since a video of a test does not distinguish the two
-    before the end.
+    The elastic deformation includes the permanent deformation, since a video of a test cannot tell the one from the
+    other before the end of the test.
 
-    A world in which a box fell never passes, even if the shares are small. A world with a NaN never passes either,
-    since its profile did not run to its end. Source: EUMOS 40509:2020, criteria as published by ESTL, the laboratory
-    behind the standard.
+    A world in which a box fell never passes, even if its deformations are small. A world with a deformation of NaN
+    never passes either, since its profile did not run to the end. Source: EUMOS 40509:2020, criteria as published by
+    ESTL, the laboratory behind the standard.
 
     Args:
         settled_pos: (n, 3) centres of the boxes before the profile, m.
@@ -84,7 +83,7 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
 
 
 RANGE_POINTS = 9
-"""Number of values that are checked on an axis with a continuous range."""
+"""Number of values, evenly spread over an axis with a continuous range, that are checked."""
 
 LARGEST_SD = 4.0
 """Normal errors are checked up to this number of standard deviations above the mean. One draw in 30,000 is larger."""
@@ -101,10 +100,10 @@ def slide_m(
     """How far a block slides on a moving carrier, m: its largest distance from its first position on the carrier.
 
     The model is Coulomb's friction. The block stays in place while the horizontal acceleration of the carrier is at
-    most friction × (gravity + vertical acceleration). At a larger acceleration, the block slides, and friction acts
-    against the sliding with this largest value. If the block slides fast, friction is ``kinetic`` times this value. The
-    result is exact for an acceleration along one line that is constant within each step, except for steps in which the
-    block stops or its friction changes.
+    most friction × (gravity + vertical acceleration). At a larger acceleration, the block slides, and friction brakes
+    it with this largest value, or, if the block slides fast, with ``kinetic`` times this value. If the acceleration is
+    constant within each step and always along the same line, the result is exact, except for steps in which the block
+    stops or its friction changes.
 
     A whole load slides about as far as the block, or farther. If a load touches only the carrier's top, the horizontal
     force on it is at most friction × the vertical force, as on the block. So the centre of mass of the load, and with
@@ -125,7 +124,7 @@ def slide_m(
             if next_slip == len(slips):
                 break
             step = int(slips[next_slip])
-        if step == len(acceleration):  # the carrier is at rest now, so friction brakes the block
+        if step == len(acceleration):  # the profile is over and the carrier at rest, so friction brakes the block
             speed, brake = math.hypot(vx, vy), friction * kinetic * gravity_m_s2
             if brake == 0:
                 return math.inf
@@ -144,11 +143,13 @@ def slide_m(
 
 
 def hopeless_profiles(sweep: Sweep) -> list[str]:
-    """One line for each profile that makes every unsecured load slide farther than the shift threshold.
+    """One line for each hopeless profile: a profile that makes every unsecured load slide farther than the shift
+    threshold.
 
-    If the sweep has several strengths, the line names the smallest strength with which this happens. Lines depend only
-    on accelerations, which are the same for all plans. Searches get no lines, since they find this strength themselves.
-    Runs with ``total_time_factor`` get no lines either, since they may end before the load slides that far.
+    If the sweep has several strengths, the line names the smallest strength with which this happens. A line depends
+    only on accelerations, which are the same for all plans. For a search, there are no lines, since the search finds
+    the strength itself. With ``total_time_factor``, there are no lines either, since a simulation may end before the
+    load slides that far.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:
@@ -161,7 +162,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
         return []  # film secures every load, so there are no lines
 
     def values(name: str) -> list[float]:
-        """The values of an axis of factors, in ascending order. [1] if the sweep does not have this axis."""
+        """The values of an axis of factors, in ascending order; [1] if the sweep does not have this axis."""
         if name not in axes:
             return [1.0]
         factors = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
@@ -204,16 +205,16 @@ def _friction_errors(sweep: Sweep) -> list[Distribution]:
 
 
 def _largest(error: Distribution) -> float:
-    """The largest value of an error. For a normal distribution, the value ``LARGEST_SD`` standard deviations above its
-    centre."""
+    """The largest value of an error. For a normal distribution, this is the centre plus ``LARGEST_SD`` standard
+    deviations."""
     return error.centre + (LARGEST_SD if error.shape is DistributionShape.NORMAL else 1.0) * error.spread
 
 
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
-    """Index of the smallest strength that makes a block slide too far. The number of strengths if there is none.
-    Strengths are in ascending order.
+    """Index of the smallest strength that makes a block slide farther than the shift threshold; the number of strengths
+    if none does. ``strengths`` must be in ascending order.
 
-    The search assumes that if a strength makes the block slide too far, all larger strengths do so as well.
+    The search assumes that a block that slides too far with one strength also does so with all larger strengths.
     """
     physics, limit_m = sim.physics, sim.thresholds.shift_m
 

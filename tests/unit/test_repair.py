@@ -806,7 +806,7 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     assert main(["repair", str(source), "-o", str(out), "--engine", "mujoco", "--threads", "1"]) == 130
     shown = capsys.readouterr()
     if not names:
-        assert "no plan was done; nothing was written" in shown.err
+        assert "no plan was searched to the end; nothing was written" in shown.err
         assert not out.exists()
         return
     assert f"{len(names)} of 2 plans were searched to the end" in shown.err
