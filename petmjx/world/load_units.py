@@ -24,11 +24,12 @@ def with_pallets(
 ) -> tuple[tuple[Pieces, ...], FloatArray | None, FloatArray | None]:
     """The boards of the pallets in a plan, and (n, 3) centres of mass and (n, 3) inertia boxes of all its boxes.
 
-    ``Scene`` describes these three fields.
+    The three results are the fields ``pieces``, ``mass_center`` and ``inertia_box`` of ``Scene``.
 
     Args:
         half_size: (n, 3) half extents of the boxes, m. Boards are scaled to the size of their pallet.
-        mass_center: (n, 3) centres of mass that the plan gives, m. If None, they are in the boxes' middles.
+        mass_center: (n, 3) centres of mass that the plan gives, m. If ``mass_center`` is None, the centres of mass are
+            in the boxes' middles.
     """
     if not plan.pallets:
         return (), mass_center, None

@@ -12,11 +12,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class WorldKey:
-    """The identity of a world. The world's random numbers depend on nothing else.
+    """The identity of a world. The world's random numbers depend only on this identity.
 
-    ``replicate`` numbers the repetitions with the same parameters. Worlds that differ only in their profile, or in its
-    level or direction, have the same replicate number. Therefore these worlds have the same placement, and can be
-    compared in pairs.
+    ``replicate`` numbers the repetitions with the same parameters. Worlds that differ only in the profile, or in the
+    profile's level or direction, have the same replicate number. Therefore worlds with different profiles have the same
+    placement, and can be compared in pairs.
     """
 
     seed: int
