@@ -62,7 +62,8 @@ class Candidates:
     Args:
         extent_mm: extent of the carrier along x and y; ``gap_mm``: free space between a box and its neighbours along x
             and y.
-        least_support: smallest share of a box's base that must be supported. If None, any share is sufficient.
+        least_support: smallest share of a box's base that must be supported. If ``least_support`` is None, any
+            supported share is sufficient.
         inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. For
             small boxes, a fifth of the shorter side of the base is required instead, if it is less. 0 means that loads
             may act anywhere.

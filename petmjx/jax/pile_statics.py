@@ -115,8 +115,8 @@ def margins_m(
 ) -> tuple[Float[Array, " placement"], Float[Array, " placement"], Bool[Array, " placement"]]:
     """Three values for each of q boxes, if the box were put onto the pile. First, the distance inside the hull of the
     box's contacts at which its weight acts, m. Second, the smallest of these distances for the loads of all boxes
-    below, m. Third, whether the loads of the boxes below act far enough inside their hulls. Distances are at most
-    ``FAR_M``."""
+    below, m. Third, whether the loads of all boxes below act far enough inside the hulls of their contacts. Distances
+    are at most ``FAR_M``."""
     floats = ~contacts.bears.any(axis=1) & ~contacts.on_carrier
     inside = jnp.where(floats, -FAR_M, -planes[..., 0].max(axis=1))
     moments, inverse = _moments(contacts)

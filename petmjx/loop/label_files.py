@@ -278,7 +278,8 @@ class _Tally:
 
 
 def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
-    """The part of the card that states how labels were made. Two sets with the same head have the same labels."""
+    """The part of the card that states how labels were made. Two sets of labels for which this part is the same have
+    the same labels."""
     is_file = isinstance(source, Path)
     reading = labeller.orders.reading
     return {

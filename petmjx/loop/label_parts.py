@@ -1,7 +1,7 @@
 """The labels of a set that is not finished yet: Parquet files (parts) in the set's folder, and a file that lists the
 parts.
 
-    DIR/unfinished.json        the set (orders, options, engine), how many labels it is to have and how many are there,
+    DIR/unfinished.json the set (orders, options, engine), how many labels it is to have and how many are there,
                                the next episode, the parts
     DIR/parts/part-*.parquet   labels of whole episodes, in order
 
@@ -56,7 +56,8 @@ class LabelParts:
     Args:
         folder: folder of the set; ``head``: description of the set, as plain JSON values.
         count: number of labels that the set is to have.
-        resume: whether to continue with the parts in the folder, if there are any. If not, these parts are deleted.
+        resume: whether to continue with the parts in the folder, if there are any. If ``resume`` is False, these parts
+            are deleted.
 
     Attributes:
         n_labels: number of labels in the parts; ``next_episode``: number of the first episode whose labels are not in

@@ -68,7 +68,7 @@ class SettledEngine(Engine):
         other_jobs = [index for index in range(len(jobs)) if index not in world_by_job]
         if other_jobs:
             for outcome in self._engine.run([jobs[index] for index in other_jobs], sim, progress):
-                if outcome is not None:  # None: a pause of the engine
+                if outcome is not None:  # None means that the engine has paused
                     outcome.job = other_jobs[outcome.job]
                 yield outcome
 

@@ -276,7 +276,7 @@ class _Turns(NamedTuple):
     apart: FloatArray
 
     def take(self, rows: NDArray[np.intp]) -> _Turns:
-        """The turns in these rows."""
+        """The turns of the boxes in the given rows."""
         return _Turns(self.rows[rows], self.towards[rows], self.edge[rows], self.outside[rows], self.apart[rows])
 
 

@@ -96,7 +96,8 @@ Fills = Callable[[Packing, NextCandidate | None, float], FullPacking | None]
 def fills_for(start: Packing) -> Fills:
     """The function that fills up packings of an order, given the empty packing of the order.
 
-    If Warp is installed, the function is compiled. It makes the same packings as the function in Python.
+    If Warp is installed, the function is compiled. The compiled function makes the same packings as the function in
+    Python.
     """
     if why_no_warp_on_cpu() is None:
         with suppress(Exception):  # Warp cannot be loaded, or cannot compile the function
@@ -150,7 +151,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
     for way in ways:
         before = frozenset(way.packing.placed)
         for number, candidate in enumerate(way.packing.next(branch)):
-            packing = way.packing  # copied later, only if it is among the best packings
+            packing = way.packing  # the packing is copied later, if it is among the best
             first: NextCandidate | None = candidate
             boxes = before | {packing.box(candidate)}
             if stride > 1:

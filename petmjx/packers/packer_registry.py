@@ -35,8 +35,8 @@ class Packer(Protocol):
         Args:
             items: the items of the order.
             extent_mm: length (along x) and width (along y) of the target, mm.
-            rules: rules of the packer ``baseline``. If None, its default rules are used.
-            rng: random numbers for this order. A packer need not use them.
+            rules: rules of the packer ``baseline``. If ``rules`` is None, the default rules are used.
+            rng: random numbers for this order, which a packer may use.
         """
 
 
@@ -77,7 +77,8 @@ def packer_named(name: str, look_ahead: int | None = None) -> Packer:
 
     Args:
         name: the name.
-        look_ahead: number of boxes that the packer ``learned`` sees at a time. If None, it is 1.
+        look_ahead: number of boxes that the packer ``learned`` sees at a time. If ``look_ahead`` is None, the packer
+            sees 1 box.
 
     Raises:
         InputError: no packer has this name, or ``look_ahead`` is given for another packer than ``learned``.

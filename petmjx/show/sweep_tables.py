@@ -412,12 +412,13 @@ def turns_table(summary: pd.DataFrame) -> FittedTable:
 
 
 _SAME_LEVEL_G: Final = 1e-9
-"""Largest difference of two levels that count as equal, g. It is needed since 0.1 + 0.2 is not exactly 0.3."""
+"""Largest difference of two levels that count as equal, g. This tolerance is needed since 0.1 + 0.2 is not exactly
+0.3."""
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:
-    """(n,) whether each answer of a search is doubtful according to one column of ``_DOUBTS``. All are False if an
-    older run does not have the column."""
+    """(n,) whether each answer of a search is doubtful according to one column of ``_DOUBTS``. All values are False if
+    the run is of an older version that does not have the column."""
     if column not in summary:
         return pd.Series(False, index=summary.index)
     return summary[column].astype(bool) != (column == "monotone")

@@ -205,8 +205,8 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
     Args:
         run: the run of the chain.
         plan: the plan.
-        slides_g: smallest acceleration at which the load slides without film, g. This number is the coefficient of
-            friction between load and carrier.
+        slides_g: smallest acceleration at which the load slides without film, g. In g, this acceleration equals the
+            coefficient of friction between load and carrier.
     """
     sim = Simulation.read(run.info["config"]["simulation"])
     legs = [leg for leg in run.info["config"]["sweep"]["legs"] if leg.get("wrap_turns") is not None]

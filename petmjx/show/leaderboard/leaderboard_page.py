@@ -126,7 +126,7 @@ class Board:
 
     @property
     def command(self) -> str:
-        """The command that makes the board again, in another folder. It must be run in the board's folder."""
+        """The command that makes the board again, in another folder. The command must be run in the board's folder."""
         entry_names = [entry.name for entry in self.entries if entry.name in self.digests and not entry.ours]
         words = ["petmjx", "leaderboard", *(f"{name}={PLANS}/{name}.json" for name in entry_names)]
         words += ["--orders", ORDERS] if self.orders else []

@@ -25,7 +25,7 @@ _FAR_SHARE: Final = 0.5
 height."""
 _LOST_M: Final = 50.0
 """Distance from the origin beyond which boxes are not drawn, m. Such boxes occur in simulations that became numerically
-unstable. If they were drawn, all other positions would be stored less precisely."""
+unstable. If boxes so far away were drawn, all other positions would be stored less precisely."""
 _ARROW_M: Final = 0.45
 """Width of the space to the left of the carrier for the arrow of gravity, m (petmjx/show/pages/static/arrows.js)."""
 

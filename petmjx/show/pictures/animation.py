@@ -75,8 +75,8 @@ def film_frames(story: Story, look: PictureStyle, speed: float, times: list[floa
 
 
 def palette_of(frames: Iterable[Image]) -> Image:
-    """The palette of a GIF, made from some of its frames: 255 colours, of which one is white. The index after them
-    marks pixels that do not change."""
+    """The palette of a GIF, made from some of its frames: 255 colours, of which one is white. The index 255, after
+    these colours, marks pixels that do not change."""
     from PIL import Image
 
     sample_frames = list(frames)

@@ -30,7 +30,7 @@ MOST_BOXES: Final = 600_000
 boxes, worlds that stand are left out first."""
 
 WORLDS_PER_BLOCK: Final = 64
-"""Number of worlds in a block. Such a block is unpacked in some milliseconds, and deflates as well as a larger
+"""Number of worlds in a block. A block of this size is unpacked in some milliseconds, and deflates as well as a larger
 block."""
 
 TENTHS_PER_M: Final = 10_000
@@ -133,7 +133,7 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
 
 
 def simulation_of(info: Mapping[str, Any]) -> Simulation:
-    """The simulation options of a run. They are the defaults if the run does not state its options, or states options
+    """The simulation options of a run, or the default options if the run does not state its options, or states options
     that this version of petmjx cannot read."""
     settings = info.get("config", {}).get("simulation")
     try:

@@ -182,7 +182,7 @@ def _add_parameters(
 
 
 def _key(name: str) -> str:
-    """The key of a parameter's column in the page. It differs from the keys of all other columns."""
+    """The key of a parameter's column in the page, which differs from the keys of all other columns."""
     return f"x-{name}"
 
 
