@@ -1,5 +1,5 @@
 """Finds candidate places for a box at the extreme points of a pile (points at which a box touches other boxes or the
-carrier's edges), as seen from all four corners of the carrier. This is an array program in JAX.
+carrier's edges), as seen from all four corners of the carrier. The module is an array program in JAX.
 
 The extreme points are those of ``petmjx.packers.learned_candidates``: Crainic, Perboli, Tadei (2008), "Extreme
 point-based heuristics for three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384, computed for the

@@ -1,5 +1,5 @@
-"""Finds the cells of a carrier at which a box can be placed. This is an array program in JAX, in single precision like
-all of ``petmjx.jax``."""
+"""Finds the cells of a carrier at which a box can be placed. The module is an array program in JAX, in single precision
+like all of ``petmjx.jax``."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ class Palletizing:
         gap_mm: free space that a robot needs between a box and its neighbours along x and y.
         inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. For
             small boxes, a fifth of the shorter side of the base is required instead, if it is less. 0 means that loads
-            may act anywhere. This option is only for candidates. The packer ``balanced`` uses 20 mm.
+            may act anywhere. ``inside_mm`` is only for ``candidates``. The packer ``balanced`` uses 20 mm.
         action_cell_mm, cell_mm: side of the cells of actions, and side of the cells of observed maps.
         rewards: weights of the terms of the reward.
         most_illegal: number of illegal actions after which an episode is truncated; an illegal action changes nothing.

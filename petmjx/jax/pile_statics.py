@@ -21,8 +21,8 @@ from petmjx.jax.free_cells import TOUCH_MM, Pile
 from petmjx.packers.pile_balance import FAR_M, MARGIN_SHARE
 
 _ANGLES: Final = np.arange(32) * (2 * np.pi / 32)
-"""Directions in which the corners of a hull are searched for. Each direction finds the corner that reaches farthest in
-it. Other corners are missed, so a computed hull may be too small, but never too large."""
+"""Directions in which the corners of a hull are searched for. For each direction, the corner that reaches farthest in
+this direction is found. Other corners are missed, so a computed hull may be too small, but never too large."""
 
 _NO_EDGE: Final = -1e3
 """Offset of an edge that does not exist, m. Every load is far inside such an edge."""

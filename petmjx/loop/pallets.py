@@ -395,8 +395,8 @@ class Pallets(Closable):
             return height_maps(self._boxes, rows, self.extent_mm, cell_mm)
 
     def boxes(self, pallet: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The boxes on these pallets, as they were requested: (m, k, 3) their sizes, (m, k, 3) their corners, mm, and
-        (m, k) their masses, kg. Values after the last box of a pallet are NaN."""
+        """(m, k, 3) sizes and (m, k, 3) corners, mm, and (m, k) masses, kg, of the boxes on these pallets, as they were
+        requested. Values after the last box of a pallet are NaN."""
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             k = int(self._boxes.count[rows].max(initial=0))

@@ -44,9 +44,9 @@ STANDS: Final = 1
 FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
-"""Distance inside a bearing that is required of loads which a placement does not change, as a fraction of the distance
-required of loads which it changes. If a load acts nearer to the edge, the box may seem to rest while it already begins
-to turn."""
+"""Required distance inside a bearing for loads that a placement does not change, as a fraction of the required distance
+for loads that the placement changes. If a load acts nearer to the edge, the box may seem to rest while it already
+begins to turn."""
 
 MOST_LOAD: Final = 100.0
 """Largest load on a box that carries the new box, as a multiple of the carrying box's own mass. Contacts are soft: a
@@ -66,8 +66,8 @@ HANGING_MM: Final = 10.0
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
 """A box is lost if, before a body catches it, it turns by ``TURN_DEG``, or its middle moves down and sideways by
-``GONE_MM``. Its weight is then farther beyond the edge than at first, so the box does not come back. These values
-exceed the largest allowed thresholds of verdicts by a quarter and by a half."""
+``GONE_MM``. The weight of a lost box is farther beyond the edge than at first, so the box does not come back. These
+values exceed the largest allowed thresholds of verdicts by a quarter and by a half."""
 
 NEAR_MM: Final = 2.0
 """Two boxes with a planned gap of up to this width may touch, because boxes of a pallet at rest can be up to 1 mm off
@@ -378,8 +378,8 @@ class _Rests:
 
     def _turn_straight(self, turns: _Turns, least: FloatArray) -> NDArray[np.bool_]:
         """(r,) whether each box turns about a single edge along x or y, without turning sideways at the same time. For
-        this, the edge must extend on both sides of the weight by more than ``least`` (r,), so that the box is balanced
-        along the edge."""
+        such a turn, the edge must extend on both sides of the weight by more than ``least`` (r,), so that the box is
+        balanced along the edge."""
         middle = (self.start[turns.rows, :2] + self.end[turns.rows, :2]) / 2
         foot = middle - turns.outside[:, None] * turns.towards
         edges = self.edges[turns.rows]

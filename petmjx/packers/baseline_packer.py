@@ -22,7 +22,7 @@ MAX_HEIGHT_MM = 2000.0
 
 @dataclass(frozen=True)
 class PackRules:
-    """The rules of the packer ``baseline``, which may differ between plans.
+    """The rules of the packer ``baseline``. Each plan may be packed with other rules.
 
     Attributes:
         min_support: smallest share of a box's base that must rest on the carrier or on other boxes (0 to 1).

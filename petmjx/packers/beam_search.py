@@ -1,8 +1,8 @@
 """Beam search for dense packings of an order. Candidates (boxes at places) are those of the packer ``balanced``.
 
-The search keeps ``width`` packings. Every step extends each of these packings by its ``branch`` best candidates. To
-rate a candidate, the packing with this candidate is filled up by best fit, as in ``balanced`` (the pilot method: Duin,
-Voß 1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
+The search keeps ``width`` packings. Every step extends each kept packing by its ``branch`` best candidates. To rate a
+candidate, the packing with this candidate is filled up by best fit, as in ``balanced`` (the pilot method: Duin, Voß
+1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
 Networks 34, 181–191). The best ``width`` packings are kept. Filling up is aborted as soon as the packing is higher than
 all of the best ``width`` packings so far. In large orders, a step places several boxes: first the candidate, then
 further boxes by best fit.

@@ -21,7 +21,7 @@ from petmjx.packers.pile_balance import TOUCH_MM
 _SLIDING = np.array([1, 0, 0, 1])
 _OTHER = 1 - _SLIDING
 """For each of the four points that slide (see ``corner_points``): the axis along which the point slides, and the other
-horizontal axis. 0 is x, 1 is y."""
+horizontal axis. Axis 0 is x, axis 1 is y."""
 
 
 class Candidates:

@@ -148,7 +148,8 @@ class FillKernel:
         self._launch.launch()
 
     def _tips(self) -> bool:
-        """Whether the next box would tip over on its supports: the answer to the kernel's question."""
+        """Whether the next box would tip over on its supports. The kernel leaves this question to Python if the box is
+        close to tipping."""
         low, high = np.split(self._of["rectangles"][: self._of["counts"][Count.UNDER]], 2, axis=1)
         length, width = self._of["own_base"][self._of["counts"][Count.SHAPE]].tolist()
         return tips(hull_planes(low, high, margin_m((length, width))), self._of["own_load"])

@@ -46,12 +46,12 @@ FAR_M: Final = 0.2
 
 SAME_PLACE_DECIMALS: Final = 9
 """Number of decimals to which corners in m are rounded, that is, to a nanometre. The algorithm of the hull processes
-points from left to right. Without rounding, it could lose a point that lies so little to the left of others that
-products in float64 cannot resolve the distance."""
+points from left to right. Without rounding, the algorithm could lose a point that is further left than other points by
+a distance too small for products in float64."""
 
 LEAST_TURN_M2: Final = 1e-12
-"""Smallest cross product, m², of two successive edges of the hull at a corner. If it is smaller, the point is not a
-corner but lies on an edge: the difference is rounding."""
+"""Smallest cross product, m², of two successive edges of the hull at a corner. If the cross product is smaller, the
+point between the two edges counts as a point of a single edge, not as a corner: the difference is rounding."""
 
 SLACK_KG_M: Final = 1e-9
 """Tolerance for rounding errors when a load is compared with an edge, kg·m."""

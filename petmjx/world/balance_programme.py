@@ -45,7 +45,7 @@ def balanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray] | None:
     """(n, 3) loads that balance the boxes of one scene as well as possible, and (n,) the distances by which these loads
-    are still beyond edges, m. None if no choice of shares changes any of the loads that are beyond an edge.
+    are still beyond edges, m. None if no load that is beyond an edge depends on how supports share loads.
 
     Args:
         bearing: the contacts between boxes and their supports in one scene.
@@ -58,8 +58,8 @@ def balanced_loads(
     passed, fixed = _fixed_forces(bearing, placed)
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
-    # For each box with several supports: whether each load depends on how its supports share its load. This holds for
-    # the loads of the boxes below. Its own load is included, since the equations also contain it.
+    # For each box with several supports: the loads that depend on how these supports share the box's load. The loads of
+    # all boxes below depend on it. The box's own load is included, since the equations also contain it.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True

@@ -8,7 +8,7 @@ its depth x follows from (MuJoCo's documentation, chapter Computation, solver pa
 A is the sum of the inverse masses of the two bodies. d₁ is the impedance at depths beyond ``solimp``'s width, τ the
 time constant and ζ the damping ratio. At depths beyond the width, x = (1 − d₁) · τ² · ζ² · A · f. So the contacts of a
 light box give way under a heavy load, even if they are meant to be stiff. With the physics ``pallet`` and four contacts
-per face, they give way by 0.003 mm × (mass on the box) / (mass of the box).
+per face, contacts give way by 0.003 mm × (mass on the box) / (mass of the box).
 
 **Sliding.** In Coulomb's law, friction does not change the pressure of a sliding contact. The coefficient of kinetic
 friction may be smaller than that of static friction.

@@ -443,9 +443,9 @@ def _contact_pushes(
 
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
-    """The smallest distance of a load from an edge in one scene, for scenes in which every load that seems to be beyond
-    an edge depends on how supports share loads. Linear programmes decide whether the loads that seem to be furthest
-    beyond an edge are really beyond it."""
+    """The smallest distance of a load from an edge in one scene, found by linear programmes. These programmes decide
+    whether the loads that seem to be furthest beyond an edge are really beyond it. In the scene, every load that seems
+    to be beyond an edge depends on how supports share loads."""
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
         if not (edge < 0).any():
@@ -461,8 +461,8 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
 
 
 def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[IntArray, FloatArray]:
-    """Indices in ``built`` of the loads that act in one scene after the placement ``step``, and (n,) the distances of
-    the loads from edges, m, if supports share loads so that all loads are as far inside the edges as possible."""
+    """Indices in ``built`` of the loads in one scene after the placement ``step``, and (n,) the distances of these
+    loads from edges, m, for the best way in which supports can share loads."""
     n = len(bearing.boxes.mass)
     now = np.flatnonzero(built.step <= step)
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]

@@ -86,7 +86,8 @@ class EngineState(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class KeptState:
-    """A settled state and the name of the engine that made the state. Only this engine can start from the state."""
+    """A settled state and the name of the engine that made the state. Only the engine that made a settled state can
+    start from it."""
 
     engine: str
     state: EngineState
@@ -97,10 +98,10 @@ class Job:
     """One world to simulate.
 
     With early stop, a world with errors ends not only when a box has dropped, but also when a box is *lost*: tilted by
-    more than the threshold. The verdict depends on the largest tilt, so it is known once a box is lost. The rest of the
-    simulation would be its most expensive part. A large shift does not end a world: a board that tips under one box is
-    level again under the next box. A world with a drive ends when the culprit (the box that failed first) is lost,
-    since only then is it known how the culprit failed.
+    more than the threshold. The verdict depends on the largest tilt, so it is known once a box is lost. Simulating
+    further after a box is lost would be the most expensive part of the simulation. A large shift does not end a world:
+    a board that tips under one box is level again under the next box. A world with a drive ends when the culprit (the
+    box that failed first) is lost, since only then is it known how the culprit failed.
 
     Attributes:
         scene: the world.

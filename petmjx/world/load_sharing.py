@@ -35,8 +35,8 @@ PULL: Final = 1e-9
 area, m, that count as rounding errors. Beyond these values, the support counts as pulling."""
 
 ON_EDGE_M: Final = 1e-6
-"""Distance from the hull's edge, m, within which a load counts as on the edge. At an edge, planes would be infinitely
-steep."""
+"""Distance from the hull's edge, m, within which a load counts as on the edge. For a load on an edge, the plane of
+pressure would be infinitely steep."""
 
 _ROOT: Final = math.sqrt(3.0)
 _MOST_STEPS: Final = 60

@@ -324,7 +324,7 @@ def _add_geom(
     geom.solref = np.array(physics.solref)
     geom.solimp = np.array(physics.solimp + _SOLIMP_TAIL)
     if physics.has_own_friction:
-        geom.contype = geom.conaffinity = 0  # only declared pairs collide (_declare_pairs)
+        geom.contype = geom.conaffinity = 0  # only declared pairs of geoms collide (_declare_pairs)
     return geom
 
 

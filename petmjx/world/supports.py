@@ -421,8 +421,8 @@ class Bearing:
         """(k, 3, 3) a matrix for each of the k contacts ``together``. The matrix maps the load of the upper box (mass
         and first moments) to the part of the load that the contact carries."""
         boxes, upper = self.boxes, self.upper[self.together]
-        # Places are relative to the upper box's middle, in units of its half extents. This keeps the 3 × 3 systems well
-        # conditioned.
+        # Places are relative to the upper box's middle, in units of its half extents. Such coordinates keep the 3 × 3
+        # systems well conditioned.
         origin, scale = boxes.target.take(upper, axis=0)[:, :2], boxes.half_size.take(upper, axis=0)[:, :2]
         low = (self.low.take(self.together, axis=0) - origin) / scale
         high = (self.high.take(self.together, axis=0) - origin) / scale

@@ -300,7 +300,7 @@ def _variant_batches(variants: Iterable[Variant]) -> Iterator[tuple[Variant, ...
 
 
 def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], standing: int) -> Iterator[Scene]:
-    """The scenes of worlds that differ only in their random numbers, one for each key.
+    """The scenes of worlds that differ only in their random numbers. Each key identifies a world.
 
     In this function, each array has one row per world, or a single row if all worlds are equal.
     """

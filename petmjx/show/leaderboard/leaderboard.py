@@ -162,7 +162,7 @@ class _RatedEntries:
         comparison: the comparison of these entries.
         story_entries: the stories.
         options: simulation options of the board.
-        samples: the replays of each entry of which plans were simulated again.
+        samples: the replays (plans simulated again) of each entry that has any.
     """
 
     entries: Sequence[Entry]

@@ -79,7 +79,7 @@ class Board:
         orders: whether the board was made with orders.
         stories: largest number of stories per packer.
         options: simulation options with which the board can be made again.
-        samples: the replays of each entry of which plans were simulated again, including entries that are not rated.
+        samples: the replays (plans simulated again) of each entry that has any, including entries that are not rated.
     """
 
     entries: Sequence[Entry]

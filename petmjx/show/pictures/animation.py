@@ -142,8 +142,8 @@ def write_mp4(
 
 
 def _colour_indices(frame: Image, palette: Image) -> NDArray[np.uint8]:
-    """(height, width) index in the palette of each pixel's colour. White pixels get exactly white, since Pillow would
-    choose a similar colour."""
+    """(height, width) for each pixel, the index of its colour in the palette. White pixels get exactly white, since
+    Pillow would choose a similar colour."""
     from PIL import Image
 
     indices = np.array(frame.quantize(palette=palette, dither=Image.Dither.NONE), dtype=np.uint8)

@@ -159,7 +159,7 @@ def _gl_context(size: tuple[int, int]) -> Any:
 
 @contextmanager
 def _same_environment(name: str) -> Iterator[None]:
-    """Restore an environment variable after the body, which may change it."""
+    """A context that restores an environment variable at its end, since its body may change the variable."""
     before = os.environ.get(name)
     try:
         yield

@@ -2,7 +2,7 @@
 
 When imageio-ffmpeg starts ffmpeg, it runs a Python function between fork and exec. Running a function there is unsafe
 if the process has threads: after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg itself, without
-such a function.
+any function between fork and exec.
 """
 
 from __future__ import annotations
