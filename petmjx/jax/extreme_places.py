@@ -23,9 +23,9 @@ from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
 FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
 """Features of a candidate (a box at a place): whether the box is turned by 90°; its corner and its extents, mm; its
 mass, kg; and the supported share of its base. ``inside`` is the distance of the box's centre of mass from the edge of
-the hull of its contacts, mm. ``below`` is the smallest distance, among all boxes below, of the load's point of action
-from the edge of the hull of a box's contacts, mm. Both distances are positive inside a hull, negative outside, and at
-most 200 mm."""
+the hull of the box's contacts, mm. ``below`` is the smallest distance, among all boxes below, of a box's load from the
+edge of the hull of that box's contacts, mm. Both distances are positive inside a hull, negative outside, and at most
+200 mm."""
 
 _PER_ASIDE: Final = 0.01
 """Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Among equally low
@@ -64,9 +64,9 @@ class Candidates:
             and y.
         least_support: smallest share of a box's base that must be supported. If ``least_support`` is None, any
             supported share is sufficient.
-        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. For
-            small boxes, a fifth of the shorter side of the base is required instead, if it is less. 0 means that loads
-            may act anywhere.
+        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. The
+            required distance is never more than a fifth of the shorter side of the box's base. 0 means that loads may
+            act anywhere.
 
     Attributes:
         count: number n of actions; ``features``: names of the features of an action.
@@ -96,8 +96,8 @@ class Candidates:
     def put(
         self, statics: Statics, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile
     ) -> Statics:
-        """The balance of the pile after one more box, whose values are stored in this row. If the row is beyond the
-        end, the box is ignored. ``pile`` does not contain the new box."""
+        """The balance of the pile after one more box. The values of the new box are stored in this row. If ``row`` is
+        beyond the last row, the box is ignored. ``pile`` does not contain the new box."""
         contacts = contacts_of(size_mm[None], corner_mm[None], pile)
         return with_box(statics, row, contacts, mass_kg, least_m(size_mm[None], self._inside)[0])
 

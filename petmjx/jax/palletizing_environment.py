@@ -119,9 +119,9 @@ class Palletizing:
             ``max_height_mm``. ``support_50`` … ``support_100``: of these actions, those after which at least 50 % … 100
             % of the box's base is supported.
         gap_mm: free space that a robot needs between a box and its neighbours along x and y.
-        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. For
-            small boxes, a fifth of the shorter side of the base is required instead, if it is less. 0 means that loads
-            may act anywhere. ``inside_mm`` is only for ``candidates``. The packer ``balanced`` uses 20 mm.
+        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. The
+            required distance is never more than a fifth of the shorter side of the box's base. 0 means that loads may
+            act anywhere. ``inside_mm`` is only for ``candidates``. The packer ``balanced`` uses 20 mm.
         action_cell_mm, cell_mm: side of the cells of actions, and side of the cells of observed maps.
         rewards: weights of the terms of the reward.
         most_illegal: number of illegal actions after which an episode is truncated; an illegal action changes nothing.

@@ -266,8 +266,8 @@ class Pallets(Closable):
 
     def take_back(self, pallet: Any = None) -> None:
         """Remove the last box from each of these pallets, or, if ``pallet`` is None, from all pallets that have boxes.
-        The pallets return to their states before this box, bit for bit, so pallets that have fallen stand again. If a
-        second box is removed from a pallet, the placements of its remaining boxes are simulated again, with the same
+        The pallets return to their states before the last box, bit for bit, so pallets that have fallen stand again. If
+        a second box is removed from a pallet, the placements of its remaining boxes are simulated again, with the same
         errors as before.
 
         Raises:

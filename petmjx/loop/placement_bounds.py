@@ -45,8 +45,8 @@ FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
 """Required distance inside a bearing for loads that a placement does not change, as a fraction of the required distance
-for loads that the placement changes. If a load acts nearer to the edge, the box may seem to rest while it already
-begins to turn."""
+for loads that the placement changes. If a load acts nearer to the edge than required, the box may seem to rest while it
+already begins to turn."""
 
 MOST_LOAD: Final = 100.0
 """Largest load on a box that carries the new box, as a multiple of the carrying box's own mass. Contacts are soft: a
@@ -148,8 +148,8 @@ class Bounds:
         n = len(stock.count)
         self._stock, self._friction = stock, friction
         self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes of each pallet that are in the tables
-        # The tables have the shape (n, k, …) for k boxes on each pallet. They start with k = 1, because few pallets
-        # need them.
+        # The tables have the shape (n, k, …) for k boxes on each pallet. The tables start with k = 1, because few
+        # pallets need them.
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
         self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests
@@ -355,9 +355,9 @@ class _Rests:
     def falls(self, request: Placements, apart: FloatArray, friction: float) -> NDArray[np.bool_]:
         """(m,) whether each new box falls beyond doubt.
 
-        A falling box turns about an edge of its bearing. When it has turned by an angle, a point of its base is lower
-        by the tangent of the angle times the point's distance from the edge. A point of its side has moved outwards by
-        the sine of the angle times the point's height.
+        A falling box turns about an edge of its bearing. When a falling box has turned by an angle, a point of its base
+        is lower by the tangent of the angle times the point's distance from the edge. A point of the box's side has
+        moved outwards by the sine of the angle times the point's height.
 
         Args:
             apart: (m, k) distance of the pallets' boxes from their planned places, as computed by ``boxes_apart_mm``.

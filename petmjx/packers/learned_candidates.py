@@ -43,7 +43,8 @@ sequence in which numbers are added."""
 class MirroredCandidates(Candidates):
     """Corner points seen from all four corners of the target, as a table for ``Packing``.
 
-    Unlike ``Candidates``, this table does not store candidates: ``candidates`` computes them on request.
+    Unlike ``Candidates``, this table does not store candidates: the method ``candidates`` computes candidates on
+    request.
 
     Attributes:
         corners: (c, 2) lowest corners (x, y) of the candidates that the last call of ``candidates`` returned, mm.

@@ -2,7 +2,7 @@
 network predicts the probability that the box stands there.
 
 The packer was trained on generated orders only, with simulations (examples/train_packer). While the packer packs, it
-runs no simulation. It is deterministic: an order always gets the same plan.
+runs no simulation. The packer is deterministic: an order always gets the same plan.
 """
 
 from __future__ import annotations

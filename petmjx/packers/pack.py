@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
-"""Fields of ``RunOptions`` that ``pack`` accepts. They affect how packings are simulated."""
+"""Fields of ``RunOptions`` that ``pack`` accepts. These fields affect how packings are simulated."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "order"),

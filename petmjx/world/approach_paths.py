@@ -38,8 +38,8 @@ MOST_WAY_S: Final = 2.0
 faster."""
 
 MOST_STUCK_S: Final = 0.5
-"""Longest time for which the hand holds a box at the end of its path, waiting for the box to come to rest, s. Then the
-hand may take up to this time again to set the box down."""
+"""Longest time for which the hand holds a box at the end of its path, waiting for the box to come to rest, s. Setting
+the box down may then take up to the same time again."""
 
 AT_PLACE_M: Final = 0.0002
 """Distance from the end of the path within which a box counts as arrived, m. Contacts give way by a tenth of a

@@ -112,8 +112,8 @@ def _solved_loads(
     """(n, 3) loads of one scene, and (n,) distances by which these loads are beyond edges, m. None if the programme has
     no solution.
 
-    The loads of the boxes ``changed`` are those of the programme. The other loads are those in ``load``. The unknowns
-    of the programme are
+    The loads of the boxes ``changed`` are those of the programme. The loads of all other boxes are those in ``load``.
+    The unknowns of the programme are
 
     - the forces at the four corners of each contact in ``contacts``,
     - the distance by which each load is beyond an edge,

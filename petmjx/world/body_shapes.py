@@ -33,8 +33,8 @@ class Body:
             equivalent inertia box.
         surface: (s,) surface number of each shape (petmjx/world/friction_pairs.py). If ``surface`` is None, every shape
             has the surface 0.
-        walls: sides of a carrier that have a wall. The walls are the body's last shapes, in this order; all other
-            shapes are boards.
+        walls: sides of a carrier that have a wall. The walls are the body's last shapes, in the order of ``walls``; all
+            other shapes are boards.
     """
 
     pos: FloatArray

@@ -1,8 +1,9 @@
 """Load units: pallets among the boxes of a plan, with boxes on them.
 
 A pallet that stands on a trailer's floor, on a rack or on another load is an item of the plan, like a box. The item's
-kind is the name of a pallet type, as for a carrier. Its body has one shape per board, so that it slides, tips and
-carries load as the real pallet does. The mass that the plan gives for the item is divided among the boards by volume.
+kind is the name of a pallet type, as for a carrier. The item's body has one shape per board, so that it slides, tips
+and carries load as the real pallet does. The mass that the plan gives for the item is divided among the boards by
+volume.
 """
 
 from __future__ import annotations

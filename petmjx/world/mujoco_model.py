@@ -256,9 +256,9 @@ def _add_shapes(
 ) -> None:
     """Add a body's shapes as geoms. Each geom is larger than its shape on all sides, by a thickness called skin.
 
-    A contact begins when the enlarged geoms overlap by the skins of both partners. For two faces, this is the moment at
-    which the shapes themselves touch. Contacts of edges begin up to √2 − 1 skins earlier, contacts of corners up to √3
-    − 1 skins earlier.
+    A contact begins when the enlarged geoms overlap by the skins of both partners. For two faces, the contact begins
+    when the shapes themselves touch. Contacts of edges begin up to √2 − 1 skins earlier, contacts of corners up to √3 −
+    1 skins earlier.
 
     If two edges cross, MuJoCo's collider returns either the contact of the faces, or the single point at which the
     edges cross. The collider chooses the point if the point's depth is smaller by 5 % than that of the faces (MuJoCo

@@ -27,9 +27,9 @@ class WorldKey:
         """The generator for a purpose, such as "size" or "yaw". Each purpose has a generator of its own, so that a new
         axis in a sweep does not change the random numbers of other axes.
 
-        The generator is Philox (Salmon et al., SC'11), which is counter-based. Its 128-bit key is the BLAKE2b hash of
-        the world's identity and the purpose. So the random numbers are the same on every platform and engine, and in
-        every batch and order.
+        The generator is Philox (Salmon et al., SC'11), which is counter-based. The generator's 128-bit key is the
+        BLAKE2b hash of the world's identity and the purpose. So the random numbers are the same on every platform and
+        engine, and in every batch and order.
         """
         return np.random.Generator(np.random.Philox(key=int.from_bytes(self._digest(purpose), "little")))
 

@@ -3,8 +3,8 @@
 Contacts are soft. Under its present loads, a pile has sunk by up to some tenths of a millimetre. The contacts below a
 box are a tenth of a millimetre deep once they carry the box. A box released at its planned place would fall by the
 distance that the pile has sunk plus the depth of the contacts, land at centimetres per second, and might rock on an
-edge below it. So a box is released as deep in its support as its weight will press it. It is also released lower by the
-distance by which the support has sunk.
+edge below it. So a box is released as deep in its support as its weight will press it. The box is also released lower
+by the distance by which the support has sunk.
 
 If places and sizes have errors, boxes may overlap when they appear. Contacts would throw overlapping boxes apart. The
 stiffer the contacts and the shorter the timestep, the faster overlapping boxes would be thrown apart. Whether the
@@ -189,11 +189,11 @@ def make_room(
     as near as possible to the given places:
 
     the sum of the squares of all translations is as small as possible. Two boxes are kept apart along one axis: that
-    axis of either box along which they overlap least. The gap between them must be at least ``CLEAR_M``, or the planned
-    gap if that is smaller; a planned overlap is a negative gap. So each pair gives one linear inequality for the
-    translations. Hildreth's method (Hildreth 1957, "A quadratic programming procedure", Naval Research Logistics
-    Quarterly 4, 79-85) finds the smallest translations, pair by pair. The places in a world do not depend on other
-    worlds.
+    axis of either box along which they overlap least. The gap between the two boxes must be at least ``CLEAR_M``, or
+    the planned gap if that is smaller; a planned overlap is a negative gap. So each pair gives one linear inequality
+    for the translations. Hildreth's method (Hildreth 1957, "A quadratic programming procedure", Naval Research
+    Logistics Quarterly 4, 79-85) finds the smallest translations, pair by pair. The places in a world do not depend on
+    other worlds.
 
     Args:
         place: (m, n, 2) given horizontal places of the boxes' middles, m.
@@ -203,7 +203,7 @@ def make_room(
             are not rotated.
         beside: (n, n) whether two boxes are side by side, so that neither is above the other; a symmetric matrix.
         movable: (n,) whether each box may be moved.
-        reach_m: pairs of boxes whose planned gap is larger than this are ignored, m.
+        reach_m: pairs of boxes whose planned gap is larger than ``reach_m`` are ignored, m.
     """
     apart = _separation(planned, planned_half)
     first, second = np.nonzero(np.triu(beside & (apart < reach_m) & (movable[:, None] | movable), k=1))

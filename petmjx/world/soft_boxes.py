@@ -12,9 +12,9 @@ have the moments of inertia of a solid box. The stiffness of an edge is proporti
 of length L also resists tilting like a bed of springs, with the rotational stiffness S·L²/12, and its own weight
 compresses it evenly.
 
-MuJoCo gives each element one contact point. On a flat face, this point jumps from step to step, and boxes tremble. So
-each point of a box also has a ball, and elements touch a little later than balls. Flat faces therefore rest on balls.
-Elements carry load only where two edges cross.
+MuJoCo gives each element one contact point. On a flat face, an element's contact point jumps from step to step, and
+boxes tremble. So each point of a box also has a ball, and elements touch a little later than balls. Flat faces
+therefore rest on balls. Elements carry load only where two edges cross.
 """
 
 from __future__ import annotations

@@ -186,8 +186,8 @@ class Bearing:
         return weights
 
     def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
-        """(k, 3) the part of its box's load that each of the contacts ``together`` carries: mass, kg, and first moments
-        along x and y, kg·m.
+        """(k, 3) the part of the upper box's load that each of the contacts ``together`` carries: mass, kg, and first
+        moments along x and y, kg·m.
 
         Args:
             load: (n, 3 or 4) loads of all boxes, as in ``loads``.
@@ -205,7 +205,7 @@ class Bearing:
         return force
 
     def shared(self, contact: IntArray, load: FloatArray) -> FloatArray:
-        """(k, 3) the part of its box's load that each contact carries if supports share loads like equal springs.
+        """(k, 3) the part of the upper box's load that each contact carries if supports share loads like equal springs.
 
         Args:
             contact: (k,) numbers of the contacts. The upper box of each contact has several supports.
@@ -218,7 +218,7 @@ class Bearing:
     def pushed(
         self, load: FloatArray, boxes: IntArray, owner: IntArray, low: FloatArray, high: FloatArray
     ) -> FloatArray:
-        """(k, 3) the part of its box's load that each contact carries if supports can push but not pull.
+        """(k, 3) the part of the upper box's load that each contact carries if supports can push but not pull.
 
         Args:
             load: (p, 3) load of each box in ``boxes``.
@@ -469,8 +469,8 @@ def ranges(first: IntArray, count: IntArray) -> IntArray:
 
 @lru_cache(maxsize=256)
 def bearing_of(scene: Scene) -> Bearing:
-    """The contacts of a scene, from ``find_bearing``. They are cached, since many worlds of a sweep have the same
-    scene."""
+    """The contacts of a scene, from ``find_bearing``. The contacts are cached, since many worlds of a sweep have the
+    same scene."""
     return find_bearing(scene)
 
 

@@ -66,8 +66,8 @@ def leaderboard(
     ``petmjx.leaderboard({"mine": "mine.json"}, "board", orders="orders.json", baselines=True)``
 
     The folder contains ``index.html``, ``leaderboard.json`` with the same numbers, and pages about single plans
-    (stories). It also contains all that is needed to make the board again: the folder ``plans``, ``orders.json``, and
-    the command, which ``index.html`` shows.
+    (stories). The folder also contains all that is needed to make the board again: the folder ``plans``,
+    ``orders.json``, and the command, which ``index.html`` shows.
 
     Plans are simulated, with results in the folder ``runs``. Existing runs are used unchanged, but ``replays`` of their
     plans are simulated again. If these simulations contradict the run of an entry, the entry is not rated, and a
@@ -77,9 +77,9 @@ def leaderboard(
         packers: name of a packer → folder of a run, or plans. If no names are given, packers get the names of these
             folders and files.
         out: folder of the site.
-        orders: file with the orders of the plans, in any form. The rating then covers these orders, and KPIs are added.
-            If ``orders`` is None, the rating covers the orders for which any packer has a plan, so the rating of a
-            packer depends on the other packers.
+        orders: file with the orders of the plans, in any form. With a file of orders, the rating covers these orders,
+            and KPIs are added. If ``orders`` is None, the rating covers the orders for which any packer has a plan, so
+            the rating of a packer depends on the other packers.
         baselines: whether the orders are also packed by each of petmjx's packers, which then take part.
         repairs: names of packers whose plans are also repaired (docs/repair.md). The repaired plans are rated as an
             additional entry ``NAME-repaired``.

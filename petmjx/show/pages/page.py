@@ -1,8 +1,8 @@
 """Makes one offline HTML page from its parts.
 
-The page contains its styles, scripts and data. Its content security policy forbids it to request anything else. Texts
-from plans never become markup: :func:`escaped_html` escapes them in HTML, :func:`page` escapes them in data, and
-scripts write them as text.
+The page contains its styles, scripts and data. The page's content security policy forbids the page to request anything
+else. Texts from plans never become markup: :func:`escaped_html` escapes them in HTML, :func:`page` escapes them in
+data, and scripts write them as text.
 """
 
 from __future__ import annotations

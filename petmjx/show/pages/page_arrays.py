@@ -44,7 +44,7 @@ def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> 
 
     Args:
         values: floats of any shape. Infinities become NaN.
-        steps: whether to store differences along axis 0. This suits values that change slowly along this axis.
+        steps: whether to store differences along axis 0. Differences suit values that change slowly along this axis.
     """
     finite = np.isfinite(values)
     low, high = (float(values[finite].min()), float(values[finite].max())) if finite.any() else (0.0, 0.0)

@@ -34,7 +34,8 @@ EN_12195_SOURCE = "EN 12195-1:2010, coefficients for road transport (0.8 forward
 
 
 def _horizontal_unit(yaw_deg: float) -> FloatArray:
-    """(3,) horizontal unit vector. Its components are rounded, so that they are exactly 0 and 1 along the axes."""
+    """(3,) horizontal unit vector. The vector's components are rounded, so that they are exactly 0 and 1 along the
+    axes."""
     yaw = math.radians(yaw_deg)
     return np.round(np.array([math.cos(yaw), math.sin(yaw), 0.0]), 15)
 
@@ -111,9 +112,9 @@ class Tilt:
     """The carrier is slowly tilted about a horizontal axis. Seen from the carrier, gravity turns.
 
     In direction 0, the load is pulled towards −x, as by an acceleration along +x. The angle grows at ``rate_deg_s`` to
-    ``max_deg``, stays there for ``hold_s``, and returns to 0 within ``return_s``. The return is so slow that no pallet
-    falls during it that stood before. Centrifugal and Euler forces are neglected: at 5°/s they are below 0.1 % of
-    gravity.
+    ``max_deg``, stays there for ``hold_s``, and returns to 0 within ``return_s``. The return is so slow that a pallet
+    that stood at the largest angle does not fall during the return. Centrifugal and Euler forces are neglected: at 5°/s
+    they are below 0.1 % of gravity.
 
     petmjx defines this test itself. The results of this test can be checked in closed form: a rigid box begins to slide
     at the angle atan μ, and to topple at atan(width / height). A failure is recognised later, since a box needs time to
