@@ -217,8 +217,8 @@ class Actions:
         return np.asarray((force_n > self.strength_n[pallets, : force_n.shape[1]]).any(axis=1))
 
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) whether each place is legal as far as geometry decides. If the mask uses physics, legal places are then
-        tested."""
+        """(c,) whether each place is legal as far as geometry decides. If the mask uses physics, places that geometry
+        allows are tested afterwards."""
         if places.centred is not None:
             return places.centred
         return places.support > 0 if self.asks_physics else np.ones(len(places.row), bool)

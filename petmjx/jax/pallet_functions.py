@@ -71,7 +71,8 @@ def place(
             have fallen or are full never receive another box.
 
     Returns:
-        The new state, and the results of the pallets. A pallet that had fallen before has only the reason ``ended``.
+        The new state, and the results of the pallets. The only result of a pallet that had fallen before is the reason
+        ``ended``.
     """
     n = _pallets(state)
     boxes = _boxes(size_mm, corner_mm, mass_kg, n)

@@ -35,8 +35,8 @@ class Points:
     def __init__(self, n: int, gap_mm: float = 0.0) -> None:
         self.gap_mm = gap_mm
         self.boxes: NDArray[np.int64] = np.zeros(n, np.int64)
-        self._at: NDArray[np.complex128] = np.zeros((n, 1), np.complex128)  # x + iy, mm
-        # (n, k) number of points after the first 0, 1, … boxes
+        self._at: NDArray[np.complex128] = np.zeros((n, 1), np.complex128)  # points as x + iy, mm.
+        # (n, k) for each pallet, the number of points after the first 0, 1, … boxes
         self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)
 
     def count(self, pallets: NDArray[np.int64]) -> NDArray[np.int64]:

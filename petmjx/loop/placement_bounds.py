@@ -61,7 +61,8 @@ HANGING_SHARE: Final = 0.05
 side. At this distance, the box turns within a second, so the simulation does not take it for a box at rest."""
 
 HANGING_MM: Final = 10.0
-"""The same distance as ``HANGING_SHARE``, in millimetres. The larger of the two distances is required."""
+"""Smallest distance outside the bearing at which the weight of a falling box must act, mm. Of this distance and the one
+from ``HANGING_SHARE``, the larger is required."""
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
@@ -147,13 +148,13 @@ class Bounds:
     def __init__(self, stock: BoxTable, friction: float) -> None:
         n = len(stock.count)
         self._stock, self._friction = stock, friction
-        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes of each pallet that are in the tables
+        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of each pallet's boxes in the tables.
         # The tables have the shape (n, k, …) for k boxes on each pallet. The tables start with k = 1, because few
         # pallets need them.
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
-        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests
-        self._least: FloatArray = np.zeros((n, 1))  # distance inside the bearing required of each box's load, mm
+        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests.
+        self._least: FloatArray = np.zeros((n, 1))  # (n, k) required distance of each box's load inside its bearing, mm
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         """Keep only the first ``count`` boxes of each of these pallets."""
@@ -364,7 +365,7 @@ class _Rests:
             friction: the coefficient of friction between boxes.
         """
         sides = request.size_mm[:, :2]
-        with np.errstate(invalid="ignore"):  # the edges of a box that lies on nothing are infinite
+        with np.errstate(invalid="ignore"):  # for a box that lies on nothing, self.edges has infinite distances
             outside = self.edges[..., 1:] @ (self.start[:, :2] + sides / 2)[..., None]
             outside = outside[..., 0] - self.edges[..., 0]
         least = np.maximum(HANGING_MM, HANGING_SHARE * sides.min(axis=1))
@@ -383,7 +384,7 @@ class _Rests:
         middle = (self.start[turns.rows, :2] + self.end[turns.rows, :2]) / 2
         foot = middle - turns.outside[:, None] * turns.towards
         edges = self.edges[turns.rows]
-        with np.errstate(invalid="ignore"):  # missing edges are infinite
+        with np.errstate(invalid="ignore"):  # edges that do not exist are infinitely far away
             inside = edges[..., 0] - (edges[..., 1:] @ foot[..., None])[..., 0]
         same = (edges[..., 1:] @ turns.towards[..., None])[..., 0] > 1 - SAME_WAY
         along_axis = np.abs(turns.towards).max(axis=1) > 1 - SAME_WAY
@@ -481,7 +482,7 @@ def _hull_edges(corners: FloatArray) -> FloatArray:
     than e edges, the remaining edges are infinitely far away.
     """
     m = len(corners)
-    along = corners[:, None] - corners[:, :, None]  # (m, from, to, 2)
+    along = corners[:, None] - corners[:, :, None]  # vectors from the first to the second corner: (m, first, second, 2)
     length = np.linalg.norm(along, axis=-1)
     left = along[..., None, 0] * along[:, :, None, :, 1] - along[..., None, 1] * along[:, :, None, :, 0]
     is_edge = (left >= -ROUNDING_MM2).all(axis=-1) & (length > TOUCH_MM)

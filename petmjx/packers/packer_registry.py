@@ -73,7 +73,7 @@ WHY: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def packer_named(name: str, look_ahead: int | None = None) -> Packer:
-    """The packer with a name.
+    """The packer with the given name.
 
     Args:
         name: the name.

@@ -59,7 +59,7 @@ def balanced_loads(
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
     # For each box with several supports: the loads that depend on how these supports share the box's load. The loads of
-    # all boxes below depend on it. The box's own load is included, since the equations also contain it.
+    # all boxes below depend on this sharing. The box's own load is included, since the equations also contain it.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True

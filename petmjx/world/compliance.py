@@ -110,7 +110,8 @@ def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tupl
 
 
 def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple[Any, Any, Any]:
-    """The two numbers of ``solref``, and the impedance: three numbers for one contact, (p,) arrays for p contacts."""
+    """The two numbers of ``solref`` and the impedance, with which contacts act at rest like the given springs: three
+    numbers for one contact, (p,) arrays for p contacts."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
     # stiffness of the contact's spring at rest × (1 − impedance) × sum of the inverse masses, in 1/s²

@@ -64,7 +64,7 @@ class Replay:
 
     @property
     def differs(self) -> bool:
-        """Whether the entry's run has another valid verdict."""
+        """Whether the verdict in the entry's run is valid and differs from that of the replay."""
         return self.claimed in _VALID and self.verdict != self.claimed
 
 

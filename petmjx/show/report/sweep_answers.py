@@ -55,7 +55,8 @@ WEAKEST: Final = "The leg in which most worlds of a plan failed first."
 
 
 def sweep_answers(run: ReportRun) -> Markup:
-    """The section with the answers of a sweep, or of a score with confidence. The section of another score is empty."""
+    """The section with the answers of a sweep, or of a score with confidence. For a score without confidence, the
+    section is empty."""
     summary = run.results.summary
     if summary is None or summary.empty or run.worlds.empty:
         return NOTHING
