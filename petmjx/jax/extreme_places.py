@@ -36,8 +36,8 @@ LOOKED_AT: Final = 3
 have too little support."""
 
 _FAR: Final = 1e9
-"""Cost of a place that cannot be used. The value is also the coordinate of points that do not exist, which is beyond
-every carrier, mm."""
+"""Cost of a place that cannot be used. Points that do not exist have this value as coordinate, mm, which is beyond
+every carrier."""
 
 
 class Points(NamedTuple):

@@ -1,8 +1,8 @@
 """The labels of a set that is not finished yet: Parquet files (parts) in the set's folder, and a file that lists the
 parts.
 
-    DIR/unfinished.json the set (orders, options, engine), how many labels it is to have and how many are there,
-                               the next episode, the parts
+    DIR/unfinished.json        description of the set (orders, options, engine), number of labels that the set is to
+                               have, number of labels in the parts, next episode, list of parts
     DIR/parts/part-*.parquet   labels of whole episodes, in order
 
 Parts are written and read like those of a run (petmjx.results.run_table_files): a part is ignored until the list names

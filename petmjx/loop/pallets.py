@@ -337,8 +337,8 @@ class Pallets(Closable):
         that have fallen are scored, too. Boxes that were placed with errors are scored at their planned places.
 
         On the engine ``mjx-warp``, the simulation continues from the current state of a pallet. On ``mujoco``, plans
-        are simulated from their first box on, because there the boxes that wait to be placed affect the last digits of
-        a score.
+        are simulated from their first box on, because on this engine, boxes that wait to be placed affect the last
+        digits of a score.
 
         Args:
             to_the_bit: whether results on ``mujoco`` must be exact to the last digit. If ``to_the_bit`` is False, a

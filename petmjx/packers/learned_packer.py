@@ -1,5 +1,5 @@
 """The packer ``learned``. A candidate is a visible box at a place. Learned weights rank the candidates, and a small
-network predicts the probability that the box stands there.
+network predicts the probability that a candidate stands.
 
 The packer was trained on generated orders only, with simulations (examples/train_packer). While the packer packs, it
 runs no simulation. The packer is deterministic: an order always gets the same plan.

@@ -30,11 +30,12 @@ _DOUBTS: Final = {
     "monotone": "* a level above the smallest that failed was survived",
     "moving": "~ boxes still moved there when the longest wait was over",
 }
-"""Name of a column in the summary of a search that makes an answer doubtful → footnote of the table. The first letter
+"""Name of each column in a search's summary that can make an answer doubtful → footnote of the table. The first letter
 of a footnote is its mark."""
 
 _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
-"""Columns of axes that every table of a search shows, or whose largest survived value is the answer of the search."""
+"""Columns of axes: those that every table of a search shows, and those whose largest survived value is the answer of
+the search."""
 
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 

@@ -1,8 +1,8 @@
 """Encodes films in H.264 with the ffmpeg of imageio-ffmpeg.
 
-When imageio-ffmpeg starts ffmpeg, it runs a Python function between fork and exec. Running a function there is unsafe
-if the process has threads: after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg itself, without
-any function between fork and exec.
+When imageio-ffmpeg starts ffmpeg, it runs a Python function between fork and exec. A Python function between fork and
+exec is unsafe if the process has threads: after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg
+itself, without any function between fork and exec.
 """
 
 from __future__ import annotations

@@ -202,8 +202,8 @@ theory (docs/profiles.md). At 5°/s, the angle was 2.5 to 2.7° larger than in t
 
 
 def quasi_static_tilt() -> Tilt:
-    """The tilt test at the rate ``QUASI_STATIC_DEG_S``. While the angle grows, this test takes ten times as many steps
-    as ``Tilt``."""
+    """The tilt test at the rate ``QUASI_STATIC_DEG_S``. While the angle grows, the quasi-static test takes ten times as
+    many steps as ``Tilt``."""
     return Tilt("tilt-quasi-static", rate_deg_s=QUASI_STATIC_DEG_S, source="definition: quasi-static tilt test")
 
 
