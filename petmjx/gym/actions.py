@@ -144,7 +144,7 @@ class Actions:
 
         Args:
             rows: (m,) rows of the table; ``episodes``: (m,) for each row, the episode on whose pallets the boxes are
-                placed. If None, the numbers of the episodes are ``rows``.
+                placed. If ``episodes`` is None, each row belongs to the episode of the same number.
             size_mm: (m, k, 3) sizes of the visible boxes; ``mass_kg``: (m, k) masses of the boxes, 0 if there is no
                 box; ``upright``: (m, k, 3) whether each size may be vertical.
         """
@@ -213,12 +213,12 @@ class Actions:
 
     def _overloads(self, pallets: NDArray[np.int64], force_n: FloatArray) -> NDArray[np.bool_]:
         """(c,) for each candidate, whether a box on the pallet would bear more than its strength. ``force_n`` (c, k) is
-        the force on the top of each box, N. The last box is the candidate itself, on which nothing lies."""
+        the force on the top of each box, N. The last of the k boxes is the candidate itself, on which nothing lies."""
         return np.asarray((force_n > self.strength_n[pallets, : force_n.shape[1]]).any(axis=1))
 
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) whether each place is legal as far as geometry decides. If the mask uses physics, legal places are then
-        tested."""
+        """(c,) whether each place is legal as far as geometry decides. If the mask uses physics, places that geometry
+        allows are tested afterwards."""
         if places.centred is not None:
             return places.centred
         return places.support > 0 if self.asks_physics else np.ones(len(places.row), bool)

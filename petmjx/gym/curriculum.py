@@ -27,8 +27,8 @@ class Curriculum:
     change linearly.
 
     Attributes:
-        boxes: largest number of boxes of an order. All further boxes of the order are dropped. If None, no boxes are
-            dropped.
+        boxes: largest number of boxes of an order. All further boxes of the order are dropped. If ``boxes`` is None, no
+            boxes are dropped.
         sizes: how much the boxes of an order differ. At 0, all boxes have the mean size and mass of the order's boxes;
             at 1, they have their own sizes and masses.
         errors: size of the random placement errors, as in the option ``errors``.
@@ -40,7 +40,7 @@ class Curriculum:
 
     @classmethod
     def of(cls, options: PalletizingOptions) -> Self:
-        """The curriculum that the options of an environment define. If they define none, episodes are the same at all
+        """The curriculum that the options of an environment define. Without a curriculum, episodes are the same at all
         levels.
 
         Raises:

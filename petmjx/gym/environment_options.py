@@ -39,21 +39,22 @@ class PalletizingOptions:
         orders: source of the orders, which are lists of boxes to pack (``petmjx.loop.order_sources.Orders``).
         orders_seed: seed of the generator of random orders.
         orders_units, orders_columns, orders_density: how to read a file of orders that is not in BED-BPP's form, as in
-            the fields of ``petmjx.RunOptions``. If None, the most plausible reading is used.
+            the fields of ``petmjx.RunOptions``. For an option that is None, the most plausible value is used.
         articles: a table of articles (docs/loads.md), from which the strengths of boxes are read.
         look_ahead: number of boxes that are visible in an observation. 1 means online packing. A number as large as the
             order means offline packing.
-        buffer: number of boxes from which an action may choose. They are the first of the visible boxes.
+        buffer: number of boxes from which an action may choose. These boxes are the first of the visible boxes.
         actions: if ``candidates``, an action selects a place from a list of places with features. If ``cells``, an
             action selects a box, an orientation and a cell of the carrier.
         n_candidates: largest number of places in the list. The list begins with the lowest place of each box, then has
-            the second-lowest place of each box, and so on. It has at least one place for each box of the buffer.
+            the second-lowest place of each box, and so on. The list has at least one place for each box of the buffer.
         action_cell_mm: side of the cells of actions, mm; ``cell_mm``: side of the cells of observed maps, mm.
         mask: which actions are legal, among those that keep the box on the carrier and below ``max_height_mm``.
-            ``geometry``: all of them. The name of a criterion of docs/criteria.md (``support_75``, … or ``centre``):
-            those that fulfil the criterion. ``physics``: those after which the pallet stands in a trial simulation.
-            ``sure``: those after which the pallet stands beyond doubt, so that no trial is needed. ``loads``: those
-            after which the pallet stands in a trial simulation and no box is overloaded.
+            ``geometry``: all actions with which the box is on the carrier and not too high. The name of a criterion of
+            docs/criteria.md (``support_75``, … or ``centre``): actions that fulfil the criterion. ``physics``: actions
+            after which the pallet stands in a trial simulation. ``sure``: actions after which the pallet stands beyond
+            doubt, so that no trial is needed. ``loads``: actions after which the pallet stands in a trial simulation
+            and no box is overloaded.
         max_height_mm: largest allowed height of a box's top, mm.
         gap_mm: free space that a robot needs between a box and its neighbours along x and y, mm.
         rewards: weights of the terms of the reward (``petmjx.loop.rewards.TERMS``).
@@ -61,11 +62,11 @@ class PalletizingOptions:
         scaled: whether observations are scaled to the range from 0 to 1 (``petmjx.gym.observation_spaces``).
         sides: on which of their sides boxes may stand. ``order``: the sides that the order allows, or only the base if
             the order states no sides. ``all``: all sides.
-        open_pallets: number of pallets of an episode. An action may put the next box on any of them.
+        open_pallets: number of pallets of an episode. An action may put the next box on any pallet of its episode.
         errors: size of the random placement errors, as a multiple of the errors of ``petmjx score --confidence``.
         curriculum: properties of episodes that depend on their level of difficulty
             (``petmjx.gym.curriculum.Curriculum``).
-        level: the level of difficulty of episodes, from 0 to 1. ``reset(options={"level": …})`` changes it.
+        level: the level of difficulty of episodes, from 0 to 1. ``reset(options={"level": …})`` changes the level.
     """
 
     orders: Any = ENDLESS

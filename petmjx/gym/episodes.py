@@ -221,8 +221,8 @@ class Episodes:
             self._queues.leave_out(rows, self.options.buffer)
 
     def _look_ahead(self, rows: NDArray[np.int64]) -> None:
-        """Find the first box after the next box for which there is a legal action, and leave out all boxes before the
-        found box. Only one box of each kind (equal size and mass) is examined, because equal boxes have equal actions.
+        """Find the first box that has a legal action, among the boxes after the next box, and leave out all boxes
+        before it. Only one box of each kind (equal size and mass) is examined, because equal boxes have equal actions.
         Several kinds are examined in one call, and their number grows from call to call, because even a call for few
         boxes takes time."""
         later = {row: self._queues.kinds(row) for row in rows.tolist()}

@@ -23,7 +23,7 @@ Map = NDArray[np.float32]
 
 
 class Maps:
-    """The maps of n pallets. They are updated with each new box, and are in single precision like all observations.
+    """The maps of n pallets. The maps are updated with each new box, and are in single precision like all observations.
 
     Attributes:
         heights: (n, x, y) height of the highest top of a box above each cell, mm; ``loads``: (n, x, y) largest force on

@@ -54,7 +54,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         self._began_s = time.monotonic()
 
     def reset(self) -> dict[str, NDArray[Any]]:
-        """Begin all episodes. If ``seed`` was called before, the episodes have the seeds that it set."""
+        """Begin all episodes. If ``seed`` was called before, the episodes have the seeds that ``seed`` set."""
         level = [options["level"] for options in self._options if "level" in options]
         if len(level) not in (0, self.num_envs):
             raise InputError("options: give all environments a level, or none")

@@ -29,9 +29,10 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
 
     Args:
         num_envs: number n of environments.
-        autoreset_mode: when a new episode begins after an episode has ended. NEXT_STEP: in the next step, which ignores
-            the action. SAME_STEP: in the same step; the last observation and information of the ended episode are then
-            in ``info``. DISABLED: when ``reset`` is called.
+        autoreset_mode: when a new episode begins after an episode has ended. NEXT_STEP: a new episode begins in the
+            next step, which ignores the action. SAME_STEP: a new episode begins in the same step; the last observation
+            and information of the ended episode are then in ``info``. DISABLED: a new episode begins when ``reset`` is
+            called.
         render_mode: None or "rgb_array"; ``options``: as for ``PalletizingEnv``, except that the default engine is
             ``auto``.
 
@@ -77,7 +78,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         Args:
             options: a dict with the entries ``reset_mask`` and ``level``. ``level`` is one number or an array (n,),
                 from 0 to 1, and sets the level of difficulty from these episodes on.
-            seed: seed of the first environment, to which 1 is added for each further environment. Or a list with a seed
+            seed: seed of the first environment, to which 1 is added for each further environment; or a list with a seed
                 for each environment.
         """
         level = level_of(options, self.num_envs, "reset_mask")

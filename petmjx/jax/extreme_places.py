@@ -1,5 +1,5 @@
 """Finds candidate places for a box at the extreme points of a pile (points at which a box touches other boxes or the
-carrier's edges), as seen from all four corners of the carrier. This is an array program in JAX.
+carrier's edges), as seen from all four corners of the carrier. The module is an array program in JAX.
 
 The extreme points are those of ``petmjx.packers.learned_candidates``: Crainic, Perboli, Tadei (2008), "Extreme
 point-based heuristics for three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384, computed for the
@@ -23,9 +23,9 @@ from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
 FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
 """Features of a candidate (a box at a place): whether the box is turned by 90°; its corner and its extents, mm; its
 mass, kg; and the supported share of its base. ``inside`` is the distance of the box's centre of mass from the edge of
-the hull of its contacts, mm. ``below`` is the smallest distance, among all boxes below, of the load's point of action
-from the edge of the hull of a box's contacts, mm. Both distances are positive inside a hull, negative outside, and at
-most 200 mm."""
+the hull of the box's contacts, mm. ``below`` is the smallest distance, among all boxes below, of a box's load from the
+edge of the hull of that box's contacts, mm. Both distances are positive inside a hull, negative outside, and at most
+200 mm."""
 
 _PER_ASIDE: Final = 0.01
 """Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Among equally low
@@ -36,8 +36,8 @@ LOOKED_AT: Final = 3
 have too little support."""
 
 _FAR: Final = 1e9
-"""Cost of a place that cannot be used. The value is also the coordinate of points that do not exist, which is beyond
-every carrier, mm."""
+"""Cost of a place that cannot be used. Points that do not exist have this value as coordinate, mm, which is beyond
+every carrier."""
 
 
 class Points(NamedTuple):
@@ -62,10 +62,11 @@ class Candidates:
     Args:
         extent_mm: extent of the carrier along x and y; ``gap_mm``: free space between a box and its neighbours along x
             and y.
-        least_support: smallest share of a box's base that must be supported. If None, any share is sufficient.
-        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. For
-            small boxes, a fifth of the shorter side of the base is required instead, if it is less. 0 means that loads
-            may act anywhere.
+        least_support: smallest share of a box's base that must be supported. If ``least_support`` is None, any
+            supported share is sufficient.
+        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. The
+            required distance is never more than a fifth of the shorter side of the box's base. 0 means that loads may
+            act anywhere.
 
     Attributes:
         count: number n of actions; ``features``: names of the features of an action.
@@ -95,8 +96,8 @@ class Candidates:
     def put(
         self, statics: Statics, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile
     ) -> Statics:
-        """The balance of the pile after one more box, whose values are stored in this row. If the row is beyond the
-        end, the box is ignored. ``pile`` does not contain the new box."""
+        """The balance of the pile after one more box. The values of the new box are stored in this row. If ``row`` is
+        beyond the last row, the box is ignored. ``pile`` does not contain the new box."""
         contacts = contacts_of(size_mm[None], corner_mm[None], pile)
         return with_box(statics, row, contacts, mass_kg, least_m(size_mm[None], self._inside)[0])
 

@@ -1,5 +1,5 @@
-"""Finds the cells of a carrier at which a box can be placed. This is an array program in JAX, in single precision like
-all of ``petmjx.jax``."""
+"""Finds the cells of a carrier at which a box can be placed. The module is an array program in JAX, in single precision
+like all of ``petmjx.jax``."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ class Ways(NamedTuple):
 
 
 class Cells:
-    """Actions that put a box into a cell of the carrier. They are numbered by orientation, then by cell along x, then
-    by cell along y.
+    """Actions that put a box into a cell of the carrier. The actions are numbered by orientation, then by cell along x,
+    then by cell along y.
 
     Args:
-        side_mm: side of a cell; ``least_support``: smallest share of a box's base that must be supported. If None, any
-            share is sufficient.
+        side_mm: side of a cell; ``least_support``: smallest share of a box's base that must be supported. If
+            ``least_support`` is None, any supported share is sufficient.
         gap_mm: free space between a box and its neighbours along x and y.
 
     Attributes:
@@ -73,10 +73,10 @@ class Cells:
         self.count = TURNS * len(corners)
 
     def no_boxes(self, most: int) -> None:
-        """The balance of an empty pile. It is None, because this class does not need the balance."""
+        """The balance of an empty pile: None, because this class does not need the balance."""
 
     def put(self, statics: None, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile) -> None:
-        """The balance of the pile after one more box. It is None, because this class does not need the balance."""
+        """The balance of the pile after one more box: None, because this class does not need the balance."""
 
     def view(self, pile: Pile, statics: None) -> Pile:
         """Compute the part of ``ways`` that does not depend on the next box, which is the pile."""

@@ -127,13 +127,13 @@ class Host:
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            self._slots.update(world_of_key)  # after the placements, because only now the pallets have the new boxes
+            self._slots.update(world_of_key)  # only now the pallets have the new boxes
             write_results(columns, rows, self._pallets.results(np.array(into)))
         return columns
 
     def _placed(self, request: Placements, bases: NDArray[np.int64]) -> None:
-        """Copy the states of the pallets ``bases`` to free pallets, and put one box onto each copy. If this raises an
-        error, the free pallets stay free."""
+        """Copy the states of the pallets ``bases`` to free pallets, and put one box onto each copy. If the simulation
+        raises an error, the free pallets stay free."""
         try:
             self._pallets.fork(bases, request.pallet)
             self._pallets.place(**vars(request))
@@ -142,8 +142,8 @@ class Host:
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
-        """The number of a pallet in the cache that has these boxes. If there is none, it is simulated. The number is
-        added to ``pinned``, so that the pallet is not reused for other boxes during this call."""
+        """The number of a pallet in the cache that has these boxes. A pallet that is not in the cache is simulated
+        first. The number is added to ``pinned``, so that the pallet is not reused for other boxes during this call."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
         n_cached = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
         slot = self._slots[keys[n_cached]] if n_cached >= 0 else -1

@@ -67,11 +67,12 @@ def place(
 
     Args:
         size_mm: extents of the boxes as they stand; ``corner_mm``: front-left-bottom corners of the boxes.
-        active: mask of the pallets that receive a box. If None, all pallets receive one. Pallets that have fallen or
-            are full never receive another box.
+        active: mask of the pallets that receive a box. If ``active`` is None, all pallets receive a box. Pallets that
+            have fallen or are full never receive another box.
 
     Returns:
-        The new state, and the results of the pallets. A pallet that had fallen before has only the reason ``ended``.
+        The new state, and the results of the pallets. The only result of a pallet that had fallen before is the reason
+        ``ended``.
     """
     n = _pallets(state)
     boxes = _boxes(size_mm, corner_mm, mass_kg, n)

@@ -112,16 +112,16 @@ class Palletizing:
         orders_seed: seed of the generator; ``look_ahead``: number of visible boxes.
         orders_units, orders_columns, orders_density: as in ``petmjx/Palletizing-v0``.
         actions: if ``cells``, an action selects one of two orientations and a cell of the carrier. If ``candidates``,
-            an action selects one of ``n_candidates`` places, which have features. These places are at extreme points
-            (points at which a box touches other boxes or the carrier's edges), as seen from all four corners of the
-            carrier. Low and well supported places come first.
+            an action selects one of ``n_candidates`` places, which have features. The candidate places are at extreme
+            points (points at which a box touches other boxes or the carrier's edges), as seen from all four corners of
+            the carrier. Low and well supported places come first.
         mask: which actions are legal. ``geometry``: all actions that keep the box on the carrier and below
-            ``max_height_mm``. ``support_50`` … ``support_100``: those of them after which at least 50 % … 100 % of the
-            box's base is supported.
+            ``max_height_mm``. ``support_50`` … ``support_100``: of these actions, those after which at least 50 % … 100
+            % of the box's base is supported.
         gap_mm: free space that a robot needs between a box and its neighbours along x and y.
-        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. For
-            small boxes, a fifth of the shorter side of the base is required instead, if it is less. 0 means that loads
-            may act anywhere. This option is only for candidates. The packer ``balanced`` uses 20 mm.
+        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. The
+            required distance is never more than a fifth of the shorter side of the box's base. 0 means that loads may
+            act anywhere. ``inside_mm`` is only for ``candidates``. The packer ``balanced`` uses 20 mm.
         action_cell_mm, cell_mm: side of the cells of actions, and side of the cells of observed maps.
         rewards: weights of the terms of the reward.
         most_illegal: number of illegal actions after which an episode is truncated; an illegal action changes nothing.
@@ -296,8 +296,8 @@ class Palletizing:
         """The state with the actions for the next box. Boxes for which there is no legal place are left out.
 
         Args:
-            most: largest number of boxes that the pallet can have at this moment, if this is known. It makes the
-                program smaller.
+            most: largest number of boxes that the pallet can have at this moment, if this is known. If ``most`` is
+                given, the program becomes smaller.
         """
         statics: Any = state.statics if most is None else self._actions.no_boxes(most)
         view: Any = self._actions.view(self._pile(state, most), statics)
@@ -429,7 +429,7 @@ class Palletizing:
 
 
 def _whole(value: Any, name: str) -> Int[Array, ""]:
-    """The value as a JAX array, if it is a whole number. It may be a traced value of a jitted program. Raises
+    """The value as a JAX array, if it is a whole number. The value may be a traced value of a jitted program. Raises
     InputError for anything else."""
     is_numeric = isinstance(value, int | np.generic | np.ndarray | jax.Array)
     try:

@@ -21,11 +21,11 @@ from petmjx.jax.free_cells import TOUCH_MM, Pile
 from petmjx.packers.pile_balance import FAR_M, MARGIN_SHARE
 
 _ANGLES: Final = np.arange(32) * (2 * np.pi / 32)
-"""Directions in which the corners of a hull are searched for. Each direction finds the corner that reaches farthest in
-it. Other corners are missed, so a computed hull may be too small, but never too large."""
+"""Directions in which the corners of a hull are searched for. For each direction, the corner that reaches farthest in
+this direction is found. Other corners are missed, so a computed hull may be too small, but never too large."""
 
 _NO_EDGE: Final = -1e3
-"""Offset of an edge that does not exist, m. Every load is far inside such an edge."""
+"""Offset of an edge that does not exist, m. Every load is far inside an edge with this offset."""
 
 _EXACT: Final = jax.lax.Precision.HIGHEST
 """Precision of matrix products. With JAX's default precision, GPUs round the factors to 10 bits."""
@@ -115,8 +115,8 @@ def margins_m(
 ) -> tuple[Float[Array, " placement"], Float[Array, " placement"], Bool[Array, " placement"]]:
     """Three values for each of q boxes, if the box were put onto the pile. First, the distance inside the hull of the
     box's contacts at which its weight acts, m. Second, the smallest of these distances for the loads of all boxes
-    below, m. Third, whether the loads of the boxes below act far enough inside their hulls. Distances are at most
-    ``FAR_M``."""
+    below, m. Third, whether the loads of all boxes below act far enough inside the hulls of their contacts. Distances
+    are at most ``FAR_M``."""
     floats = ~contacts.bears.any(axis=1) & ~contacts.on_carrier
     inside = jnp.where(floats, -FAR_M, -planes[..., 0].max(axis=1))
     moments, inverse = _moments(contacts)
@@ -135,7 +135,7 @@ def margins_m(
 
 def least_m(size_mm: Float[Array, "placement 3"], least_mm: float) -> Float[Array, " placement"]:
     """(q,) smallest distance inside the hull at which the load of each box must act, m, as in the packer ``balanced``.
-    It is ``least_mm``, or a share of the shorter side of the box's base if this is less."""
+    The distance is ``least_mm``, or a share of the shorter side of the box's base if this is less."""
     return jnp.minimum(least_mm, MARGIN_SHARE * size_mm[:, :2].min(axis=1)) / MM_PER_M
 
 
@@ -146,8 +146,8 @@ def with_box(
     mass_kg: Float[Array, ""],
     least: Float[Array, ""],
 ) -> Statics:
-    """The balance of the pile after one more box with these contacts, whose values are stored in this row. If the row
-    is beyond the end, the box is ignored."""
+    """The balance of the pile after one more box with these contacts. The values of the new box are stored in this row.
+    If ``row`` is beyond the last row, the box is ignored."""
     (x, y), on_carrier = contacts.middle[0], contacts.on_carrier[0]
     moments, inverse = _moments(contacts)
     # converts a load relative to the origin into one relative to the middle of the base
@@ -173,8 +173,8 @@ def with_box(
 
 def _moments(contacts: Contacts) -> tuple[Float[Array, "placement box 3 3"], Float[Array, "placement 3 3"]]:
     """The integral ∫ (1, x, y)ᵀ (1, x, y) dA over each contact of a box, and the inverse of the sum of these matrices
-    over all contacts of the box. Coordinates are relative to the middle of the base. This makes the moments small, so
-    that the inverse is exact enough in single precision."""
+    over all contacts of the box. Coordinates are relative to the middle of the base. Such coordinates make the moments
+    small, so that the inverse is exact enough in single precision."""
     middle, side = (contacts.start + contacts.end) / 2, contacts.end - contacts.start
     area = jnp.where(contacts.bears, side.prod(axis=-1), 0.0)
     x, y = middle[..., 0], middle[..., 1]

@@ -67,7 +67,7 @@ class BoxTable:
         if gap_mm != self._points.gap_mm:
             self._points = Points(len(self.count), gap_mm)
         points, rows, free_mm = self._points, np.unique(pallets), np.array([gap_mm, gap_mm, 0.0])
-        # pallets are sorted by number of boxes, so that those in the same chunk have similar numbers of points
+        # pallets are sorted by number of boxes, so that all pallets of a chunk have similar numbers of points
         rows = rows[np.argsort(self.count[rows], kind="stable")]
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):
             for chunk_rows in np.array_split(rows, -(-len(rows) // _AT_ONCE)):

@@ -32,12 +32,12 @@ _AT_ONCE: Final = 1024
 """Largest number of worlds (simulated pallets) with errors or drives that are simulated at a time."""
 
 _NAME = "candidate"
-"""Name that replaces the id of a plan when random numbers are drawn. Thus all candidates get the same errors, and can
-be compared."""
+"""Name that replaces the id of a plan when random numbers are drawn. With one name for all candidates, all get the same
+errors and can be compared."""
 
 
 MOST_ERRORS_DRAWN: Final = 2**31
-"""The random errors of a single box have a number. All numbers are smaller than this value."""
+"""Upper limit of the numbers that select the random errors of a single box: each number is smaller than this value."""
 
 
 class Errors:
@@ -64,8 +64,8 @@ class Errors:
 
 
 class PlacingErrors:
-    """Random errors, as in ``petmjx score --confidence``, for boxes that are put onto pallets and stay there. They are
-    errors of place, rotation, size and mass. The friction on a pallet is not changed."""
+    """Random errors, as in ``petmjx score --confidence``, for boxes that are put onto pallets and stay there. The
+    errors are those of place, rotation, size and mass. The friction on a pallet is not changed."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sweep = confidence_sweep(1, None, dict(sim))

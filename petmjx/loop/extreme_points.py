@@ -26,7 +26,7 @@ class Points:
     box placed earlier.
 
     Args:
-        gap_mm: free space behind each box along x and y. Boxes count as larger by this length.
+        gap_mm: free space behind each box along x and y, by which boxes count as larger.
 
     Attributes:
         boxes: (n,) for each pallet, the number of boxes whose points are included.
@@ -35,8 +35,8 @@ class Points:
     def __init__(self, n: int, gap_mm: float = 0.0) -> None:
         self.gap_mm = gap_mm
         self.boxes: NDArray[np.int64] = np.zeros(n, np.int64)
-        self._at: NDArray[np.complex128] = np.zeros((n, 1), np.complex128)  # x + iy, mm
-        # (n, k) number of points after the first 0, 1, … boxes
+        self._at: NDArray[np.complex128] = np.zeros((n, 1), np.complex128)  # points as x + iy, mm.
+        # (n, k) for each pallet, the number of points after the first 0, 1, … boxes
         self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)
 
     def count(self, pallets: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -57,7 +57,7 @@ class Points:
 
         Args:
             low, high: (m, k, 3) lowest and highest corners of the boxes on the pallets, including the free space. The
-                box whose points are added has the number ``boxes[pallet]``. Boxes after it are ignored.
+                box whose points are added has the number ``boxes[pallet]``. Later boxes are ignored.
         """
         number, rows = self.boxes[pallets], np.arange(len(pallets))
         points, count = self.of(pallets), self._count[pallets, number]

@@ -112,9 +112,9 @@ def release(
     physics: str | Mapping[str, Any] | Physics = "pallet",
     engine: str | Engine = AUTO,
 ) -> Trajectories:
-    """Release boxes with any pose and velocity, and simulate their motion. There are no placements one by one and no
-    verdicts. Many worlds (separate simulations) are computed together, with the same contacts and time steps as for
-    plans (docs/release.md).
+    """Release boxes with any pose and velocity, and simulate their motion. Boxes are not placed one by one, and there
+    are no verdicts. Many worlds (separate simulations) are computed together, with the same contacts and time steps as
+    for plans (docs/release.md).
 
     The first axes of arrays are (n, …) for n worlds with one box each, or (n, k, …) for n worlds with k boxes each.
     Axes of length 1 and missing leading axes are broadcast as in NumPy, so a single size, mass or friction applies to
@@ -131,14 +131,14 @@ def release(
             poses are those of the simulation. Between two steps, positions are interpolated linearly, and orientations
             along the shortest rotation.
         inertia_kg_m2: (…, 3) principal moments of inertia along the boxes' axes, kg·m², or one number for all moments
-            of all boxes. If None, boxes are solid and homogeneous.
+            of all boxes. If ``inertia_kg_m2`` is None, boxes are solid and homogeneous.
         friction: (…) coefficient of sliding friction between a box and the ground. Between two boxes, the larger of
-            their two coefficients is used. If None, the coefficients in ``physics`` are used.
+            their two coefficients is used. If ``friction`` is None, the coefficients in ``physics`` are used.
         restitution: (…) speed of a box after a bounce as a share of its speed before, up to 0.9. All boxes of a world
             must have the same value. A landing box is stopped within ``physics.landing_s``, or within 3 ms if that is
-            0. If None, the value in ``physics`` is used.
+            0. If ``restitution`` is None, the value in ``physics`` is used.
         ground: "plane" for an infinite plane, the name of a carrier of a fixed size, or a TOML file of boards. A
-            carrier does not move. Its front-left corner is at the origin, and its top at z = 0.
+            carrier does not move. The front-left corner of the carrier is at the origin, and its top at z = 0.
         physics: the name of a preset, a mapping that changes a preset, or a ``petmjx.Physics``.
         engine: mujoco, mjx-warp, mjx-warp-cpu, mjx-jax or an engine object. ``auto`` means an available GPU for 1,000
             worlds or more, else mujoco.
@@ -180,7 +180,7 @@ def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatA
     simulated together.
 
     Args:
-        restitution: (n, k, 1) restitution of each box. If None, the value in the options is used.
+        restitution: (n, k, 1) restitution of each box. If ``restitution`` is None, the value in the options is used.
 
     Raises:
         InputError: boxes of a world have different restitutions.

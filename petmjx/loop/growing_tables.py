@@ -13,8 +13,8 @@ FIRST_COLUMNS: Final = 16
 
 
 def widened_table(values: NDArray[Any], columns: int, fill: float = 0.0) -> NDArray[Any]:
-    """The table with at least ``columns`` columns. If there are fewer, their number is doubled until it is large
-    enough."""
+    """The table with at least ``columns`` columns. If the table has fewer columns, their number is doubled until it is
+    large enough."""
     while values.shape[1] < columns:
         values = np.concatenate([values, np.full_like(values, fill)], axis=1)
     return values

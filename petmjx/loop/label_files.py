@@ -278,7 +278,8 @@ class _Tally:
 
 
 def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
-    """The part of the card that states how labels were made. Two sets with the same head have the same labels."""
+    """The part of the card that states how labels were made. Two sets of labels for which this part is the same have
+    the same labels."""
     is_file = isinstance(source, Path)
     reading = labeller.orders.reading
     return {
@@ -305,8 +306,8 @@ def baselines(labels: Sequence[Label]) -> dict[str, dict[str, float | int]]:
     share of falling placements that the rule refuses, and the mean of the two shares. The result is empty if no
     placement stands, or if none falls.
 
-    ``placement_stability`` was trained for boxes that a robot places inexactly. It accepts a placement if its estimate
-    is above 0.5.
+    ``placement_stability`` was trained for boxes that a robot places inexactly. ``placement_stability`` accepts a
+    placement if its estimate is above 0.5.
     """
     judged_labels = [label for label in labels if label["stands"] is not None]
     stands = np.array([label["stands"] for label in judged_labels], bool)

@@ -1,8 +1,8 @@
 """The labels of a set that is not finished yet: Parquet files (parts) in the set's folder, and a file that lists the
 parts.
 
-    DIR/unfinished.json        the set (orders, options, engine), how many labels it is to have and how many are there,
-                               the next episode, the parts
+    DIR/unfinished.json        description of the set (orders, options, engine), number of labels that the set is to
+                               have, number of labels in the parts, next episode, list of parts
     DIR/parts/part-*.parquet   labels of whole episodes, in order
 
 Parts are written and read like those of a run (petmjx.results.run_table_files): a part is ignored until the list names
@@ -56,7 +56,8 @@ class LabelParts:
     Args:
         folder: folder of the set; ``head``: description of the set, as plain JSON values.
         count: number of labels that the set is to have.
-        resume: whether to continue with the parts in the folder, if there are any. If not, these parts are deleted.
+        resume: whether to continue with the parts in the folder, if there are any. If ``resume`` is False, these parts
+            are deleted.
 
     Attributes:
         n_labels: number of labels in the parts; ``next_episode``: number of the first episode whose labels are not in

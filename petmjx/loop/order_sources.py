@@ -34,7 +34,8 @@ def order_reading(units: Any = None, columns: Any = None, density: Any = None) -
     """How an environment reads files of orders that are not in BED-BPP's form. Orders may have any number of boxes.
 
     Args:
-        units, columns, density: as the fields of ``petmjx.RunOptions``. If None, the most plausible value is used.
+        units, columns, density: as the fields of ``petmjx.RunOptions``. For an option that is None, the most plausible
+            value is used.
 
     Raises:
         InputError: a value is unusable. The message begins with ``orders_``.
@@ -53,8 +54,8 @@ class Boxes:
     Attributes:
         size_mm: (k, 3) length, width and height of each box; ``mass_kg``: (k,) mass of each box.
         strength_n: (k,) largest load that each box can bear on its top, N; NaN if unknown.
-        upright: (k, 3) whether the length, the width and the height of each box may be vertical. If None, only the
-            height may be vertical.
+        upright: (k, 3) whether the length, the width and the height of each box may be vertical. If ``upright`` is
+            None, only the height may be vertical.
         name: id of the order in its source; "" if the order has no id.
     """
 
@@ -89,8 +90,8 @@ class Orders:
             letters of the sizes that may be vertical (l for length, w for width, h for height).
         seed: seed of the generator of random orders.
         articles: a table of articles, whose strengths take precedence over ``strength_n``.
-        reading: how to read files of orders that are not in BED-BPP's form. If None, the most plausible reading is
-            taken.
+        reading: how to read files of orders that are not in BED-BPP's form. If ``reading`` is None, the most plausible
+            reading is taken.
 
     Attributes:
         reading: how files of orders are read; for generated orders, the reading without any options.
@@ -138,7 +139,7 @@ class Orders:
         return _MOST_DRAWN if self._all is None else len(self._all)
 
     def some(self, count: int) -> list[Boxes]:
-        """All orders of the source. If the source is ``endless``, its first ``count`` orders."""
+        """All orders of the source, or the first ``count`` orders if the source is ``endless``."""
         if self._all is not None:
             return self._all
         return [_of_order(draw_order(self._seed, number), self._articles) for number in range(count)]

@@ -19,8 +19,8 @@ AT_ONCE = 4096
 
 
 class SettledEngine(Engine):
-    """An engine for scores of open pallets. For the first attempt at a plan, it finishes the simulation of the open
-    pallet that has the plan's boxes. All other attempts are simulated from the start.
+    """An engine for scores of open pallets. For the first attempt at a plan, the engine finishes the simulation of the
+    open pallet that has the plan's boxes. All other attempts are simulated from the start.
 
     On the engine ``mjx-warp``, results do not depend on whether boxes were added later. On ``mujoco``, boxes that wait
     to be placed are part of the model, and their presence affects the last digits. So on ``mujoco``, open pallets are
@@ -68,7 +68,7 @@ class SettledEngine(Engine):
         other_jobs = [index for index in range(len(jobs)) if index not in world_by_job]
         if other_jobs:
             for outcome in self._engine.run([jobs[index] for index in other_jobs], sim, progress):
-                if outcome is not None:  # None: a pause of the engine
+                if outcome is not None:  # None means that the engine has paused
                     outcome.job = other_jobs[outcome.job]
                 yield outcome
 
@@ -90,9 +90,9 @@ def pallet_scores(
     pallet's number and its outcome, in any order.
 
     Args:
-        following: function that returns the pallets to score next. It is called after each outcome. It may put boxes
-            onto pallets that have been scored, and may return no pallets while others are still being scored. The
-            generator ends when ``following`` returns no pallets and all pallets have been scored.
+        following: function that returns the pallets to score next. The function is called after each outcome. The
+            function may put boxes onto pallets that have been scored, and may return no pallets while others are still
+            being scored. The generator ends when ``following`` returns no pallets and all pallets have been scored.
     """
     progress = Progress()
 

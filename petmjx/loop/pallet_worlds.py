@@ -32,8 +32,8 @@ class PalletWorlds:
         margin: (n,) margin of stability of each pallet that is at rest and for which the bounds are valid; −1 for all
             other pallets.
         apart_mm: (n, k) largest distance of any corner of each box from its planned position, mm.
-        placing: whether another thread is currently simulating pallets until they rest. During this time, only that
-            thread may use the worlds.
+        placing: whether another thread is currently simulating pallets until they rest. While another thread does so,
+            only that thread may use the worlds.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
@@ -69,7 +69,7 @@ class PalletWorlds:
         called during the simulation.
 
         Args:
-            error, strength: (m,) see ``petmjx.Pallets.place``. If None, boxes are placed exactly.
+            error, strength: (m,) see ``petmjx.Pallets.place``. If ``error`` is None, boxes are placed exactly.
         """
         rows = placements.pallet
         if len(rows):

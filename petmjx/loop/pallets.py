@@ -58,11 +58,12 @@ class Pallets(Closable):
     numbers of their pallets. A single row applies to all m boxes, and for a single box the first axis can be left out.
     If ``pallet`` is left out, box i is for pallet i, or all boxes are for the only pallet.
 
-    Several threads may use the same object. Their calls are carried out one after another.
+    Several threads may use the same object. The calls of all threads are carried out one after another.
 
     Args:
         n: number of pallets.
-        carrier: the carrier on which the boxes stand. It cannot be ``footprint``, which depends on the whole plan.
+        carrier: the carrier on which the boxes stand. The carrier cannot be ``footprint``, which depends on the whole
+            plan.
         engine: ``mujoco``, ``mjx-warp``, or an engine object that supports adding boxes to its worlds. ``auto`` means
             ``mjx-warp`` for 64 pallets or more if there is a GPU, else ``mujoco``.
         most_boxes: largest number of boxes on a pallet. ``mjx-warp`` reserves memory on the device for this number of
@@ -102,10 +103,11 @@ class Pallets(Closable):
 
     @contextmanager
     def _using(self, *, worlds: bool = True) -> Iterator[None]:
-        """While the body runs, no other thread can use the pallets. Raises InputError if the object has been closed.
+        """A context: while its body runs, no other thread can use the pallets. Raises InputError if the object has been
+        closed.
 
         Args:
-            worlds: whether the body uses the engine or changes boxes. This is not allowed while another thread
+            worlds: whether the body uses the engine or changes boxes, which is not allowed while another thread
                 simulates pallets.
         """
         with self._lock:
@@ -161,11 +163,11 @@ class Pallets(Closable):
         Args:
             error: (m,) whole numbers, each of which selects the random errors of a box: errors of place, rotation, size
                 and mass, drawn as in ``petmjx score --confidence``. A simulated hand then carries the box to its place.
-                If None, boxes are placed exactly.
+                If ``error`` is None, boxes are placed exactly.
             error_strength: factor by which the errors are multiplied, as one number or an array (m,). If the factor is
                 0, the box is placed exactly.
-            meanwhile: a function that is called during the simulation. It may only call ``places``, ``boxes`` and
-                ``height_map``, which already include the new boxes at their planned places.
+            meanwhile: a function that is called during the simulation. The function may only call ``places``, ``boxes``
+                and ``height_map``, which already include the new boxes at their planned places.
 
         Raises:
             InputError: a shape, unit or number is wrong; a pallet has fallen, is full, or is named twice; or a number
@@ -264,8 +266,8 @@ class Pallets(Closable):
 
     def take_back(self, pallet: Any = None) -> None:
         """Remove the last box from each of these pallets, or, if ``pallet`` is None, from all pallets that have boxes.
-        The pallets return to their states before this box, bit for bit, so pallets that have fallen stand again. If a
-        second box is removed from a pallet, the placements of its remaining boxes are simulated again, with the same
+        The pallets return to their states before the last box, bit for bit, so pallets that have fallen stand again. If
+        a second box is removed from a pallet, the placements of its remaining boxes are simulated again, with the same
         errors as before.
 
         Raises:
@@ -335,12 +337,12 @@ class Pallets(Closable):
         that have fallen are scored, too. Boxes that were placed with errors are scored at their planned places.
 
         On the engine ``mjx-warp``, the simulation continues from the current state of a pallet. On ``mujoco``, plans
-        are simulated from their first box on, because there the boxes that wait to be placed affect the last digits of
-        a score.
+        are simulated from their first box on, because on this engine, boxes that wait to be placed affect the last
+        digits of a score.
 
         Args:
-            to_the_bit: whether results on ``mujoco`` must be exact to the last digit. If not, the simulation continues
-                from the current state there, too. This takes a fraction of the time.
+            to_the_bit: whether results on ``mujoco`` must be exact to the last digit. If ``to_the_bit`` is False, a
+                simulation on ``mujoco`` also continues from the current state, which takes a fraction of the time.
             options: fields of ``petmjx.RunOptions``, such as ``out``.
 
         Raises:
@@ -393,8 +395,8 @@ class Pallets(Closable):
             return height_maps(self._boxes, rows, self.extent_mm, cell_mm)
 
     def boxes(self, pallet: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The boxes on these pallets, as they were requested: (m, k, 3) their sizes, (m, k, 3) their corners, mm, and
-        (m, k) their masses, kg. Values after the last box of a pallet are NaN."""
+        """(m, k, 3) sizes and (m, k, 3) corners, mm, and (m, k) masses, kg, of the boxes on these pallets, as they were
+        requested. Values after the last box of a pallet are NaN."""
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             k = int(self._boxes.count[rows].max(initial=0))
@@ -411,9 +413,8 @@ class Pallets(Closable):
         gap_mm: float = 0.0,
         hulls: bool = True,
     ) -> Places:
-        """Find places for boxes. They are at the extreme points of the pallets (points at which a box touches other
-        boxes or the carrier's edges). A box must not extend beyond the carrier, and its height is that at which it
-        would rest.
+        """Find places for boxes at the extreme points of the pallets (points at which a box touches other boxes or the
+        carrier's edges). A box must not extend beyond the carrier, and its height is that at which it would rest.
 
         Args:
             size_mm: (m, 3) extents of the boxes as placed; ``pallet``: (m,) numbers of their pallets.
@@ -455,7 +456,7 @@ class Pallets(Closable):
             return picture(self._worlds.scene(number), reading, self.simulation, size, view)
 
     def close(self) -> None:
-        """Free the engine's resources. All calls after this one raise InputError."""
+        """Free the engine's resources. All later calls of the object's methods raise InputError."""
         with self._lock:
             self._check_placing()
             self._is_closed = True

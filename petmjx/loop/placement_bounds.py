@@ -44,9 +44,9 @@ STANDS: Final = 1
 FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
-"""Distance inside a bearing that is required of loads which a placement does not change, as a fraction of the distance
-required of loads which it changes. If a load acts nearer to the edge, the box may seem to rest while it already begins
-to turn."""
+"""Required distance inside a bearing for loads that a placement does not change, as a fraction of the required distance
+for loads that the placement changes. If a load acts nearer to the edge than required, the box may seem to rest while it
+already begins to turn."""
 
 MOST_LOAD: Final = 100.0
 """Largest load on a box that carries the new box, as a multiple of the carrying box's own mass. Contacts are soft: a
@@ -61,13 +61,14 @@ HANGING_SHARE: Final = 0.05
 side. At this distance, the box turns within a second, so the simulation does not take it for a box at rest."""
 
 HANGING_MM: Final = 10.0
-"""The same distance as ``HANGING_SHARE``, in millimetres. The larger of the two distances is required."""
+"""Smallest distance outside the bearing at which the weight of a falling box must act, mm. Of this distance and the one
+from ``HANGING_SHARE``, the larger is required."""
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
 """A box is lost if, before a body catches it, it turns by ``TURN_DEG``, or its middle moves down and sideways by
-``GONE_MM``. Its weight is then farther beyond the edge than at first, so the box does not come back. These values
-exceed the largest allowed thresholds of verdicts by a quarter and by a half."""
+``GONE_MM``. The weight of a lost box is farther beyond the edge than at first, so the box does not come back. These
+values exceed the largest allowed thresholds of verdicts by a quarter and by a half."""
 
 NEAR_MM: Final = 2.0
 """Two boxes with a planned gap of up to this width may touch, because boxes of a pallet at rest can be up to 1 mm off
@@ -147,13 +148,13 @@ class Bounds:
     def __init__(self, stock: BoxTable, friction: float) -> None:
         n = len(stock.count)
         self._stock, self._friction = stock, friction
-        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes of each pallet that are in the tables
-        # The tables have the shape (n, k, …) for k boxes on each pallet. They start with k = 1, because few pallets
-        # need them.
+        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of each pallet's boxes in the tables.
+        # The tables have the shape (n, k, …) for k boxes on each pallet. The tables start with k = 1, because few
+        # pallets need them.
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
-        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests
-        self._least: FloatArray = np.zeros((n, 1))  # distance inside the bearing required of each box's load, mm
+        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests.
+        self._least: FloatArray = np.zeros((n, 1))  # (n, k) required distance of each box's load inside its bearing, mm
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         """Keep only the first ``count`` boxes of each of these pallets."""
@@ -276,7 +277,7 @@ class _Turns(NamedTuple):
     apart: FloatArray
 
     def take(self, rows: NDArray[np.intp]) -> _Turns:
-        """The turns in these rows."""
+        """The turns of the boxes in the given rows."""
         return _Turns(self.rows[rows], self.towards[rows], self.edge[rows], self.outside[rows], self.apart[rows])
 
 
@@ -355,16 +356,16 @@ class _Rests:
     def falls(self, request: Placements, apart: FloatArray, friction: float) -> NDArray[np.bool_]:
         """(m,) whether each new box falls beyond doubt.
 
-        A falling box turns about an edge of its bearing. When it has turned by an angle, a point of its base is lower
-        by the tangent of the angle times the point's distance from the edge. A point of its side has moved outwards by
-        the sine of the angle times the point's height.
+        A falling box turns about an edge of its bearing. When a falling box has turned by an angle, a point of its base
+        is lower by the tangent of the angle times the point's distance from the edge. A point of the box's side has
+        moved outwards by the sine of the angle times the point's height.
 
         Args:
             apart: (m, k) distance of the pallets' boxes from their planned places, as computed by ``boxes_apart_mm``.
             friction: the coefficient of friction between boxes.
         """
         sides = request.size_mm[:, :2]
-        with np.errstate(invalid="ignore"):  # the edges of a box that lies on nothing are infinite
+        with np.errstate(invalid="ignore"):  # for a box that lies on nothing, self.edges has infinite distances
             outside = self.edges[..., 1:] @ (self.start[:, :2] + sides / 2)[..., None]
             outside = outside[..., 0] - self.edges[..., 0]
         least = np.maximum(HANGING_MM, HANGING_SHARE * sides.min(axis=1))
@@ -378,12 +379,12 @@ class _Rests:
 
     def _turn_straight(self, turns: _Turns, least: FloatArray) -> NDArray[np.bool_]:
         """(r,) whether each box turns about a single edge along x or y, without turning sideways at the same time. For
-        this, the edge must extend on both sides of the weight by more than ``least`` (r,), so that the box is balanced
-        along the edge."""
+        such a turn, the edge must extend on both sides of the weight by more than ``least`` (r,), so that the box is
+        balanced along the edge."""
         middle = (self.start[turns.rows, :2] + self.end[turns.rows, :2]) / 2
         foot = middle - turns.outside[:, None] * turns.towards
         edges = self.edges[turns.rows]
-        with np.errstate(invalid="ignore"):  # missing edges are infinite
+        with np.errstate(invalid="ignore"):  # edges that do not exist are infinitely far away
             inside = edges[..., 0] - (edges[..., 1:] @ foot[..., None])[..., 0]
         same = (edges[..., 1:] @ turns.towards[..., None])[..., 0] > 1 - SAME_WAY
         along_axis = np.abs(turns.towards).max(axis=1) > 1 - SAME_WAY
@@ -481,7 +482,7 @@ def _hull_edges(corners: FloatArray) -> FloatArray:
     than e edges, the remaining edges are infinitely far away.
     """
     m = len(corners)
-    along = corners[:, None] - corners[:, :, None]  # (m, from, to, 2)
+    along = corners[:, None] - corners[:, :, None]  # vectors from the first to the second corner: (m, first, second, 2)
     length = np.linalg.norm(along, axis=-1)
     left = along[..., None, 0] * along[:, :, None, :, 1] - along[..., None, 1] * along[:, :, None, :, 0]
     is_edge = (left >= -ROUNDING_MM2).all(axis=-1) & (length > TOUCH_MM)

@@ -4,8 +4,8 @@ with the result of a simulation of the pile with this box.
 Episode i packs order i of a source, box by box. After the last order, the first order is packed again. Each box is put
 to a random place, or to a place that a careful packer chooses, and each of these placements is a label. If the pallet
 does not stand, the box is removed. After a random place, the box is then tried once at a careful place, which makes
-another label. If it does not stand there either, the box is left out. An episode depends only on its number and the
-seed, so a larger set begins with the labels of a smaller set.
+another label. If the pallet does not stand with the careful place either, the box is left out. An episode depends only
+on its number and the seed, so a larger set begins with the labels of a smaller set.
 """
 
 from __future__ import annotations
@@ -117,8 +117,8 @@ class Episode:
         boxes: boxes of the order; ``next``: number of the box to place next; ``again``: whether this box is tried for
             the second time.
         careful: whether the last box was put to a place of the careful packer.
-        share: share of the simulations with errors in which the pallet stands with the last box; None if these were not
-            requested.
+        share: share of the simulations with errors in which the pallet stands with the last box; None if simulations
+            with errors were not requested.
         labels: the labels of the boxes that were tried so far.
     """
 
@@ -149,13 +149,13 @@ class Labeller:
 
     Args:
         orders: source of the orders (lists of boxes to pack).
-        pallets: number of pallets that are packed at the same time. Labels do not depend on it. The default is
+        pallets: number of pallets that are packed at the same time. Labels do not depend on this number. The default is
             ``PALLETS_ON_GPU`` or ``PALLETS_ON_CPU``.
         groups: number of groups into which the pallets are divided. Each group has a thread of its own. The default is
             ``GROUPS_ON_GPU`` on a GPU, else 1.
         explore: share of boxes that are tried at a random place first.
-        errors: number of additional simulations of each label in which a robot places the box inexactly. If None, there
-            are none.
+        errors: number of additional simulations of each label in which a robot places the box inexactly. If ``errors``
+            is None, no such simulations are made.
         max_height_mm: largest allowed height of a box's top.
         others: options of ``petmjx.Pallets``.
 
@@ -426,7 +426,7 @@ class _Packing:
         episode.labels.append(label)
         self._schedule.note_label()
         self.scoring.discard(row)
-        # a repeated simulation may stand although the open pallet has fallen
+        # in a repeated simulation, the pallet may stand although the open pallet has fallen
         if label["stands"] and not pallets.ended[row]:
             episode.next, episode.again = episode.next + 1, False
             if pallets.n_boxes[row] >= pallets.most_boxes:

@@ -38,7 +38,8 @@ class PlacementResults:
         top_force_n: (m, k) force on the top of each box in the last step, N.
         middle_mm: (m, k, 3) centres of the boxes, mm; ``quat``: (m, k, 4) orientations of the boxes, as quaternions (w,
             x, y, z).
-        share: (m,) share of the simulations with errors in which the pallet stands; NaN if these were not requested.
+        share: (m,) share of the simulations with errors in which the pallet stands; NaN if no simulations with errors
+            were requested.
     """
 
     pallet: NDArray[np.int64]

@@ -88,7 +88,7 @@ def grid_of(grid_mm: Any, extent_mm: tuple[float, float]) -> FloatArray:
 
 
 def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
-    """The numbers of the pallets that an argument selects. If it is None, all pallets are selected.
+    """The numbers of the pallets that the argument ``pallet`` selects. If ``pallet`` is None, all pallets are selected.
 
     Raises:
         InputError: values are not whole numbers, or a pallet does not exist.

@@ -64,7 +64,7 @@ USUAL: Final = {"utilisation": 10.0, "fall": 1.0, "illegal": 0.1}
 
 
 def weights_of(rewards: Any) -> dict[str, float]:
-    """The weights of the terms, by name. If ``rewards`` is None, these are the default weights.
+    """The weights of the terms, by name. If ``rewards`` is None, the default weights are returned.
 
     Raises:
         InputError: a term is unknown, or a weight is not a number.

@@ -51,8 +51,8 @@ class Scorer(Closable):
 
     ``S = petmjx.Scorer(engine="mujoco", threads=2); S.score(plans).worlds.verdict``
 
-    Several threads may use the same object. On the engine ``mujoco``, their calls share the CPU. On ``mjx-warp``, their
-    calls run one after another. Nothing is written to disk. A Ray or Dask actor can hold a Scorer
+    Several threads may use the same object. On the engine ``mujoco``, calls from several threads share the CPU. On
+    ``mjx-warp``, they run one after another. Nothing is written to disk. A Ray or Dask actor can hold a Scorer
     (examples/ray_scorer.py, examples/dask_scorer.py).
 
     Args:
@@ -86,7 +86,7 @@ class Scorer(Closable):
             plans: a plan, a list of plans, a ``PlanSet``, or a data frame with one row per box.
 
         Raises:
-            InputError: the plans are given as files, or a plan cannot be used. (Plans are never skipped.)
+            InputError: the plans are given as files, or a plan cannot be used. (A plan is never skipped.)
         """
         self._check_open()
         results = self._results(self._usable(plans))
@@ -118,7 +118,7 @@ class Scorer(Closable):
         return PlacementResults.of_outcomes(np.arange(len(plans)), outcomes, self.simulation.thresholds)
 
     def close(self) -> None:
-        """Free the engine's resources. All calls after this one raise InputError."""
+        """Free the engine's resources. All later calls of the object's methods raise InputError."""
         self._is_closed = True
         if self._owns_engine:
             self._engine.close()

@@ -22,7 +22,7 @@ MAX_HEIGHT_MM = 2000.0
 
 @dataclass(frozen=True)
 class PackRules:
-    """The rules of the packer ``baseline``, which may differ between plans.
+    """The rules of the packer ``baseline``. Each plan may be packed with other rules.
 
     Attributes:
         min_support: smallest share of a box's base that must rest on the carrier or on other boxes (0 to 1).
@@ -30,7 +30,7 @@ class PackRules:
             base. Without this rule, a box may tip as soon as it is placed.
         max_height_mm: greatest allowed height of a box's top, mm.
         y_first: whether, of several places of equal height, the place with the smallest y is chosen, then the smallest
-            x. If False, the smallest x is chosen, then the smallest y.
+            x. If ``y_first`` is False, the smallest x is chosen, then the smallest y.
         sort_noise: standard deviation of the random number that is added to the sorting key, one number per article.
             The sorting key is the natural logarithm of base area × weight ** ``weight_exponent``.
         weight_exponent: exponent of the weight in the sorting key.
@@ -126,7 +126,8 @@ class _Pile:
         self._points: dict[tuple[float, float], None] = {(0.0, 0.0): None}
 
     def find(self, item: Item) -> tuple[int, tuple[float, float, float]] | None:
-        """The best place for an item: orientation, and front-left-bottom corner in mm. None if there is no place."""
+        """The best place for an item: orientation, and front-left-bottom corner in mm. None if there is no place for
+        the item."""
         points = np.array(list(self._points))
         allowed_orientations = (0, 1) if item.length_mm != item.width_mm else (0,)
         corners = np.concatenate([points] * len(allowed_orientations))
@@ -201,8 +202,8 @@ class _Pile:
 def in_hull_of_rectangles(point: FloatArray, low: FloatArray, high: FloatArray) -> bool:
     """Whether a (2,) point lies in the convex hull of n rectangles with the (n, 2) lowest and (n, 2) highest corners.
 
-    The point is outside if all corners of the rectangles are on one side of a line through the point. The directions
-    from the point to the corners then leave a gap of more than 180°.
+    The point is outside if all corners of the rectangles are on one side of a line through the point. For a point
+    outside, the directions from the point to the corners leave a gap of more than 180°.
     """
     corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]]) - point
     if not len(corners):

@@ -1,8 +1,8 @@
 """Beam search for dense packings of an order. Candidates (boxes at places) are those of the packer ``balanced``.
 
-The search keeps ``width`` packings. Every step extends each of these packings by its ``branch`` best candidates. To
-rate a candidate, the packing with this candidate is filled up by best fit, as in ``balanced`` (the pilot method: Duin,
-Voß 1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
+The search keeps ``width`` packings. Every step extends each kept packing by its ``branch`` best candidates. To rate a
+candidate, the packing with this candidate is filled up by best fit, as in ``balanced`` (the pilot method: Duin, Voß
+1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
 Networks 34, 181–191). The best ``width`` packings are kept. Filling up is aborted as soon as the packing is higher than
 all of the best ``width`` packings so far. In large orders, a step places several boxes: first the candidate, then
 further boxes by best fit.
@@ -96,7 +96,8 @@ Fills = Callable[[Packing, NextCandidate | None, float], FullPacking | None]
 def fills_for(start: Packing) -> Fills:
     """The function that fills up packings of an order, given the empty packing of the order.
 
-    If Warp is installed, the function is compiled. It makes the same packings as the function in Python.
+    If Warp is installed, the function is compiled. The compiled function makes the same packings as the function in
+    Python.
     """
     if why_no_warp_on_cpu() is None:
         with suppress(Exception):  # Warp cannot be loaded, or cannot compile the function
@@ -150,7 +151,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
     for way in ways:
         before = frozenset(way.packing.placed)
         for number, candidate in enumerate(way.packing.next(branch)):
-            packing = way.packing  # copied later, only if it is among the best packings
+            packing = way.packing  # the packing is copied later, if it is among the best
             first: NextCandidate | None = candidate
             boxes = before | {packing.box(candidate)}
             if stride > 1:

@@ -21,21 +21,21 @@ from petmjx.packers.pile_balance import TOUCH_MM
 _SLIDING = np.array([1, 0, 0, 1])
 _OTHER = 1 - _SLIDING
 """For each of the four points that slide (see ``corner_points``): the axis along which the point slides, and the other
-horizontal axis. 0 is x, 1 is y."""
+horizontal axis. Axis 0 is x, axis 1 is y."""
 
 
 class Candidates:
     """The table of candidates: s shapes at p corner points.
 
     Attributes:
-        points: (p, 2) corner points (x, y), mm. All candidates at a point have their lowest x and y there.
+        points: (p, 2) corner points (x, y), mm. All candidates at a point have their lowest x and y at this point.
         base: (s, 2) sides of the shapes along x and y, mm.
         area: (s,) areas of the shapes' bases, mm².
         height: (s,) heights of the shapes, mm.
         z: (p, s) height of each candidate's bottom at rest, mm.
         carried: (p, s) supported area of each candidate's base, mm².
-        open: (p, s) whether each candidate can be chosen. It must be inside the carrier's edges. After it was refused
-            because of the balance, it cannot be chosen until another box is placed under it.
+        open: (p, s) whether each candidate can be chosen. A candidate must be inside the carrier's edges. A candidate
+            that was refused because of the balance cannot be chosen until another box is placed under it.
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
@@ -56,7 +56,7 @@ class Candidates:
         """An independent copy of the table."""
         twin = copy.copy(self)
         twin.open, twin._known = self.open.copy(), set(self._known)
-        # the twin shares all other arrays, since they are never changed in place
+        # the copy shares all other arrays, since arrays are never changed in place
         twin._low, twin._high = _copied_rows(self._low, self._n), _copied_rows(self._high, self._n)
         return twin
 

@@ -63,7 +63,7 @@ def _fill(tables: Tables) -> None: ...
 
 @functools.cache
 def _kernel() -> Any:
-    """The Warp kernel that fills up packings. It uses no fused multiply-add, since NumPy uses none."""
+    """The Warp kernel that fills up packings. The kernel uses no fused multiply-add, since NumPy uses none."""
 
     def fill(tables: Tables) -> None:
         _fill(tables)
@@ -118,7 +118,8 @@ class FillKernel:
     def __call__(
         self, packing: Packing, first: NextCandidate | None = None, highest_mm: float = inf
     ) -> FullPacking | None:
-        """The result of :meth:`petmjx.packers.packing_state.Packing.filled`."""
+        """The full packing that results from filling up a copy of ``packing``, as
+        :meth:`petmjx.packers.packing_state.Packing.filled` returns it."""
         if not self._exact:
             return packing.filled(first, highest_mm)
         packing.write(self._of)
@@ -147,7 +148,8 @@ class FillKernel:
         self._launch.launch()
 
     def _tips(self) -> bool:
-        """Whether the next box would tip over on its supports: the answer to the kernel's question."""
+        """Whether the next box would tip over on its supports. The kernel leaves this question to Python if the box is
+        close to tipping."""
         low, high = np.split(self._of["rectangles"][: self._of["counts"][Count.UNDER]], 2, axis=1)
         length, width = self._of["own_base"][self._of["counts"][Count.SHAPE]].tolist()
         return tips(hull_planes(low, high, margin_m((length, width))), self._of["own_load"])

@@ -74,7 +74,7 @@ def _wider(highest: Heights, more: int) -> Heights:
 
 _DEEPER: Final = {4: (1, 2), 6: (1, 2, 2), 8: (1, 2, 4), 11: (1, 2, 4, 3), 12: (1, 2, 4, 4)}
 """Depth of a window in cells → numbers of cells by which the window grows, step by step, from one cell to this depth.
-No number is larger than the depth before the step."""
+No step adds more cells than the window has before this step."""
 
 _NOWHERE_MM: Final = 2000.0
 

@@ -62,8 +62,8 @@ class ItemStream(Packing):
         extent_mm: length and width of the target, mm.
         clearance_mm: free space between a box and its neighbours along x and y, mm.
         look_ahead: number of boxes that the packer sees at a time. Any of these visible boxes may be placed next.
-        taste: weights with which candidates are rated, as in the packer ``balanced``. If None, the first set of weights
-            of ``balanced`` is used.
+        taste: weights with which candidates are rated, as in the packer ``balanced``. If ``taste`` is None, the first
+            set of weights of ``balanced`` is used.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class ItemStream(Packing):
 S = TypeVar("S", bound=ItemStream)
 
 Chooses = Callable[[S], NextCandidate | None]
-"""A function that makes one step of a packer. It returns the chosen candidate, or None if there is no place for any
+"""A function that makes one step of a packer: it returns the chosen candidate, or None if there is no place for any
 visible box."""
 
 

@@ -23,8 +23,8 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Smallest supported share of a base. This limit can be low, because two other rules decide: the static balance, and
-the probability to stand that a network predicts."""
+"""Smallest supported share of a base. The limit can be low, because two other rules decide where boxes are placed: the
+static balance, and the probability to stand that a network predicts."""
 
 COARSE_MM: Final = 50.0
 
@@ -43,7 +43,8 @@ sequence in which numbers are added."""
 class MirroredCandidates(Candidates):
     """Corner points seen from all four corners of the target, as a table for ``Packing``.
 
-    Unlike ``Candidates``, this table does not store candidates: ``candidates`` computes them on request.
+    Unlike ``Candidates``, this table does not store candidates: the method ``candidates`` computes candidates on
+    request.
 
     Attributes:
         corners: (c, 2) lowest corners (x, y) of the candidates that the last call of ``candidates`` returned, mm.
@@ -175,7 +176,7 @@ class FourSidedStream(ItemStream):
         return NextCandidate(point, shape, (x, y, z), rest)
 
     def still_open(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) whether each candidate has not been refused by ``keeps_balance``."""
+        """(c,) False for each candidate that ``keeps_balance`` has refused, else True."""
         return np.array([point not in self._refused for point in places.point.tolist()], dtype=bool)
 
     def put(self, chosen: NextCandidate) -> None:
@@ -203,8 +204,8 @@ def cost_mm(stream: ItemStream, places: Places) -> FloatArray:
 def lowest_first(stream: FourSidedStream) -> NextCandidate | None:
     """One step of a simple packer: the candidate of least cost that keeps the balance. None if there is no candidate.
 
-    The value of the candidate's box, as in the packer ``balanced``, is subtracted from the cost. This matters if
-    several boxes are visible.
+    The value of the candidate's box, as in the packer ``balanced``, is subtracted from the cost. The value makes a
+    difference only if several boxes are visible.
     """
     places = stream.places()
     cost = cost_mm(stream, places) - stream.worth(places)

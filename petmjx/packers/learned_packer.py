@@ -1,8 +1,8 @@
 """The packer ``learned``. A candidate is a visible box at a place. Learned weights rank the candidates, and a small
-network predicts the probability that the box stands there.
+network predicts the probability that a candidate stands.
 
-The packer was trained on generated orders only, with simulations (examples/train_packer). When it packs, it runs no
-simulation and is deterministic: an order always gets the same plan.
+The packer was trained on generated orders only, with simulations (examples/train_packer). While the packer packs, it
+runs no simulation. The packer is deterministic: an order always gets the same plan.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class Policy:
         ``SURE``.
 
         If none of the best ``MOST_TRIED`` candidates reaches ``SURE``, the candidate with the largest probability is
-        chosen. The result is None if none of them reaches ``LEAST_SURE``.
+        chosen. If none of these candidates reaches ``LEAST_SURE``, the result is None.
         """
         surest: ChosenCandidate | None = None
         tried = 0
@@ -186,7 +186,7 @@ def pack_learned(
         items: the items in order of arrival.
         extent_mm: length and width of the target, mm.
         look_ahead: number of boxes that the packer sees at a time. Any of these visible boxes may be placed next.
-        policy: the policy. If None, the published policy is used.
+        policy: the policy. If ``policy`` is None, the policy that comes with petmjx is used.
     """
     return pack_stream(
         FourSidedStream(items, extent_mm, CLEARANCE_MM, look_ahead), (policy or published_policy()).choose

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
-"""Fields of ``RunOptions`` that ``pack`` accepts. They affect how packings are simulated."""
+"""Fields of ``RunOptions`` that ``pack`` accepts. These fields affect how packings are simulated."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "order"),
@@ -143,16 +143,17 @@ def pack(
 
     Args:
         orders: file of orders, in BED-BPP's form or any other form that ``petmjx samples --orders`` reads; or a data
-            frame of items. If None, ``n`` orders are generated, as in ``petmjx samples``.
+            frame of items. If ``orders`` is None, ``n`` orders are generated, as in ``petmjx samples``.
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
-        look_ahead: number of boxes that ``learned`` sees at a time. If None, it is 1.
+        look_ahead: number of boxes that ``learned`` sees at a time. If ``look_ahead`` is None, 1 box is seen.
         workers: number of processes for the search. The plans do not depend on this number. Scripts that use more than
             one process need ``if __name__ == "__main__":``.
-        on_bad_order: function that is called with the error of each unusable order; the order is then skipped. If None,
-            the error is raised.
+        on_bad_order: function that is called with the error of each unusable order; the order is then skipped. If
+            ``on_bad_order`` is None, the error is raised.
         target: carrier for orders whose file does not name a carrier: ``euro-pallet``, ``rollcontainer``, or sizes in
-            mm such as ``1200x1000``. If None, it is the file's container if that is a pallet, else a Euro pallet.
+            mm such as ``1200x1000``. If ``target`` is None, the carrier is the file's container if that container is a
+            pallet, else a Euro pallet.
         options: options of the packer ``physical``: ``width``, ``branch``, ``clearances_mm``, ``worlds``,
             ``least_share``, ``maximise`` (docs/packers.md). Options of the simulation: ``errors``, a sweep file; fields
             of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``. Options for reading a file of orders:
@@ -185,7 +186,7 @@ def pack_each(
 
     Args:
         orders: pairs of an id and an order.
-        options: options of ``pack``. They are checked before the first order is read.
+        options: options of ``pack``, which are checked before the first order is read.
     """
     packer_options, simulation_options = _split_options(options)
     if packer not in (PHYSICAL, LEARNED):
@@ -210,7 +211,8 @@ def orders_of(
 
     Args:
         orders, n, seed, on_bad_order: as in ``pack``.
-        reading: how a file is read that is not in BED-BPP's form. If None, it is read in the most plausible way.
+        reading: how a file is read that is not in BED-BPP's form. If ``reading`` is None, the file is read in the most
+            plausible way.
     """
     integer_of(seed, "seed", 0)
     if orders is not None:
@@ -229,7 +231,7 @@ def reading_of(
     """Split options into those that state how a file of orders is read, and the remaining options.
 
     Args:
-        are_read: whether orders are read from a file. If not, options for reading must not be set.
+        are_read: whether orders are read from a file. If orders are generated, options for reading must not be set.
         target: as in ``pack``.
         options: the options.
 

@@ -1,5 +1,5 @@
-"""The finalists of an order: those of its packings that may be simulated. The results of simulations decide which of
-them is chosen."""
+"""The finalists of an order: those of its packings that may be simulated. The results of simulations decide which
+finalist is chosen."""
 
 from __future__ import annotations
 

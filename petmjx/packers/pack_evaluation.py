@@ -114,16 +114,16 @@ def order_evaluation(
     """Evaluate the packings of an order: a generator that yields requests for worlds, and returns the evaluations.
 
     The caller resumes the generator when all requested worlds have verdicts. Packings are evaluated one after another
-    until one is good, that is, stands as often as requested. For each packing, a few worlds are simulated first. Its
-    remaining worlds are simulated only if the packing can still be good. If no packing is good, all worlds of all
-    packings are simulated, since then the packing that stands most often is chosen.
+    until one is good, that is, stands as often as requested. For each packing, a few worlds are simulated first, and
+    the remaining worlds only if the packing can still be good. If no packing is good, all worlds of all packings are
+    simulated, since then the packing that stands most often is chosen.
 
     Args:
         plan_id: id of the order and of its plan.
         finalists: packings of the order, the best first.
         options: options of the packer.
-        spare: function that returns whether the engine has spare capacity. If so, worlds are requested before it is
-            certain that they are needed.
+        spare: function that returns whether the engine has spare capacity. With spare capacity, worlds are requested
+            before it is certain that they are needed.
     """
     tried: list[Trial] = []
     by_share = options.maximise == "share"

@@ -46,7 +46,8 @@ would exceed the present capacity. An order that exceeds the capacity, and all o
 worlds of the earlier orders have ended."""
 
 FEW_ALONE: Final = 16
-"""Upper limit of ``Orders.few`` if searches run in the process that simulates."""
+"""Upper limit of the number of searched orders for which an idle engine waits (``Orders.few``), if searches run in the
+process that simulates."""
 
 Searched = tuple[str, Order, list[Finalist]]
 """The result of a search: id of the order, the order, and the packings to simulate."""

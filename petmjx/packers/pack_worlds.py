@@ -59,7 +59,7 @@ class WorldsOfPlans:
         if self._sweep is None:
             yield from (World(plan, number, Job(build_scene(plan, self.sim))) for number in variants)
             return
-        if self._variants is None:  # made only once, since the variants are the same for all plans
+        if self._variants is None:  # the variants are made only once, since they are the same for all plans
             self._variants = SweepPlan(self._sweep, [plan])
         placements = [*self._variants.placements()]
         groups = (PlacementGroup(plan, number, *placements[number]) for number in variants)

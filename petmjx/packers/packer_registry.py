@@ -24,8 +24,8 @@ BALANCED: Final = "balanced"
 
 
 class Packer(Protocol):
-    """A function that packs one order. It returns the placed boxes in packing order. In this order, each box can be
-    lowered to its place from above. Items for which there is no place are left out."""
+    """A function that packs one order. The function returns the placed boxes in packing order. In packing order, each
+    box can be lowered to its place from above. Items for which there is no place are left out."""
 
     def __call__(
         self, items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules | None, rng: np.random.Generator
@@ -35,8 +35,8 @@ class Packer(Protocol):
         Args:
             items: the items of the order.
             extent_mm: length (along x) and width (along y) of the target, mm.
-            rules: rules of the packer ``baseline``. If None, its default rules are used.
-            rng: random numbers for this order. A packer need not use them.
+            rules: rules of the packer ``baseline``. If ``rules`` is None, the default rules are used.
+            rng: random numbers for this order, which a packer may use.
         """
 
 
@@ -73,11 +73,12 @@ WHY: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def packer_named(name: str, look_ahead: int | None = None) -> Packer:
-    """The packer with a name.
+    """The packer with the given name.
 
     Args:
         name: the name.
-        look_ahead: number of boxes that the packer ``learned`` sees at a time. If None, it is 1.
+        look_ahead: number of boxes that the packer ``learned`` sees at a time. If ``look_ahead`` is None, the packer
+            sees 1 box.
 
     Raises:
         InputError: no packer has this name, or ``look_ahead`` is given for another packer than ``learned``.

@@ -37,8 +37,8 @@ class Taste:
         per_base_side: value per mm of the square root of the base area.
         per_log_weight: value per unit of the natural logarithm of the weight in kg, mm.
         per_height: value per mm of the box's height.
-        per_overhang: cost of a base without any support, mm. A partly supported base costs this × its unsupported
-            share.
+        per_overhang: cost of a base without any support, mm. A partly supported base costs ``per_overhang`` × its
+            unsupported share.
         per_distance: cost per mm of x + y of the candidate's corner. So, of equally good places, the place nearest to
             the target's corner is chosen.
     """
@@ -76,7 +76,7 @@ class Packing:
         n_items: number of boxes in the order.
         extent_mm: length and width of the target + ``clearance_mm``, since the last box of a row needs no free space
             behind it, mm.
-        placed: placed boxes in packing order. They refer to the same objects as ``items``.
+        placed: placed boxes in packing order. Placed boxes refer to the same objects as ``items``.
         top_mm: height of the highest top, mm.
         volume_m3: volume of the placed boxes, m³.
         moment_kg_mm: sum of mass × height of the middle over all placed boxes, kg·mm. Of two equally high packings, the
@@ -147,7 +147,7 @@ class Packing:
         Args:
             count: largest number of candidates.
             kinds: numbers of the kinds of boxes that are considered. Kinds are numbered in the sequence of their first
-                appearance in the items. If None, all kinds are considered.
+                appearance in the items. If ``kinds`` is None, all kinds are considered.
         """
         table, weight = self._table, self._weight
         support = table.carried / table.area
@@ -212,8 +212,8 @@ class Packing:
         ``highest_mm``.
 
         Args:
-            first: candidate that is placed first, one of those that the last call of ``next`` returned. If None, the
-                best candidate is placed first.
+            first: candidate that is placed first, one of those that the last call of ``next`` returned. If ``first`` is
+                None, the best candidate is placed first.
             highest_mm: largest allowed height of a top, mm.
         """
         twin = self.copy()

@@ -108,5 +108,5 @@ AXES: Final[Mapping[str, tuple[Any, str]]] = {
 
 ``base`` includes the free space beside a box, ``own_base`` does not. ``stock`` is the number of remaining boxes of each
 kind. Lengths are in m in the tables of the balance (``low_m`` to ``owner``), and in mm in all other tables.
-``made_shape`` and ``made_corner`` describe the boxes that the compiled code has placed. All tables after them are
-scratch memory."""
+``made_shape`` and ``made_corner`` describe the boxes that the compiled code has placed. All tables after
+``made_corner`` are scratch memory."""

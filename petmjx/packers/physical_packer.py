@@ -38,9 +38,9 @@ def pack_physical(
         orders: pairs of an id and an order.
         options: options of the packer.
         how: options of ``petmjx.score`` for the simulations.
-        workers: number of processes for the search. This number does not affect the plans.
+        workers: number of processes for the search, which does not affect the plans.
         look_ahead: if given, the packer ``learned`` makes the packing that is simulated, and sees this number of boxes
-            at a time. If None, the search makes the packings.
+            at a time. If ``look_ahead`` is None, the search makes the packings.
 
     Raises:
         InputError: the options are unusable.

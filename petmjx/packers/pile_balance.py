@@ -3,10 +3,10 @@
 The criterion is mechanical equilibrium (Ramos, Oliveira, Gonçalves, Lopes 2016, "A container loading algorithm with
 static mechanical equilibrium constraints", Transportation Research Part B 91, 565–581). The load of a box is the
 resultant of its own weight and of all forces on its top. The load must act within the convex hull of the areas on which
-the box stands, and in this module inside by at least a margin. Statics does not determine how a box distributes its
-load among the boxes below. This module assumes that the pressure under its base is linear, p = a + b·x + c·y, as on a
-bed of equal springs (Winkler 1867, "Die Lehre von der Elasticität und Festigkeit"). The force and the moments of this
-pressure balance the load. On two narrow supports, this is the lever rule.
+the box stands. This module also requires a margin: a least distance inside the hull. Statics does not determine how a
+box distributes its load among the boxes below. This module assumes that the pressure under a box's base is linear, p =
+a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die Lehre von der Elasticität und Festigkeit"). The force
+and the moments of this pressure balance the load. On two narrow supports, this assumption gives the lever rule.
 
 A load is a vector (F, F·x, F·y), where (x, y) is the point at which the force F acts. The load that a box passes to a
 box below is a linear function of its own load: a 3 × 3 matrix. ``Balance`` stores the products of these matrices, from
@@ -28,8 +28,8 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.packers.packing_tables import Count
 
 TOUCH_MM: Final = 1e-6
-"""Tolerance of lengths for rounding errors of float64 sums, mm. Tops whose heights differ by less count as equally
-high. Smaller overlaps are ignored."""
+"""Tolerance of lengths for rounding errors of float64 sums, mm. Tops whose heights differ by less than this count as
+equally high. Overlaps smaller than this are ignored."""
 
 SHARE_SLACK: Final = 1e-9
 """Tolerance of supported shares for rounding errors: a share may be lower than the smallest allowed share by this
@@ -38,20 +38,20 @@ number."""
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
 """Distance inside the hull at which the load of a box must act: ``MARGIN_M``, or ``MARGIN_SHARE`` of the base's shorter
-side if that is smaller. With 10 mm and a supported share of at least 0.6, all of 60 plans stood as well. The larger
-distance allows for the errors of a robot."""
+side if that is smaller. With a distance of 10 mm and a supported share of at least 0.6, all of 60 plans stood, too. The
+larger ``MARGIN_M`` allows for the errors of a robot."""
 
 FAR_M: Final = 0.2
 """Upper limit of computed margins against tipping, m. A box on the carrier has this margin."""
 
 SAME_PLACE_DECIMALS: Final = 9
 """Number of decimals to which corners in m are rounded, that is, to a nanometre. The algorithm of the hull processes
-points from left to right. Without rounding, it could lose a point that lies so little to the left of others that
-products in float64 cannot resolve the distance."""
+points from left to right. Without rounding, the algorithm could lose a point that is further left than other points by
+a distance too small for products in float64."""
 
 LEAST_TURN_M2: Final = 1e-12
-"""Smallest cross product, m², of two successive edges of the hull at a corner. If it is smaller, the point is not a
-corner but lies on an edge: the difference is rounding."""
+"""Smallest cross product, m², of two successive edges of the hull at a corner. If the cross product is smaller, the
+point between the two edges counts as a point of a single edge, not as a corner: the difference is rounding."""
 
 SLACK_KG_M: Final = 1e-9
 """Tolerance for rounding errors when a load is compared with an edge, kg·m."""
@@ -64,8 +64,8 @@ class Rest(NamedTuple):
         load: (3,) the box's own weight as a load: kg, kg·m, kg·m.
         passed: (n, 3, 3) for each of the n earlier boxes, the matrix that turns a load of the box into the part that
             the earlier box carries. None if the box stands on the carrier.
-        planes: (k, 3) edges of the hull of the box's supports, moved inwards by the margin. The scalar product of such
-            a row with a load is ≤ 0 if the load acts inside the moved edge.
+        planes: (k, 3) edges of the hull of the box's supports, moved inwards by the margin. The scalar product of an
+            edge's row with a load is ≤ 0 if the load acts inside the moved edge.
     """
 
     load: FloatArray
@@ -79,7 +79,7 @@ class Margins(NamedTuple):
     Attributes:
         rest: the effect of the box on the balance; None if the box has no support.
         own_m: distance of the box's own weight from the nearest edge of its hull of supports, m; negative outside.
-        pile_m: smallest such distance of the loads of all earlier boxes, m.
+        pile_m: smallest distance of an earlier box's load from the nearest edge of that box's hull of supports, m.
     """
 
     rest: Rest | None
@@ -225,7 +225,7 @@ class Balance:
 
 
 def tips(planes: FloatArray, load: FloatArray) -> bool:
-    """Whether a load acts outside one of the moved edges ``planes``; see ``Rest``."""
+    """Whether a load acts outside one of the moved edges ``planes`` (``Rest.planes``)."""
     return bool((planes @ load).max() > 0)
 
 

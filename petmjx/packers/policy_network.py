@@ -15,7 +15,7 @@ class Network:
     """score = x · linear + tanh(x · hidden + bias) · out + constant, with x = (features − mean) / scale.
 
     Attributes:
-        mean, scale: (f,) mean and scale of the features. They are not trained.
+        mean, scale: (f,) mean and scale of the features, which are not trained.
         linear: (f,) weights of the linear part.
         hidden: (f, h) weights of the hidden layer's inputs.
         bias: (h,) biases of the hidden layer.

@@ -1,7 +1,7 @@
 """Sample plans in BED-BPP's format, packed from generated orders or from a file of orders.
 
-``generate`` and ``write_samples`` generate orders with BED-BPP's statistics and pack them. If no packer is named, they
-make a mixed set for trials and benchmarks: some plans stand and some collapse. About half of these plans
+``generate`` and ``write_samples`` generate orders with BED-BPP's statistics and pack them. If no packer is named, these
+functions make a mixed set for trials and benchmarks: some plans stand and some collapse. About half of these plans
 (``loose_share``) are loose, that is, packed with an unsafe support rule; the other plans are strict. If a packer is
 named, it packs all plans by its own rules, so that packers can be compared. Plan i depends only on the seed, i, the
 packer and ``loose_share``. So the plans of ``n = 10`` are the first ten plans of ``n = 1000``.
@@ -93,12 +93,13 @@ def generate(
     Args:
         n: number of plans.
         seed: seed of the random numbers.
-        loose_share: share of loose plans, for the packer ``baseline``; other packers make no loose plans. If None, the
-            share is 0 for a named packer, else ``DEFAULT_LOOSE_SHARE``.
-        packer: a name in ``petmjx.packers.packer_registry.PACKERS``. All packers get the same orders. If None,
-            ``baseline`` packs a mixed set.
-        look_ahead: number of boxes that the packer ``learned`` sees at a time. If None, it is 1.
-        workers: number of processes. This number does not affect the plans.
+        loose_share: share of loose plans, for the packer ``baseline``; other packers make no loose plans. If
+            ``loose_share`` is None, the share is 0 for a named packer, else ``DEFAULT_LOOSE_SHARE``.
+        packer: a name in ``petmjx.packers.packer_registry.PACKERS``. All packers get the same orders. If ``packer`` is
+            None, ``baseline`` packs a mixed set.
+        look_ahead: number of boxes that the packer ``learned`` sees at a time. If ``look_ahead`` is None, the packer
+            sees 1 box.
+        workers: number of processes, which does not affect the plans.
         on_left_out: function that is called with the items that a plan leaves out, just before the plan is yielded.
 
     Raises:
@@ -183,15 +184,16 @@ def pack_orders(
     Args:
         path: the file, gzipped or not.
         seed: seed of the packer's random numbers.
-        packer: a name in ``petmjx.packers.packer_registry.PACKERS``. If None, it is ``baseline``.
-        rules: rules of the packer ``baseline``. If None, its strict rules are used.
-        look_ahead: number of boxes that the packer ``learned`` sees at a time. If None, it is 1.
-        workers: number of processes. This number does not affect the plans.
-        on_bad_order: function that is called with the error of each bad order; the order is then skipped. If None, the
-            error is raised.
+        packer: a name in ``petmjx.packers.packer_registry.PACKERS``. If ``packer`` is None, the packer is ``baseline``.
+        rules: rules of the packer ``baseline``. If ``rules`` is None, the packer's strict rules are used.
+        look_ahead: number of boxes that the packer ``learned`` sees at a time. If ``look_ahead`` is None, the packer
+            sees 1 box.
+        workers: number of processes, which does not affect the plans.
+        on_bad_order: function that is called with the error of each bad order; the order is then skipped. If
+            ``on_bad_order`` is None, the error is raised.
         on_left_out: function that is called with the items that a plan leaves out, just before the plan is yielded.
-        reading: how a file is read that is not in BED-BPP's form, and its target. If None, it is read in the most
-            plausible way.
+        reading: how a file is read that is not in BED-BPP's form, and its target. If ``reading`` is None, the file is
+            read in the most plausible way.
 
     Raises:
         InputError: the file has no orders, the packer is unknown, or an order is bad and ``on_bad_order`` is None.
@@ -285,7 +287,7 @@ def as_placements(placed: Iterable[PlacedBox]) -> list[Placement]:
 
 
 def _seldom(item: Item) -> dict[str, Any]:
-    """Those properties of an item that few orders give."""
+    """The properties of an item that only few orders give."""
     fields: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
     fields |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
     return fields | ({"kind": item.kind} if item.kind else {})

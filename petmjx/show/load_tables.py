@@ -108,8 +108,8 @@ def _table(loads: Loads) -> FittedTable:
 
 
 def _overload_text(row: Mapping[str, Any]) -> str:
-    """Text that states whether a box of a world is overloaded and, if forces are given as intervals, whether this is
-    certain."""
+    """Text that states whether a box of a world is overloaded and, if forces are given as intervals, whether the
+    overload is certain."""
     overloaded: Any = row["overloaded"]
     answer = "-" if pd.isna(overloaded) else "yes" if overloaded else "no"
     if row.get("surely_overloaded") is True:

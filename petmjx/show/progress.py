@@ -43,7 +43,8 @@ def progress(total: int | None, what: str = "plan", console: Console | None = No
     Args:
         total: number of worlds; None if it is unknown.
         what: the word for a world in messages: ``plan``, or ``world`` in sweeps.
-        console: the console to write to. If None, it is standard error, so that standard output contains only results.
+        console: the console to write to. If ``console`` is None, progress is written to standard error, so that
+            standard output contains only results.
     """
     console = console or Console(stderr=True, force_interactive=None if _is_terminal() else False)
     if console.is_interactive:

@@ -270,7 +270,8 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
 
     Args:
         worlds, boxes: tables of the run. If ``boxes`` is empty, the article of the first box to fail is not shown.
-        orders: the run's table ``plans``, if it has the number of boxes left out. This number then becomes a column.
+        orders: the run's table ``plans``, if it has the number of boxes left out. The number of boxes left out then
+            becomes a column of the printed table.
     """
     on_edge = any(int(flags) & Flag.KNIFE_EDGE for flags in worlds["flags"])
     edges = (TableColumn("edge\nmm", spare=6), TableColumn("of\nbox", spare=6)) if on_edge else ()

@@ -30,11 +30,12 @@ _DOUBTS: Final = {
     "monotone": "* a level above the smallest that failed was survived",
     "moving": "~ boxes still moved there when the longest wait was over",
 }
-"""Name of a column in the summary of a search that makes an answer doubtful → footnote of the table. The first letter
+"""Name of each column in a search's summary that can make an answer doubtful → footnote of the table. The first letter
 of a footnote is its mark."""
 
 _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
-"""Columns of axes that every table of a search shows, or whose largest survived value is the answer of the search."""
+"""Columns of axes: those that every table of a search shows, and those whose largest survived value is the answer of
+the search."""
 
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 
@@ -412,12 +413,13 @@ def turns_table(summary: pd.DataFrame) -> FittedTable:
 
 
 _SAME_LEVEL_G: Final = 1e-9
-"""Largest difference of two levels that count as equal, g. It is needed since 0.1 + 0.2 is not exactly 0.3."""
+"""Largest difference of two levels that count as equal, g. This tolerance is needed since 0.1 + 0.2 is not exactly
+0.3."""
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:
-    """(n,) whether each answer of a search is doubtful according to one column of ``_DOUBTS``. All are False if an
-    older run does not have the column."""
+    """(n,) whether each answer of a search is doubtful according to one column of ``_DOUBTS``. All values are False if
+    the run is of an older version that does not have the column."""
     if column not in summary:
         return pd.Series(False, index=summary.index)
     return summary[column].astype(bool) != (column == "monotone")

@@ -23,11 +23,11 @@ class TableColumn:
     Attributes:
         header: heading, which may have several lines.
         justify: alignment of the column's cells.
-        least: number of characters to which texts may be shortened. If None, texts are never shortened.
-        middle: whether texts are shortened in the middle, which suits names that differ at their ends. If False, texts
-            are shortened at the end.
+        least: number of characters to which texts may be shortened. If ``least`` is None, texts are never shortened.
+        middle: whether texts are shortened in the middle, which suits names that differ at their ends. If ``middle`` is
+            False, texts are shortened at the end.
         spare: rank for leaving out the column if the table is too wide: the column with the largest number is left out
-            first. A column with 0 is never left out.
+            first. A column whose ``spare`` is 0 is never left out.
     """
 
     header: str
@@ -136,10 +136,10 @@ def number(value: Any, form: str | None = None, unit: str = "", factor: float = 
 
     Args:
         value: the number, or None or NaN.
-        form: format specification. If None, the number has three digits (``three_digits``).
+        form: format specification. If ``form`` is None, the number has three digits (``three_digits``).
         unit: text after the number.
         factor: the factor.
-        sign: whether positive numbers also get a sign. This is used only if ``form`` is None.
+        sign: whether positive numbers also get a sign; ignored unless ``form`` is None.
     """
     if pd.isna(value):
         return "-"

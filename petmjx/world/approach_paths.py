@@ -24,25 +24,26 @@ from petmjx.world.stackable_scenes import stacked_values
 HAND_RATE_1_S: Final = 50.0
 """Natural angular frequency of the hand's spring with a box, 1/s. The spring is critically damped: a box that is pushed
 away returns within about 3 / 50 s. The value is the inverse of the time constant of contacts with the physics
-``pallet``, since a stiffer hand would work against the contacts. The stiffness is m · 50² / s²: a box that is 1 mm
-behind on its path is pushed with 2.5 N per kg of its mass."""
+``pallet``, since a stiffer hand would work against the contacts. For a box of mass m, the spring's stiffness is m · 50²
+/ s²: a box that is 1 mm behind on its path is pushed with 2.5 N per kg of its mass."""
 
 MOST_RATE_PER_STEP: Final = 0.1
 """Largest product of the natural frequency and the timestep. The hand's forces are computed at the beginning of a step.
-With semi-implicit Euler, the damped hand is stable if this product h is below 2 (√2 − 1) = 0.83 (Jury's criterion for
-z² − (2 − 2h − h²) z + 1 − 2h). At 0.1, the simulated motion differs from the continuous motion by at most a tenth."""
+With semi-implicit Euler, the hand's motion is stable if the product h of natural frequency and timestep is below 2 (√2
+− 1) = 0.83 (Jury's criterion for z² − (2 − 2h − h²) z + 1 − 2h). With h = 0.1, the simulated motion differs from the
+continuous motion by at most a tenth."""
 
 MOST_WAY_S: Final = 2.0
 """Longest duration of an approach, s. If an approach would take longer, because the box starts high, the box moves
 faster."""
 
 MOST_STUCK_S: Final = 0.5
-"""Longest time for which the hand holds a box at the end of its path, waiting for the box to come to rest, s. After
-that, the hand may take up to the same time to set the box down."""
+"""Longest time for which the hand holds a box at the end of its path, waiting for the box to come to rest, s. Setting
+the box down may then take up to the same time again."""
 
 AT_PLACE_M: Final = 0.0002
 """Distance from the end of the path within which a box counts as arrived, m. Contacts give way by a tenth of a
-millimetre, so a smaller distance may not be reached."""
+millimetre, so a box might never come nearer than that."""
 
 MISSED_M: Final = 0.01
 """Distance from its place, m, beyond which a box that the hand releases counts as not placed. If there is room, boxes
@@ -53,7 +54,7 @@ LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
 """A damper sets a box down. The damper's rate (damping constant / mass) is ``LOWERING_RATE_1_S``, 1/s. The product of
 rate and timestep is at most ``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is only stable below 2. The box sinks
-at 9.81 m/s² / (400 / s) = 25 mm/s. If a box lands at this speed, a contact of the physics ``pallet`` gives way by a
+at 9.81 m/s² / (400 / s) = 25 mm/s. If a box lands at 25 mm/s, a contact of the physics ``pallet`` gives way by a
 quarter of a millimetre."""
 
 LOWERING_STEPS: Final = 5
@@ -61,16 +62,16 @@ LOWERING_STEPS: Final = 5
 fast that it does not count as quiet (at rest)."""
 
 FREE_M: Final = 0.0003
-"""Largest overlap of two boxes that is ignored, m. It is twice the distance by which soft contacts may move neighbours
-that stand flush. So small an overlap does not push neighbours apart visibly."""
+"""Largest overlap of two boxes that is ignored, m. The value is twice the distance by which soft contacts may move
+neighbours that stand flush. An overlap of this size does not visibly push neighbours apart."""
 
 MOST_TILTED: Final = 0.5
 """Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. So the tilt
 of a released box does not count as a sign of failure."""
 
 MOST_SIDESTEPS: Final = 8
-"""Largest number of times that the start of a path is moved aside because a box is in the way. If the start is then
-still not free, it is moved up instead."""
+"""Largest number of times that the start of a path is moved aside because a box is in the way. If a box is still in the
+way of the start, the start is moved up instead."""
 
 ASIDE_SHARE: Final = 2.0
 """Largest distance by which the start of a path is moved aside, as a multiple of the usual horizontal distance between
@@ -93,10 +94,11 @@ class ApproachPath(NamedTuple):
         lift: (n, 3) vector from each box's place to the end of its path, m. The box is released at the end of its path.
         quat: (n, 4) orientation of each box on its path, as a quaternion (w, x, y, z).
         offset: (n, 3) vector from the end of each path to its start, m, if no other box is at that start.
-        steps: (n,) duration of each path in steps. If 0, the box is not carried, but falls.
-        falls: (n,) whether the box falls after its path. If False, the hand sets the box down and then releases it.
-        aside: (n, 2, 2) largest distance by which the start of each path may be moved aside, m. Axis 1 is the low and
-            the high direction, axis 2 is x and y.
+        steps: (n,) duration of each path in steps. A box with 0 steps is not carried, but falls.
+        falls: (n,) whether each box falls at the end of its path. The hand sets all other boxes down before it releases
+            them.
+        aside: (n, 2, 2) largest distance by which the start of each path may be moved aside, m. Axis 1 is the negative
+            and the positive direction, axis 2 is x and y.
     """
 
     lift: FloatArray
@@ -134,7 +136,7 @@ def approach_path_of(scene: Scene, sim: Simulation) -> ApproachPath | None:
 def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath | None:
     """The approach paths of stackable scenes (scenes with arrays of equal shapes, petmjx.world.stackable_scenes).
 
-    They are bit-identical to the results of ``approach_path_of``.
+    The paths are bit-identical to the results of ``approach_path_of``.
     """
     placing = scenes[0].placing
     if placing.appears or sim.check is Check.STATIC:
@@ -164,16 +166,16 @@ def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath 
 def _between_walls(
     room: Room, end: FloatArray, offset: FloatArray, reaches: FloatArray, aside: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(…, n, 2) horizontal offsets with which all paths start between the walls, m, and (…, n, 2, 2) the distances
-    ``aside`` of ``ApproachPath`` that these offsets leave, m.
+    """(…, n, 2) horizontal vectors from the ends of the paths to starts that are between the walls, m, and (…, n, 2, 2)
+    the distances by which these starts may still be moved aside, m (``ApproachPath.aside``).
 
     A box that does not fit between the walls starts in the middle between them.
 
     Args:
         end: (…, n, 3) ends of the paths, m.
-        offset: (…, n, 2) horizontal vectors from the ends of the paths to their starts, without regard to walls, m.
+        offset: (…, n, 2) horizontal vectors from the ends of the paths to their starts if there were no walls, m.
         reaches: (…, n, 3) half extents of the rotated boxes along x, y and z, m.
-        aside: (…, n, 2, 2) the distances ``aside`` of ``ApproachPath`` without regard to walls, m.
+        aside: (…, n, 2, 2) ``ApproachPath.aside`` if there were no walls, m.
     """
     gap = room.gaps(end, reaches, BESIDE_M)
     low, high = -gap[..., 0, :], gap[..., 1, :]
@@ -220,8 +222,8 @@ def most_aside_m(placing: Placing) -> float:
 
 
 def stuck_steps(timestep_s: float) -> int:
-    """Largest number of steps for which the hand holds a box at the end of its path. It is also the largest number of
-    steps that the hand takes to set the box down."""
+    """Largest number of steps for which the hand holds a box at the end of its path, and largest number of steps that
+    the hand then takes to set the box down."""
     return int(MOST_STUCK_S / timestep_s)
 
 
@@ -236,16 +238,17 @@ def free_begin(
     """(3,) position of a box's middle at the start of its path, m, at which the box overlaps no other box.
 
     The result is ``begin`` if there is room, else a position beside ``begin``, else a position above ``begin``. The box
-    is moved aside from the first box that it overlaps, along x or y, whichever overlap is smaller. Such moves are
-    repeated at most ``MOST_SIDESTEPS`` times. If the box would be moved by more than ``most_m`` in all, or still
-    overlaps a box, it is moved up from ``begin`` instead. ``begin`` is between the carrier's walls; moves of up to
-    ``most_m`` stay between the walls.
+    is moved aside from the first box that it overlaps, along x or y, whichever overlap is smaller. The box is moved
+    aside at most ``MOST_SIDESTEPS`` times. If the box would be moved by more than ``most_m`` in all, or still overlaps
+    a box, it is moved up from ``begin`` instead. ``begin`` is between the carrier's walls, and a box that is moved
+    aside by up to ``most_m`` stays between the walls.
 
     Args:
         begin: (3,) preferred position at the start, m.
         own_reach: (3,) half extents of the box along x, y and z, m.
         pos, reaches: (k, 3) middles, and half extents along x, y and z, of the boxes that already stand, m.
-        most_m: (2, 2) largest distance of moves aside, m: axis 0 is the low and the high direction, axis 1 is x and y.
+        most_m: (2, 2) largest distance by which the box may be moved aside, m: axis 0 is the negative and the positive
+            direction, axis 1 is x and y.
     """
     aside = begin.copy()
     for _ in range(MOST_SIDESTEPS + 1):
@@ -278,7 +281,7 @@ def _overlap(
 
 
 def _approaches(scene: Scene, room: Room | None) -> tuple[FloatArray, FloatArray]:
-    """The result of ``_approaches_of`` for one scene."""
+    """The directions and the unit vectors of ``_approaches_of`` for the boxes of one scene."""
     return _approaches_of(_neighbour_mask(scene.target, scene.half_size, scene.placing, room), scene.approach)
 
 
@@ -286,15 +289,16 @@ def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> 
     """(…, n, 2) horizontal directions in which boxes move to their places, and (…, n, 2) a unit vector along x or y for
     each box.
 
-    A box starts at the length of its direction × the option ``placing.side_mm`` to the side of its place. If the plan
-    gives no direction, a box moves along x towards the side that has a neighbour, provided that the opposite side has
-    no neighbour. The same holds along y. So a box without neighbours, or between two neighbours, moves straight down.
-    The unit vector is along the axis that is nearest to the direction. If the direction is 0, the unit vector is along
-    an axis on which the box has no neighbour; if x and y are equally good, along x.
+    A box starts beside its place, at the horizontal distance (length of its direction) × (option ``placing.side_mm``).
+    If the plan gives no direction, a box moves along x towards the side that has a neighbour, provided that the
+    opposite side has no neighbour, and likewise along y. So a box without neighbours, or between two neighbours, moves
+    straight down. The unit vector is along the axis that is nearest to the direction. If the direction is 0, the unit
+    vector is along an axis on which the box has no neighbour; if x and y are equally good, along x.
 
     Args:
-        beside: (…, n, 2, 2) the result of ``_neighbour_mask``.
-        approaches: (n, 2) directions that the plan gives; a row of 0 is no direction. None if the plan gives none.
+        beside: (…, n, 2, 2) whether each side of a box has a neighbour, from ``_neighbour_mask``.
+        approaches: (n, 2) directions that the plan gives; a row of 0 is no direction. None if the plan gives no
+            directions.
     """
     towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
     if approaches is not None:
@@ -311,15 +315,15 @@ def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> 
 def _neighbour_mask(
     place: FloatArray, half: FloatArray, placing: Placing, room: Room | None = None
 ) -> NDArray[np.bool_]:
-    """(…, n, 2, 2) whether each side of a box has a neighbour when the box is placed, according to the plan. The last
-    two axes are the low and high side, and x and y.
+    """(…, n, 2, 2) whether each side of a box has a neighbour when the box is placed, according to the plan. Axis −2 is
+    the low and the high side, axis −1 is x and y.
 
     A neighbour is a box or a wall that is nearer than the largest distance by which a path's start may be moved aside.
 
     Args:
         place: (…, n, 3) planned middles of the boxes, m.
         half: (…, n, 3) half extents of the boxes, m.
-        room: the space between the carrier's walls. If None, there are no walls.
+        room: the space between the carrier's walls. If ``room`` is None, there are no walls.
     """
     near_m = most_aside_m(placing)
     lifted_m = placing.height_mm / MM_PER_M

@@ -1,9 +1,9 @@
-"""Loads with which vertical forces can balance a stack of boxes, found by a linear programme.
+"""A linear programme that finds loads with which vertical forces balance a stack of boxes.
 
 The load of a box is its own weight plus the weight that rests on it. The box is in balance if its load acts inside the
 edges of its supports, that is, within their convex hull. Statics does not determine how several supports share a load.
-With some shares, a load may be beyond an edge, while all loads are inside with other shares. If shares exist with which
-all loads are inside, rigid boxes stand.
+So a load may be beyond an edge if supports share loads in one way, and inside if they share loads in another way. Rigid
+boxes stand if there is a way of sharing with which all loads are inside.
 
 The unknowns of the programme are forces at the corners of all contact areas of boxes with several supports. The forces
 must push, and must balance every box. The programme chooses the forces with which the load nearest to an edge is as far
@@ -11,7 +11,7 @@ inside as possible. If no forces keep all loads inside, the programme minimises 
 1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in
 Engineering 12(12), uses forces of this kind.)
 
-A box with one support passes its whole load to this support. The edges of this support are part of the programme, but
+A box with one support passes its whole load to this support. The programme contains the edges of a single support, but
 its force is not an unknown.
 """
 
@@ -27,15 +27,15 @@ from petmjx.world.load_sharing import IntArray
 from petmjx.world.supports import Bearing
 
 FAR_M: Final = 0.1
-"""Distance inside the edges, m, with which the programme is content. It does not move loads further inside."""
+"""Distance inside the edges, m, that is enough: the programme does not move loads further inside."""
 
 BEYOND_M: Final = 1e-6
 """Distance beyond an edge, m, that a load must exceed in the programme's result to count as beyond the edge. The
 solver's tolerance is a tenth of this distance."""
 
 _OUTSIDE: Final = 10.0
-"""Cost in the programme of a metre by which a load is beyond an edge, as a multiple of the gain of a metre inside. A
-metre of an unbalanced moment (moment / load) costs this multiple of a metre beyond an edge."""
+"""Cost of a load that is a metre beyond an edge in the programme, as a multiple of the gain of a metre inside an edge.
+A metre of an unbalanced moment (moment / load) costs this multiple of a metre beyond an edge."""
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Inward normals of a rectangle's edges: of the two edges at the lowest corner, then of the two at the highest."""
@@ -45,7 +45,7 @@ def balanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray] | None:
     """(n, 3) loads that balance the boxes of one scene as well as possible, and (n,) the distances by which these loads
-    are still beyond edges, m. None if no choice of shares changes any of the loads that are beyond an edge.
+    are still beyond edges, m. None if no load that is beyond an edge depends on how supports share loads.
 
     Args:
         bearing: the contacts between boxes and their supports in one scene.
@@ -58,8 +58,8 @@ def balanced_loads(
     passed, fixed = _fixed_forces(bearing, placed)
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
-    # for each box with several supports: the loads that depend on how its supports share its load. These are the loads
-    # of the boxes below, and its own load, which the equations also contain.
+    # For each box with several supports: the loads that depend on how these supports share the box's load. The loads of
+    # all boxes below depend on this sharing. The box's own load is included, since the equations also contain it.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True
@@ -83,15 +83,15 @@ def _fixed_forces(bearing: Bearing, placed: NDArray[np.bool_]) -> tuple[NDArray[
     """(c, n) whether the force at each contact is part of the load of each box, and (n, 3) the part of each load that
     does not depend on these forces.
 
-    A force at a contact is part of the load of the box below. If that box has a single support, the force is also part
-    of this support's load, and so on. A box's own weight is passed on in the same way.
+    A force at a contact is part of the load of the box below. If the box below has a single support, the force is also
+    part of that support's load, and so on. A box's own weight is passed on in the same way.
     """
     n = len(placed)
     one = placed & (bearing.n_supports == 1)
     below = np.full(n, -1)
     below[bearing.upper] = bearing.lower
     below[~one] = -1
-    reach = np.zeros((n + 1, n), bool)  # the last row belongs to the carrier
+    reach = np.zeros((n + 1, n), bool)  # the last row stands for the carrier
     order = np.argsort(-bearing.level, kind="stable")
     for box in order[placed[order]].tolist():
         reach[box] = reach[below[box]]
@@ -112,8 +112,8 @@ def _solved_loads(
     """(n, 3) loads of one scene, and (n,) distances by which these loads are beyond edges, m. None if the programme has
     no solution.
 
-    The loads of the boxes ``changed`` are those of the programme. The other loads are those in ``load``. The unknowns
-    of the programme are
+    The loads of the boxes ``changed`` are those of the programme. The loads of all other boxes are those in ``load``.
+    The unknowns of the programme are
 
     - the forces at the four corners of each contact in ``contacts``,
     - the distance by which each load is beyond an edge,

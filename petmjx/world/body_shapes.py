@@ -31,9 +31,10 @@ class Body:
         friction: (s, 3) sliding, torsional and rolling coefficients of the shapes.
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
-        surface: (s,) surface number of each shape (petmjx/world/friction_pairs.py). If None, every shape has 0.
-        walls: sides of a carrier that have a wall. The last shapes are these walls, in this order; all other shapes are
-            boards.
+        surface: (s,) surface number of each shape (petmjx/world/friction_pairs.py). If ``surface`` is None, every shape
+            has the surface 0.
+        walls: sides of a carrier that have a wall. The walls are the body's last shapes, in the order of ``walls``; all
+            other shapes are boards.
     """
 
     pos: FloatArray
@@ -55,8 +56,8 @@ class Body:
         """A body made of boards. Each board is a solid cuboid.
 
         The edges of the boards are used as the principal axes of the body: products of inertia are neglected. For a
-        pallet without one of its outer deck boards, these products are a few per cent of the moments of inertia. They
-        would matter only if the carrier turned, but it stands on the floor.
+        pallet without one of its outer deck boards, these products are a few per cent of the moments of inertia.
+        Products of inertia would matter only if the carrier turned, but it stands on the floor.
 
         Args:
             center: (s, 3) centres of the boards, m.
@@ -97,12 +98,12 @@ class Body:
 
     @property
     def n_boards(self) -> int:
-        """Number of shapes that are not walls. They are the first shapes of the body."""
+        """Number of shapes that are not walls. These shapes come before the walls."""
         return len(self.half_size) - len(self.walls)
 
     def without_walls(self, sides: Collection[Side]) -> Body:
-        """This body without the walls on ``sides``. The mass of these walls still counts, so that the centre of mass
-        stays the same.
+        """This body without the walls on ``sides``. The body's mass still includes the removed walls, so that the
+        centre of mass stays the same.
 
         Raises:
             ValueError: the body has no wall on one of the sides.
@@ -148,8 +149,8 @@ class Room:
     """The space between the walls of one or several carriers.
 
     Attributes:
-        face: (…, 2, 2) coordinates of the walls' inner faces, m; infinite if there is no wall. The last two axes are
-            the low and the high end, and x and y.
+        face: (…, 2, 2) coordinates of the walls' inner faces, m; infinite if there is no wall. Axis −2 is the low and
+            the high end, axis −1 is x and y.
         top: (…, 2, 2) heights of the walls' tops, m.
     """
 
@@ -158,7 +159,7 @@ class Room:
 
     @classmethod
     def of(cls, carriers: Sequence[Body]) -> Room:
-        """The spaces of m carriers, with arrays (m, 2, 2)."""
+        """The spaces between the walls of m carriers, as arrays (m, 2, 2)."""
         rooms = [carrier.room for carrier in carriers]
         return cls(np.array([room.face for room in rooms]), np.array([room.top for room in rooms]))
 
@@ -173,7 +174,8 @@ class Room:
 
         Args:
             place, half: (…, n, 3) middles of the boxes, and half extents along x, y and z, m.
-            least_m: length by which a box must reach below the wall's top, m. Otherwise, the box is above the wall.
+            least_m: length by which a box must reach below the wall's top, m. A box that reaches less far down is above
+                the wall.
         """
         inwards, beside = self._inwards(place, half, least_m)
         gap: FloatArray = np.where(beside & (inwards > 0), inwards - half[..., None, :2], np.inf)
@@ -233,6 +235,6 @@ class Shapes:
     surface: NDArray[np.intp]
 
     def of(self, body: int) -> range:
-        """The rows of the arrays with the shapes of one body."""
+        """The range of rows in which the arrays have the shapes of one body."""
         begin, end = np.searchsorted(self.body, [body, body + 1]).tolist()
         return range(begin, end)

@@ -32,9 +32,9 @@ class Pallet:
     Attributes:
         boards: corner and size of each board, mm.
         masses_kg: mass of each board.
-        frictions: coefficient of sliding friction of each board. None stands for ``Physics.carrier_friction``. If the
-            tuple is empty, all boards have ``Physics.carrier_friction``.
-        materials: material of each board. If the tuple is empty, all boards are wooden.
+        frictions: coefficient of sliding friction of each board. None stands for ``Physics.carrier_friction``. If
+            ``frictions`` is empty, all boards have ``Physics.carrier_friction``.
+        materials: material of each board. If ``materials`` is empty, all boards are wooden.
     """
 
     boards: tuple[Board, ...]
@@ -70,8 +70,8 @@ def _by_volume(boards: Sequence[Board], mass_kg: float) -> tuple[float, ...]:
 
 
 def _epal_1() -> Pallet:
-    """The EPAL 1 pallet of EN 13698-1: 1200 × 800 × 144 mm, about 25 kg. It has five deck boards on three cross boards,
-    nine blocks, and three bottom boards."""
+    """The EPAL 1 pallet of EN 13698-1: 1200 × 800 × 144 mm, about 25 kg. The pallet has five deck boards on three cross
+    boards, nine blocks, and three bottom boards."""
     length, width, board, block = 1200.0, 800.0, 22.0, 78.0
     deck, rows, columns = (145.0, 100.0, 145.0, 100.0, 145.0), (100.0, 145.0, 100.0), (145.0, 145.0, 145.0)
     x, y = _spread(length, columns), _spread(width, rows)
@@ -86,8 +86,8 @@ def _epal_1() -> Pallet:
 
 
 def _gma() -> Pallet:
-    """The GMA pallet of 48 × 40 in, as commonly built. It has seven deck boards (two are 140 mm wide, five are 89 mm),
-    three stringers of 38 × 89 mm, and five bottom boards. Boards are 16 mm thick. The mass is 20 kg."""
+    """The GMA pallet of 48 × 40 in, as commonly built. The pallet has seven deck boards (two are 140 mm wide, five are
+    89 mm), three stringers of 38 × 89 mm, and five bottom boards. Boards are 16 mm thick. The mass is 20 kg."""
     length, width, board, stringer, high = 1219.0, 1016.0, 16.0, 38.0, 89.0
     deck, bottom = (140.0, *[89.0] * 5, 140.0), (140.0, *[89.0] * 3, 140.0)
     boards: list[Board] = []
@@ -102,8 +102,8 @@ def _gma() -> Pallet:
 def _pet_eur() -> Pallet:
     """The pallet of PET-Physics, the reference implementation (its file ``eur-pallet.xml`` of commit 7031863).
 
-    The pallet consists of 20 cuboids of 2 kg each, some of which overlap by 4 mm. In simulations of PET-Physics, its
-    deck is 5 mm above z = 0. In simulations of petmjx, the deck is at z = 0, as for all carriers.
+    The pallet consists of 20 cuboids of 2 kg each, some of which overlap by 4 mm. In simulations of PET-Physics, the
+    pallet's deck is 5 mm above z = 0. In simulations of petmjx, the deck is at z = 0, as for all carriers.
     """
     middle, bottom_mm = np.array([600.0, 400.0, 0.0]), -72.0
     half_and_place: list[tuple[Triple, Triple]] = [((600, 75, 15), (0, y, 62)) for y in (-325, 0, 325)]
@@ -119,11 +119,11 @@ def _pet_eur() -> Pallet:
 
 
 def _rollcontainer_grid() -> Pallet:
-    """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm. It is 200 mm high and
-    weighs 25 kg.
+    """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm. The base is 200 mm high
+    and weighs 25 kg.
 
-    This is a typical base, not that of a certain maker: no source was found for the bars. Length and width are those of
-    the target ``rollcontainer`` in plans. Castors are modelled as blocks that do not roll, like the feet of a pallet.
+    The bars are typical ones: no source was found for the bars of a certain maker. Length and width are those of the
+    target ``rollcontainer`` in plans. Castors are modelled as blocks that do not roll, like the feet of a pallet.
     """
     length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
     under = top - bar - tube
@@ -134,8 +134,8 @@ def _rollcontainer_grid() -> Pallet:
 
 
 def _gitterbox() -> Pallet:
-    """The base of a steel box pallet: a floor of 30 mm on four feet. It is 150 mm high and weighs 25 kg. UIC 435-3
-    gives the sizes of the whole box pallet. The feet are modelled as plain blocks."""
+    """The base of a steel box pallet: a floor of 30 mm on four feet. The base is 150 mm high and weighs 25 kg. UIC
+    435-3 gives the sizes of the whole box pallet. The feet are modelled as plain blocks."""
     length, width, floor, foot, top = 1200.0, 800.0, 30.0, 100.0, 150.0
     boards: list[Board] = [((0, 0, top - floor), (length, width, floor))]
     boards += [((x, y, 0), (foot, foot, top - floor)) for x in (0.0, length - foot) for y in (0.0, width - foot)]
@@ -143,15 +143,15 @@ def _gitterbox() -> Pallet:
 
 
 def _container_20ft() -> Pallet:
-    """The floor of a 20 ft container: 28 mm of wood on a frame. It is modelled as one slab, which is 150 mm high and
-    weighs 900 kg."""
+    """The floor of a 20 ft container: 28 mm of wood on a frame. The floor is modelled as one slab, which is 150 mm high
+    and weighs 900 kg."""
     boards: list[Board] = [((0, 0, 0), (5867.0, 2330.0, 150.0))]
     return Pallet(tuple(boards), (900.0,))
 
 
 def _trailer() -> Pallet:
-    """The floor of a semi-trailer: wood on a frame. It is modelled as one slab, which is 150 mm high and weighs 6 t
-    including the frame."""
+    """The floor of a semi-trailer: wood on a frame. The floor is modelled as one slab, which is 150 mm high and weighs
+    6 t including the frame."""
     boards: list[Board] = [((0, 0, 0), (13600.0, 2480.0, 150.0))]
     return Pallet(tuple(boards), (6000.0,), materials=(TRAILER_FLOOR,))
 
@@ -195,7 +195,8 @@ def body_of(board_pallet: Pallet, physics: Physics) -> Body:
 
 
 WALL_DEPTH_M: Final = 0.02
-"""Largest depth to which walls reach below the carrier's top, m. They reach below it so that no box gets under them."""
+"""Largest depth to which walls reach below the carrier's top, m. Walls reach below the carrier's top so that no box
+gets under them."""
 
 
 def has_walls(sim: Simulation) -> bool:
@@ -272,7 +273,7 @@ def carrier_friction(sim: Simulation) -> float:
 
 
 def floor_z_m(sim: Simulation) -> float:
-    """Height of the floor, m. If the carrier is made of boards, its bottom is on the floor. Otherwise, the height is
-    ``Physics.floor_z_m``."""
+    """Height of the floor, m. If the carrier is made of boards, its bottom is on the floor. If the carrier is a slab,
+    the floor's height is ``Physics.floor_z_m``."""
     board_pallet = pallet(sim.carrier)
     return sim.physics.floor_z_m if board_pallet is None else -board_pallet.height_mm / MM_PER_M

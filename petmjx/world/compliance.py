@@ -8,9 +8,9 @@ the common area of the two faces in the plan. So a box sinks deeper if less of i
 presses deeper into its support.
 
 At rest, MuJoCo's contact of impedance d and time constant τ is the spring f = x / (τ²·ζ²·(1 − d)·A), where A is the sum
-of the inverse masses (petmjx/world/contact_laws.py). So each stiffness corresponds to an impedance. If that impedance
-were below ``LEAST_IMPEDANCE``, the impedance is ``LEAST_IMPEDANCE`` and the time constant is longer. No box can be
-stiffer than the contacts of ``Physics``.
+of the inverse masses (petmjx/world/contact_laws.py). So each stiffness corresponds to an impedance. If a stiffness
+would need an impedance below ``LEAST_IMPEDANCE``, the contact has ``LEAST_IMPEDANCE`` and a longer time constant. No
+box can be stiffer than the contacts of ``Physics``.
 """
 
 from __future__ import annotations
@@ -42,15 +42,16 @@ POINTS_PER_BED: Final = 4
 
 EDGE_SHARE: Final = 2 / 3
 """Smallest pressed share of the common area of two faces. If less of the area is pressed, the springs are as stiff as
-if this share were pressed. Without this limit, a load near an edge would sink without limit. A real carton spreads such
-a load, and its edges carry more than its middle. The limit has no effect on a load at up to 0.28 of the width from the
-middle."""
+if ``EDGE_SHARE`` of the area were pressed. Without this limit, a load near an edge would sink without limit. A real
+carton spreads such a load, and its edges carry more than its middle. The limit has no effect on a load that is at most
+0.28 × the width away from the middle."""
 
 OUTWARD: Final = 0.6
 """Factor for the outward move of the pressure. If the pressed share of a face is below ``EDGE_SHARE``, the pressure
 moves towards the deepest edge, by this factor × (``EDGE_SHARE`` / share − 1) × the distance to that edge. If a quarter
-of the face is pressed, the pressure reaches the edge. The lean is then 12 F / (k·L). At this lean, only the points at
-one edge carry load, of the nine points of Simpson's rule."""
+of the face is pressed, the pressure reaches the edge. For the force F, the stiffness k and the width L of the common
+area, the lean is then 12 F / (k·L). At this lean, of the nine points of Simpson's rule only those at one edge carry
+load."""
 
 FACE_COSINE: Final = 0.5
 """Smallest cosine of the angle between one face's normal and the other face's reversed normal at which two faces press
@@ -109,10 +110,11 @@ def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tupl
 
 
 def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple[Any, Any, Any]:
-    """The two numbers of ``solref``, and the impedance: three numbers for one contact, (p,) arrays for p contacts."""
+    """The two numbers of ``solref`` and the impedance, with which contacts act at rest like the given springs: three
+    numbers for one contact, (p,) arrays for p contacts."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
-    # stiffness of the contact's spring at rest, multiplied by (1 − d)·A; the product is in 1/s²
+    # stiffness of the contact's spring at rest × (1 − impedance) × sum of the inverse masses, in 1/s²
     stiffness = -time_s if time_s < 0 else 1 / (time_s * damping) ** 2
     lack = stiffness / (spring_n_m * inverse_mass)
     impedance = np.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])
@@ -134,7 +136,8 @@ def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[fl
 
 
 def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
-    """(n,) compression of the springs between each box and its supports, m; 0 if neither is compliant.
+    """(n,) compression of the springs between each box and its supports, m; 0 if neither the box nor its supports are
+    compliant.
 
     Args:
         load_n: (n,) force with which each box presses on its supports, N.
@@ -156,7 +159,7 @@ def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
     """(n,) distance by which each box is expected to sink once all boxes are placed, m; None if no box is compliant.
 
     A box sinks by the compression of the springs below it, plus the distance by which its supports sink (the largest,
-    if they differ). Loads are those of the plan.
+    if they differ). The loads on the springs are those of the complete plan.
     """
     if scene.stiffness is None:
         return None

@@ -8,7 +8,7 @@ its depth x follows from (MuJoCo's documentation, chapter Computation, solver pa
 A is the sum of the inverse masses of the two bodies. d₁ is the impedance at depths beyond ``solimp``'s width, τ the
 time constant and ζ the damping ratio. At depths beyond the width, x = (1 − d₁) · τ² · ζ² · A · f. So the contacts of a
 light box give way under a heavy load, even if they are meant to be stiff. With the physics ``pallet`` and four contacts
-per face, they give way by 0.003 mm × (mass on the box) / (mass of the box).
+per face, contacts give way by 0.003 mm × (mass on the box) / (mass of the box).
 
 **Sliding.** In Coulomb's law, friction does not change the pressure of a sliding contact. The coefficient of kinetic
 friction may be smaller than that of static friction.
@@ -29,19 +29,20 @@ for Nonsmooth Dynamical Systems", 2008, section 3.9):
 
     aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − slack, 0)
 
-The excess e depends on accelerations and forces, which in turn depend on e. So e is found by iteration. The iteration
-starts with the accelerations of the previous step. For boxes that slide steadily, e is then already right. If a box
-slides while it lands, friction ends part of the slip, and e becomes smaller. Without the iteration, the pressure in
-such contacts was too low, and boxes slid two to three times as far.
+The excess e depends on accelerations and forces, which in turn depend on e. So the excess is found by iteration. The
+iteration starts with the accelerations of the previous step. For boxes that slide steadily, the excess at the start is
+already right. If a box slides while it lands, friction ends part of the slip, and the excess becomes smaller. Without
+the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as far.
 
 The correction is the same on all engines: petmjx/engines/mujoco/slip.py, petmjx/engines/mjx/slip.py, and in the kernels
 petmjx/engines/warp/kernels/constraint.py and ``respond`` in petmjx/engines/warp/solver/contact.cuh.
 
-**Landing.** At rest, a contact is a spring with a damper (docs/rules.md, section 1). With this law, a landing box would
-sink centimetres into its support and would not bounce. So while a box lands, its contacts follow another law. MuJoCo's
-contacts have reference accelerations: the relative accelerations that the two bodies would have if the contact were
-hard. With the physics ``pallet``, contacts are nearly hard. So the relative acceleration of two bodies in contact is
-the reference acceleration, whatever their masses. The law of landing sets this reference acceleration:
+**Landing.** At rest, a contact is a spring with a damper (docs/rules.md, section 1). With the law of contacts at rest,
+a landing box would sink centimetres into its support and would not bounce. So while a box lands, its contacts follow
+another law. MuJoCo's contacts have reference accelerations: the relative accelerations that the two bodies would have
+if the contact were hard. With the physics ``pallet``, contacts are nearly hard. So the relative acceleration of two
+bodies in contact is the reference acceleration, whatever their masses. The law of landing sets this reference
+acceleration:
 
 - A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If a box lands on
   another box, the box below lands, too. The velocities of both boxes before that step are remembered for
@@ -53,9 +54,10 @@ the reference acceleration, whatever their masses. The law of landing sets this 
   The force is constant during a landing and does not depend on the timestep. A box sinks v₀·``landing_s`` / 2 / (1 + e)
   deep, plus the distance that it travels in the step before.
 - During a landing, all contacts of the world have the stiffness that they have at depths beyond ``solimp``'s width.
-  Otherwise, boxes below would be pressed in before their contacts became stiff.
+  Without this stiffness, boxes below would be pressed in before their contacts became stiff.
 
-The contacts of bodies at rest close more slowly than ``FAST_M_S``, so this law does not affect them.
+The contacts of bodies at rest close more slowly than ``FAST_M_S``, so the law of landing does not affect these
+contacts.
 """
 
 from __future__ import annotations
@@ -75,7 +77,8 @@ CONTACTS_PER_FACE = 4
 """Number of contacts that MuJoCo makes between two faces: the corners of their common rectangle."""
 
 MOST_IMPEDANCE = 0.9999
-"""Largest impedance that MuJoCo accepts (mjMAXIMP). Contacts are 10 times as stiff as with an impedance of 0.999."""
+"""Largest impedance that MuJoCo accepts (mjMAXIMP). With this impedance, contacts are 10 times as stiff as with an
+impedance of 0.999."""
 
 DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
 """Depths of a contact at which its force is computed, m. For other depths, the force is interpolated, with an error of
@@ -84,7 +87,7 @@ DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
 
 def is_stiff(physics: Physics) -> bool:
     """Whether contacts have their full stiffness from depth 0 on. If a world is simulated again because its result was
-    doubtful, the sixth and seventh attempts use such contacts."""
+    doubtful, the sixth and seventh attempts use contacts with full stiffness from depth 0 on."""
     return physics.solimp[0] >= MOST_IMPEDANCE
 
 
@@ -103,7 +106,7 @@ def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -
     low, high = np.minimum(solimp[:2], MOST_IMPEDANCE)
     x = np.minimum(DEPTHS_M / solimp[2], 1.0)
     impedance = low + (high - low) * np.where(x < 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
-    # a negative ``solref`` is −stiffness and −damping
+    # negative numbers in ``solref`` are −stiffness and −damping
     stiffness = -time_s if time_s < 0 else 1 / (max(time_s, 2 * timestep_s) * damping) ** 2
     pulls: FloatArray = stiffness / high**2 * impedance**2 * DEPTHS_M / (1 - impedance)
     return np.maximum.accumulate(pulls)
@@ -123,26 +126,26 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 
 SLACK_M_S2: Final = 5.0
-"""Part of the excess that is not corrected, m/s²: the excess of a slip of 1 cm/s if the time constant of friction is
-4 ms. This excess raises a contact by less than a hundredth of a millimetre, a depth at which contacts are soft. With
-this slack, pallets at rest are bit-identical with and without the correction. Stiff contacts are not soft at any depth,
-and therefore have no slack."""
+"""Part of the excess e of a sliding contact (see the module's docstring) that is not corrected, m/s²: the excess of a
+slip of 1 cm/s if the time constant of friction is 4 ms. This excess raises a contact by less than a hundredth of a
+millimetre, a depth at which contacts are soft. With this slack, pallets at rest are bit-identical with and without the
+correction. Stiff contacts are not soft at any depth, and therefore have no slack."""
 
 STICKS_M_S: Final = 0.01
-"""Slip speed up to which a contact has its static friction, m/s. From twice this speed on, the contact has its kinetic
-friction. Between the two speeds, friction falls linearly, so that it does not jump if boxes move slowly. Boxes at rest
-are far slower (``petmjx.Quiet``)."""
+"""Slip speed up to which a contact has its static friction, m/s. At twice this speed and above, the contact has its
+kinetic friction. Between the two speeds, friction falls linearly, so that it does not jump if boxes move slowly. Boxes
+at rest are far slower (``petmjx.Quiet``)."""
 
 RELAXATION: Final = 0.8
-"""Share of the change of an excess that one iteration applies. Let p be μ² × (inverse mass along the tangent) /
-(inverse mass along the normal). If the whole change were applied, the iteration would converge only if p is below 1, so
-not for tall boxes with friction above 0.5. With this share, the iteration converges if p is at most 1.5, and takes
-hardly more steps."""
+"""Share of the change of an excess e (see the module's docstring) that one iteration applies. Let p be μ² × (inverse
+mass along the tangent) / (inverse mass along the normal). If the whole change were applied, the iteration would
+converge only if p is below 1. Tall boxes with friction above 0.5 have a larger p. With this share, the iteration also
+converges for p up to 1.5, and takes hardly more steps."""
 
 ENOUGH_M_S2: Final = 0.1
 """Largest change of any reference acceleration along a normal at which the iteration ends, m/s²: a hundredth of
-gravity. With a limit of 5 m/s², a box that tipped against its neighbour slid twice as far as with this limit. With 1
-m/s², the box slid 3 % less far."""
+gravity. With a limit of 5 m/s², a box that tipped against its neighbour slid twice as far as with 0.1 m/s². With a
+limit of 1 m/s², the box slid 3 % less far."""
 
 MOST_ROUNDS: Final = 6
 """Largest number of iterations per step. An iteration updates the excess between two calls of a solver. Bricks that
@@ -152,8 +155,8 @@ is still 1 m/s² after twenty iterations."""
 
 FIRST_SHARE: Final = 1.1
 """Share of the change of an excess that the first iteration of a step applies, if ``next_share`` chooses the shares of
-later iterations. With this value, bricks that slide and tip need 2.4 calls of the solver per step. With 0.8, they need
-2.6 calls. With the constant share ``RELAXATION``, they need 3.1 calls."""
+later iterations. With this value, bricks that slide and tip need 2.4 calls of the solver per step; with 0.8, 2.6 calls;
+with the constant share ``RELAXATION``, 3.1 calls."""
 
 LEAST_M_S2: Final = ENOUGH_M_S2 / 10
 """Smallest change of an excess from which the next iteration's share is estimated, m/s². Smaller changes are within the
@@ -165,8 +168,7 @@ remain, other contacts have changed the excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
-    """Part of the excess of a sliding contact that is not corrected, m/s². It is infinite if no contact is
-    corrected."""
+    """Part of the excess of a sliding contact that is not corrected, m/s²; infinite if no contact is corrected."""
     if physics.cone is not Cone.ELLIPTIC or not physics.slip_correction:
         return math.inf
     return 0.0 if is_stiff(physics) else SLACK_M_S2
@@ -180,8 +182,8 @@ def kinetic_share(physics: Physics) -> float:
 def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> FloatArray:
     """(k,) share of the change of each contact's excess that the next iteration applies.
 
-    It is the share with which the last iteration would have left no change, if the change is a linear function of the
-    excess (Aitken's delta-squared process).
+    The share is the one with which the last iteration would have left no change, provided that the change is a linear
+    function of the excess (Aitken's delta-squared process).
 
     Args:
         share: (k,) share that the last iteration applied.
@@ -202,10 +204,10 @@ FAST_M_S: Final = 0.1
 
 AT_REST: Final = 2.0
 """Depth of contacts at the end of a landing, as a multiple of ``solimp``'s width. The depth of contacts at rest is 1.3
-times the width. The difference allows for contacts that push a little while a box rises out of them. With this value,
-the restitution of boxes that fall 10 mm differs by at most 0.03 from the restitution that was set (0.1 to 0.3). It does
-not matter at which moment of a timestep the boxes land. With a restitution of 0.1, such a box rises by a tenth of a
-millimetre."""
+times the width. The deeper contact at the end of a landing allows for contacts that push a little while a box rises out
+of them. With this value, the restitution of boxes that fall 10 mm differs by at most 0.03 from the restitution that was
+set (0.1 to 0.3), at whatever moment of a timestep the boxes land. With a restitution of 0.1, a box that fell 10 mm
+rises by a tenth of a millimetre."""
 
 _LONGER: Final = 2.0
 """Duration of a landing as a multiple of ``landing_s``. The multiple exceeds 1, since a second corner of the box may
@@ -244,8 +246,8 @@ def pull(
     of_pair: FloatArray,
     physics: Physics,
 ) -> FloatArray:
-    """(k,) reference acceleration of each contact of a landing box, m/s²; positive if it opens the contact. NaN if the
-    law of contacts at rest applies.
+    """(k,) reference acceleration of each contact of a landing box, m/s²; positive if it opens the contact; NaN for a
+    contact that follows the law of contacts at rest.
 
     Args:
         closing_m_s: (k,) speeds at which the contacts close, m/s.
@@ -253,7 +255,8 @@ def pull(
         depth_m: (k,) depths of the contacts, m.
         normal_z: (k,) z components of the contacts' unit normals.
         of_pair: (k, 2) restitution and landing time, s, of each contact. ``USUAL`` stands for the value in ``physics``.
-        physics: gives restitution and landing time for contacts with ``USUAL``, gravity, timestep and ``solimp``.
+        physics: the physics, with gravity, timestep and ``solimp``, and with restitution and landing time for contacts
+            that have ``USUAL``.
     """
     usual, step_s = (physics.restitution, physics.landing_s), physics.timestep_s
     share, landing_s = np.where(of_pair == USUAL, usual, of_pair).T

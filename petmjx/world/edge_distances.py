@@ -3,8 +3,8 @@
 A support of a box is a body that touches the box's base from below. The load of a box is its own weight plus the weight
 that rests on it. A load is inside the edges if it acts within the convex hull of the supports. If supports share loads
 like springs, a load may be beyond an edge although other shares would keep all loads inside. So petmjx searches for
-such shares (petmjx.world.balance_programme). A load counts as beyond an edge only if vertical forces cannot balance the
-boxes.
+shares that keep all loads inside (petmjx.world.balance_programme). A load counts as beyond an edge only if vertical
+forces cannot balance the boxes.
 
 A box that holds down other boxes may be placed too late, when these have already fallen. So a plan may fall while it is
 built, although all loads of the complete plan are inside. Therefore, the load of every box is checked after each
@@ -122,8 +122,8 @@ def rebalanced_loads(
     if result is None:
         return load[:, :3], edge_m
     balancing, beyond = result
-    # If no forces balance all boxes, loads inside the edges keep the distances given as ``edge_m``. Else, only loads
-    # that the programme has not changed keep these distances.
+    # If no forces balance all boxes, loads inside the edges keep their distances in ``edge_m``. If forces balance all
+    # boxes, only loads that the programme has not changed keep their distances in ``edge_m``.
     is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
     balanced_m = bearing.edges_m(balancing)
     edges = np.where(~placed | is_unchanged, edge_m, np.maximum(balanced_m, 0.0))
@@ -132,12 +132,12 @@ def rebalanced_loads(
 
 
 def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n,) whether each box is below a box with several supports. If so, its load depends on how these supports share
+    """(n,) whether each box is below a box with several supports, so that its load depends on how these supports share
     the load.
 
     Args:
         bearing: the contacts between boxes and their supports.
-        among: (n,) which boxes with several supports are considered.
+        among: (n,) True for the boxes with several supports that are considered; other boxes are ignored.
     """
     return bearing.all_below(among & (bearing.n_supports > 1))
 
@@ -292,8 +292,8 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
 
 
 def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[IntArray, FloatArray]:
-    """(k,) keys and (k, 3) parts of weights. The parts are those that boxes with several supports carry, and those that
-    the boxes below them carry.
+    """(k,) keys and (k, 3) parts of boxes' weights: the parts that are carried by boxes with several supports, and by
+    the boxes below them.
 
     A key is a number that names a part: (number of the box that carries the part) · n + (number of the box to whose
     weight the part belongs), for n boxes.
@@ -350,7 +350,7 @@ def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
-    """(p, 3) running sums of the parts over the pairs of each lower box, which begin at ``begins``."""
+    """(p, 3) running sums of the parts of each lower box, which start anew at the pairs ``begins``."""
     sums, count = part.copy(), np.diff(begins)
     longest = np.argsort(-count, kind="stable")
     place = begins[:-1][longest]
@@ -368,7 +368,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     Args:
         bearing: the contacts between boxes and their supports.
         begins: (n + 1,) first pair of each box.
-        step: (p,) as in ``BuildingLoads``.
+        step: (p,) number of the box after whose placement each load acts.
         load: (p, 3) loads as in ``BuildingLoads``, if supports share loads like springs.
     """
     count, contacts = np.diff(begins), bearing.together
@@ -387,8 +387,9 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     first_above = np.cumsum(n_above) - n_above
-    key = np.repeat(np.arange(n), count) * n + step  # keys increase
-    # ``forces`` has the forces at the contacts of corrected boxes: for each contact, one for each load of the upper box
+    key = np.repeat(np.arange(n), count) * n + step  # the keys increase from pair to pair.
+    # The array ``forces`` has the forces at the contacts of corrected boxes: for each contact, one for each load of the
+    # upper box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3].copy(), np.flatnonzero(pulled)
@@ -423,7 +424,7 @@ def _contact_pushes(
         bearing: the contacts between boxes and their supports.
         owner: (p,) number of the box that has each load.
         load: (p, 3) the loads.
-        rows: (k,) number of the load for each contact.
+        rows: (k,) number of the load that each contact helps to carry.
         contact: (k,) numbers of contacts, load by load: for each load, all contacts on which the load's box rests.
     """
     force = load.take(rows, axis=0)
@@ -443,9 +444,9 @@ def _contact_pushes(
 
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
-    """The smallest distance of a load from an edge in one scene, for scenes in which every load that seems to be beyond
-    an edge depends on how supports share loads. Linear programmes decide whether the loads that seem to be furthest
-    beyond an edge are really beyond it."""
+    """The smallest distance of a load from an edge in one scene, found by linear programmes. These programmes decide
+    whether the loads that seem to be furthest beyond an edge are really beyond it. In the scene, every load that seems
+    to be beyond an edge depends on how supports share loads."""
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
         if not (edge < 0).any():
@@ -461,8 +462,8 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
 
 
 def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[IntArray, FloatArray]:
-    """Indices in ``built`` of the loads that act in one scene after the placement ``step``, and (n,) the distances of
-    the loads from edges, m, if supports share loads so that all loads are as far inside the edges as possible."""
+    """Indices in ``built`` of the loads in one scene after the placement ``step``, and (n,) the distances of these
+    loads from edges, m, for the best way in which supports can share loads."""
     n = len(bearing.boxes.mass)
     now = np.flatnonzero(built.step <= step)
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
@@ -499,7 +500,7 @@ def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> 
 
 def first_least(values: FloatArray, group: IntArray) -> tuple[IntArray, IntArray]:
     """(g,) numbers of the groups with a value that is not NaN, and (g,) the index of the smallest value in each of
-    these groups. If several values are equally small, it is the index of the first.
+    these groups. Of several equally small values, the first is taken.
 
     Args:
         values: (p,) the values.

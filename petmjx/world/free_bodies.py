@@ -20,15 +20,16 @@ from petmjx.world.carrier_boards import body_of, floor_z_m, pallet, with_walls
 from petmjx.world.scene import Scene
 
 _BURIED_M: Final = -100.0
-"""Height of the carrier's centre if the ground is a plane, m. Every scene needs a carrier. In these scenes, the carrier
-is buried so deep that no box gets near it. It is held in place, so that the floor does not push it out."""
+"""Height of the carrier's centre if the ground is a plane, m. Every scene needs a carrier. In scenes whose ground is a
+plane, the carrier is buried so deep that no box gets near it. The buried carrier is held in place, so that the floor
+does not push it out."""
 
 _BURIED_HALF_M: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The ground on which boxes fall. Its top is at z = 0, and it does not move.
+    """The ground on which boxes fall. The ground's top is at z = 0, and the ground does not move.
 
     Attributes:
         carrier: the carrier of each scene.
@@ -85,7 +86,8 @@ class FreeBodies:
         scenes: n scenes. Boxes are released at ``start_pos`` with orientation ``start_quat``. Carriers do not move.
         velocity: (n, k, 6) velocities of the boxes at release: 3 components along the world's axes, m/s, then 3 about
             the boxes' own axes, rad/s.
-        steps: (s,) numbers of steps after which the poses are recorded, rising. 0 records the poses at release.
+        steps: (s,) numbers of steps after which the poses are recorded, rising. After 0 steps, these are the poses at
+            release.
         on_plane: whether boxes touch only the floor, so that engines may ignore the carrier.
     """
 
@@ -100,7 +102,7 @@ class FreeBodies:
         return int(self.velocity.shape[1])
 
     def part(self, worlds: slice) -> FreeBodies:
-        """The given worlds alone."""
+        """The bodies of the given worlds alone."""
         return replace(self, scenes=self.scenes[worlds], velocity=self.velocity[worlds])
 
     @property

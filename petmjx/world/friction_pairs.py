@@ -26,13 +26,13 @@ MOST_SURFACES: Final = 16
 """Number of rows of a world's table on a GPU, and so the largest number of surfaces, including surface 0."""
 
 LARGER: Final = -1.0
-"""Marks an entry of a friction table without a coefficient. The contact then has the larger coefficient of the two
-shapes, as is usual in MuJoCo."""
+"""Marks an entry of a friction table without a coefficient. A contact with this entry has the larger coefficient of the
+two shapes, as is usual in MuJoCo."""
 
 
 USUAL: Final = -1.0
-"""Marks an entry of another table without a value. The value of ``Physics`` then applies: restitution, landing time, or
-kinetic friction as a share of static friction."""
+"""Marks an entry of another table without a value. For this entry, ``Physics`` gives the value: restitution, landing
+time, or kinetic friction as a share of static friction."""
 
 
 def no_landings(n_surfaces: int = MOST_SURFACES) -> FloatArray:
@@ -54,8 +54,8 @@ def scaled_pairs(
     has the larger of two coefficients.
 
     Args:
-        table: (k, k) the table of friction, or None. Then the result is None, too.
-        of_boards: surface numbers of the carrier's boards. If None, boards have no surface numbers.
+        table: (k, k) the table of friction. If ``table`` is None, the result is None.
+        of_boards: surface numbers of the carrier's boards. If ``of_boards`` is None, boards have no surface numbers.
         box_factor, carrier_factor: the two factors.
     """
     if table is None:
@@ -111,7 +111,7 @@ class Surfaces(NamedTuple):
         friction: (k, k) coefficient of sliding friction between two surfaces, or ``LARGER``.
         landing: (k, k, 2) coefficient of restitution and landing time, s, between two surfaces, or ``USUAL``.
         kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or ``USUAL``. If
-            None, no pair has a share of its own.
+            ``kinetic`` is None, no pair has a share of its own.
     """
 
     of_boxes: NDArray[np.intp]
@@ -195,7 +195,8 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
 def _pair_friction(one: str, other: str, sim: Simulation) -> float:
     """The entry of two materials in the table of friction.
 
-    A pair without known friction also gets ``LARGER``: ``check_pairs`` has made sure that its bodies never touch.
+    A pair without known friction also gets ``LARGER``: ``check_pairs`` has made sure that bodies with this pair of
+    materials never touch.
     """
     friction = friction_between(one, other, sim.friction_pairs) if one and other else None
     return LARGER if friction is None else friction

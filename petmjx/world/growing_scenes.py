@@ -33,7 +33,8 @@ class OpenScenes:
         n = len(scenes)
         self._blank, self._carrier = blank, scenes[0].carrier
         self._scenes = list(scenes)
-        """The scene of each world when the scene was last requested. Boxes added since then are only in the arrays."""
+        """The scene of each world when the scene was last requested. Boxes that were added after the last request are
+        only in the arrays."""
         self._count = np.zeros(n, np.int64)
         self._half_size, self._target = (np.full((n, _FIRST_ROOM, 3), np.nan) for _ in range(2))
         self._mass: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
@@ -75,8 +76,8 @@ class OpenScenes:
             table[np.asarray(into, np.intp)] = table[np.asarray(sources, np.intp)]
 
     def stacks(self, worlds: Sequence[int]) -> Stacks:
-        """The boxes of the given worlds, in arrays with as many columns as the fullest world has boxes. A world may
-        occur several times."""
+        """The boxes of the given worlds, in arrays with as many columns as the fullest world has boxes. A world may be
+        named several times."""
         rows = np.asarray(worlds, np.intp)
         width = int(self._count[rows].max(initial=0))
         half_size, target, mass = (table[rows, :width] for table in self._columns)
@@ -133,7 +134,7 @@ class NextBoxes:
         return len(self.mass)
 
     def take(self, rows: NDArray[np.intp]) -> NextBoxes:
-        """The boxes of these rows."""
+        """The boxes in the given rows."""
         return NextBoxes(self.half_size[rows], self.target[rows], self.mass[rows])
 
 
@@ -141,7 +142,7 @@ class NextBoxes:
 class Stacks:
     """The planned boxes of m worlds that have the same carrier. The fullest world has k boxes.
 
-    If a world has fewer boxes, the values in its last columns are NaN.
+    If a world has fewer than k boxes, the values in its last columns are NaN.
 
     Attributes:
         half_size, target: (m, k, 3) half extents and planned middles of the boxes, m.
@@ -181,7 +182,7 @@ class EmptyCarrier:
 
     def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
         """The scene with one more box: the box ``row`` of ``boxes``. The box's extents, place and mass are those in
-        ``boxes``. Its other properties are those of all added boxes."""
+        ``boxes``. The box's other properties are those of all added boxes."""
         place = boxes.target[row]
         box_values = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
         grown: dict[str, Any] = {}

@@ -70,7 +70,7 @@ class Contacts:
         return f"Contacts({count_text(len(self.frame), 'contact')})"
 
     def then(self, later: Contacts) -> Contacts:
-        """These contacts, followed by ``later``."""
+        """The contacts of this object, followed by those of ``later``."""
         names = [field.name for field in fields(self)]
         return Contacts(**{name: np.concatenate((getattr(self, name), getattr(later, name))) for name in names})
 

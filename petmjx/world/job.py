@@ -51,7 +51,7 @@ class Drive:
     """Time that the boxes have to come to rest after the last sample of the excitation, s."""
     allowed_sway_m: float = 0.0
     """Distance, m, by which a culprit (the box that failed first) must have swayed before it counts as lost because it
-    tilts too far. Until then, the pallet may still pass the test."""
+    tilts too far. While the culprit has swayed less, the pallet may still pass the test."""
 
     def unit(self, total_mass: float) -> float:
         """Factor that converts the excitation's samples to N (forces) or to m/s² (accelerations; the factor is 1).
@@ -75,8 +75,8 @@ class Drive:
 
 
 class EngineState(Protocol):
-    """State of a world whose placement has settled. The engine can continue from it. Everything except ``step`` is
-    private to the engine."""
+    """State of a world whose placement has settled. The engine can continue from this state. Everything except ``step``
+    is private to the engine."""
 
     @property
     def step(self) -> SupportsInt:
@@ -86,7 +86,8 @@ class EngineState(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class KeptState:
-    """A settled state and the name of the engine that made the state. Only this engine can start from the state."""
+    """A settled state and the name of the engine that made the state. Only the engine that made a settled state can
+    start from it."""
 
     engine: str
     state: EngineState
@@ -97,25 +98,25 @@ class Job:
     """One world to simulate.
 
     With early stop, a world with errors ends not only when a box has dropped, but also when a box is *lost*: tilted by
-    more than the threshold. The verdict depends on the largest tilt, so it is known once a box is lost. The rest of the
-    simulation would be its most expensive part. A large shift does not end a world: a board that tips under one box is
-    level again under the next box. A world with a drive ends when the culprit (the box that failed first) is lost,
-    since only then is it known how the culprit failed.
+    more than the threshold. The verdict depends on the largest tilt, so it is known once a box is lost. Simulating
+    further after a box is lost would be the most expensive part of the simulation. A large shift does not end a world:
+    a board that tips under one box is level again under the next box. A world with a drive ends when the culprit (the
+    box that failed first) is lost, since only then is it known how the culprit failed.
 
     Attributes:
         scene: the world.
-        drive: the drive that shakes the world. If None, nothing shakes the world.
+        drive: the drive that shakes the world. If ``drive`` is None, nothing shakes the world.
         start: the ``state`` of an earlier outcome. The world then skips the soft start and the placement, and begins
             with the drive. Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
         poses: (n, 7) middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
             rest at these poses. So a drive can continue from the poses that another drive left, on any engine. The
-            carrier is where the placement left it, since accelerations clamp it. If None, the boxes, too, are where
-            the placement left them.
+            carrier is where the placement left it, since accelerations clamp it. If ``poses`` is None, the boxes, too,
+            are where the placement left them.
         keep_state: whether the outcome must have the state in which the placement has settled. A job with
             ``keep_state`` and no drive may end once the placement has settled, without the time to come to rest.
         record: which history of the world to record; no other result changes.
-        has_errors: whether the boxes' places differ from the planned places. Then a box may stand on a neighbour that
-            is a little higher (``petmjx.engines.contact_tilt``).
+        has_errors: whether the boxes' places differ from the planned places, so that a box may stand on a neighbour
+            that is a little higher (``petmjx.engines.contact_tilt``).
     """
 
     scene: Scene

@@ -1,10 +1,10 @@
 """Load sharing: the forces with which several supports carry a box, if supports can push but not pull.
 
 The pressure of a box on a bed of equal springs is a linear function of the place (petmjx.world.supports), here called a
-plane. If a load is far from the middle of the supports, this pressure is negative at the opposite end: springs would
-pull there. Real supports only push. So the forces are those pushing forces, each within its contact area, that balance
+plane. If a load is far from the middle of the supports, this pressure is negative at the opposite end, where springs
+would pull. Real supports only push. So the forces are those pushing forces, each within its contact area, that balance
 the load with the least energy of the springs (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans
-les systèmes élastiques"). If the plane pulls nowhere, these are the forces of the plane.
+les systèmes élastiques"). If the plane's pressure is nowhere negative, the plane gives these forces.
 
 A contact has the force F and the moments Mx, My about the middle of its area A, whose half lengths are a and b. The
 energy is
@@ -35,8 +35,8 @@ PULL: Final = 1e-9
 area, m, that count as rounding errors. Beyond these values, the support counts as pulling."""
 
 ON_EDGE_M: Final = 1e-6
-"""Distance from the hull's edge, m, within which a load counts as on the edge. At an edge, planes would be infinitely
-steep."""
+"""Distance from the hull's edge, m, within which a load counts as on the edge. For a load on an edge, the plane of
+pressure would be infinitely steep."""
 
 _ROOT: Final = math.sqrt(3.0)
 _MOST_STEPS: Final = 60
@@ -44,8 +44,8 @@ _MOST_HALVINGS: Final = 30
 _EXACT: Final = 1e-11
 _ENOUGH: Final = 1e-8
 """Tolerances of forces, as shares of the load, and of moments, as shares of load × half extent of the supports.
-Newton's method ends when errors are below ``_EXACT``. If errors stop shrinking, it ends below ``_ENOUGH``: very near an
-edge, rounding prevents better results."""
+Newton's method ends when errors are below ``_EXACT``. If errors stop shrinking, the method ends below ``_ENOUGH``: very
+near an edge, rounding prevents better results."""
 
 _RIDGE: Final = 1e-13
 """Factor of a small term, (1 + the trace), that is added to the diagonal of the matrix of second derivatives. Without
@@ -163,7 +163,7 @@ def on_edges(
 ) -> FloatArray:
     """(c, 3) forces at contacts, and their first moments along x and y, for loads on or beyond an edge of their hull.
 
-    Only the two outermost corners on the nearest edge carry the load, as if the box begins to tip over.
+    Only the two outermost corners on the nearest edge carry the load, as if the box began to tip over.
 
     Args:
         load, owner, low, high: as in ``pushes``.

@@ -1,8 +1,9 @@
 """Load units: pallets among the boxes of a plan, with boxes on them.
 
 A pallet that stands on a trailer's floor, on a rack or on another load is an item of the plan, like a box. The item's
-kind is the name of a pallet type, as for a carrier. Its body has one shape per board, so that it slides, tips and
-carries load as the real pallet does. The mass that the plan gives for the item is divided among the boards by volume.
+kind is the name of a pallet type, as for a carrier. The item's body has one shape per board, so that it slides, tips
+and carries load as the real pallet does. The mass that the plan gives for the item is divided among the boards by
+volume.
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ def with_pallets(
 ) -> tuple[tuple[Pieces, ...], FloatArray | None, FloatArray | None]:
     """The boards of the pallets in a plan, and (n, 3) centres of mass and (n, 3) inertia boxes of all its boxes.
 
-    ``Scene`` describes these three fields.
+    The three results are the fields ``pieces``, ``mass_center`` and ``inertia_box`` of ``Scene``.
 
     Args:
         half_size: (n, 3) half extents of the boxes, m. Boards are scaled to the size of their pallet.
-        mass_center: (n, 3) centres of mass that the plan gives, m. If None, they are in the boxes' middles.
+        mass_center: (n, 3) centres of mass that the plan gives, m. If ``mass_center`` is None, the centres of mass are
+            in the boxes' middles.
     """
     if not plan.pallets:
         return (), mass_center, None

@@ -74,8 +74,9 @@ def build_spec(
     Args:
         scene: the scene.
         physics: the physics.
-        held_carrier: pose in which the carrier is clamped. If None, the carrier has a free joint.
-        n_boxes: number of boxes in the model, the first ones in packing order. If None, the model has all boxes.
+        held_carrier: pose in which the carrier is clamped. If ``held_carrier`` is None, the carrier has a free joint.
+        n_boxes: number of boxes in the model, the first ones in packing order. If ``n_boxes`` is None, the model has
+            all boxes.
 
     Raises:
         ValueError: ``n_boxes`` is not between 0 and the number of the scene's boxes.
@@ -255,13 +256,15 @@ def _add_shapes(
 ) -> None:
     """Add a body's shapes as geoms. Each geom is larger than its shape on all sides, by a thickness called skin.
 
-    A contact begins when the enlarged geoms overlap by the skins of both partners. For two faces, this is the moment at
-    which the shapes themselves touch. Contacts of edges begin up to √2 − 1 skins earlier, those of corners √3 − 1.
+    A contact begins when the enlarged geoms overlap by the skins of both partners. For two faces, the contact begins
+    when the shapes themselves touch. Contacts of edges begin up to √2 − 1 skins earlier, contacts of corners up to √3 −
+    1 skins earlier.
 
     If two edges cross, MuJoCo's collider returns either the contact of the faces, or the single point at which the
-    edges cross. It chooses the point if its depth is smaller by 5 % (MuJoCo 3.17, ``engine_collision_box.c``). At the
-    usual depth of a tenth of a millimetre, the collider's choice changes from step to step, and pallets tremble. With
-    skins, both depths are larger by the same amount, so the difference is below 5 % (docs/validation.md).
+    edges cross. The collider chooses the point if the point's depth is smaller by 5 % than that of the faces (MuJoCo
+    3.17, ``engine_collision_box.c``). At the usual depth of a tenth of a millimetre, the collider's choice changes from
+    step to step, and pallets tremble. With skins, both depths are larger by the same amount, so the difference is below
+    5 % (docs/validation.md).
     """
     shapes = scene.shapes
     walls = range(scene.carrier.n_boards, len(scene.carrier.half_size))
@@ -321,7 +324,7 @@ def _add_geom(
     geom.solref = np.array(physics.solref)
     geom.solimp = np.array(physics.solimp + _SOLIMP_TAIL)
     if physics.has_own_friction:
-        geom.contype = geom.conaffinity = 0  # only declared pairs collide (_declare_pairs)
+        geom.contype = geom.conaffinity = 0  # only declared pairs of geoms collide (_declare_pairs)
     return geom
 
 

@@ -27,7 +27,7 @@ _USES: Final = {
     Way.HAND: ("height_mm", "side_mm", "speed_m_s", "force_n"),
     Way.TINES: ("height_mm", "side_mm", "speed_m_s", "force_n", "tines_mm"),
 }
-"""Way of placing boxes → the fields of ``Placing`` that have an effect on this way."""
+"""Way of placing boxes → the fields of ``Placing`` that have an effect if boxes are placed in this way."""
 
 _AXES: Final = {
     "placing_height_mm": "height_mm",

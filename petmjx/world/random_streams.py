@@ -12,11 +12,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class WorldKey:
-    """The identity of a world. The world's random numbers depend on nothing else.
+    """The identity of a world. The world's random numbers depend only on this identity.
 
-    ``replicate`` numbers the repetitions with the same parameters. Worlds that differ only in their profile, or in its
-    level or direction, have the same replicate number. Therefore these worlds have the same placement, and can be
-    compared in pairs.
+    ``replicate`` numbers the repetitions with the same parameters. Worlds that differ only in the profile, or in the
+    profile's level or direction, have the same replicate number. Therefore worlds with different profiles have the same
+    placement, and can be compared in pairs.
     """
 
     seed: int
@@ -27,9 +27,9 @@ class WorldKey:
         """The generator for a purpose, such as "size" or "yaw". Each purpose has a generator of its own, so that a new
         axis in a sweep does not change the random numbers of other axes.
 
-        The generator is Philox (Salmon et al., SC'11), which is counter-based. Its 128-bit key is the BLAKE2b hash of
-        the world's identity and the purpose. So the random numbers are the same on every platform and engine, and in
-        every batch and order.
+        The generator is Philox (Salmon et al., SC'11), which is counter-based. The generator's 128-bit key is the
+        BLAKE2b hash of the world's identity and the purpose. So the random numbers are the same on every platform and
+        engine, and in every batch and order.
         """
         return np.random.Generator(np.random.Philox(key=int.from_bytes(self._digest(purpose), "little")))
 

@@ -1,14 +1,15 @@
 """Places at which boxes are released, so that they are at rest on their supports and overlap no other box.
 
 Contacts are soft. Under its present loads, a pile has sunk by up to some tenths of a millimetre. The contacts below a
-box are a tenth of a millimetre deep once they carry the box. A box released at its planned place would fall by the sum
-of both lengths, land at centimetres per second, and might rock on an edge below it. So a box is released as deep in its
-support as its weight will press it. It is also released lower by the distance by which the support has sunk.
+box are a tenth of a millimetre deep once they carry the box. A box released at its planned place would fall by the
+distance that the pile has sunk plus the depth of the contacts, land at centimetres per second, and might rock on an
+edge below it. So a box is released as deep in its support as its weight will press it. The box is also released lower
+by the distance by which the support has sunk.
 
 If places and sizes have errors, boxes may overlap when they appear. Contacts would throw overlapping boxes apart. The
-stiffer the contacts and the shorter the timestep, the faster these boxes would move. Whether the pallet stands would
-then depend on numbers that are not properties of boxes. So overlapping boxes are first moved apart horizontally, by the
-smallest possible translations.
+stiffer the contacts and the shorter the timestep, the faster overlapping boxes would be thrown apart. Whether the
+pallet stands would then depend on numbers that are not properties of boxes. So overlapping boxes are first moved apart
+horizontally, by the smallest possible translations.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ class Release(NamedTuple):
         support: (n,) number of the box under the largest part of each box's base, or ``CARRIER`` or ``NOTHING``. If
             this support has moved vertically, the box is released higher or lower by the same distance.
         pos: (n, 3) middles of the boxes at release if their supports are at their planned places, m.
-        most_followed_m: largest such distance, m. It is larger than ``MOST_FOLLOWED_M`` if boxes are compliant.
+        most_followed_m: largest distance by which a box is released higher or lower because its support has moved, m.
+            This distance is larger than ``MOST_FOLLOWED_M`` if boxes are compliant.
     """
 
     support: NDArray[np.intp]
@@ -91,7 +93,7 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
 
 
 def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
-    """The places at which the boxes of stackable scenes are released. They are bit-identical to those of
+    """The places at which the boxes of stackable scenes are released. The places are bit-identical to those of
     ``release_of``.
 
     Stackable scenes have arrays of equal shapes (petmjx.world.stackable_scenes).
@@ -138,7 +140,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     support = np.where(low[:, 2] <= TOUCH_M, CARRIER, box_below)
     on_carrier, rows = support == CARRIER, np.arange(len(boxes))
     # for a box without a support, the mass and friction of the box itself are used in place of the support's; the
-    # result is not used
+    # result for such a box is not used
     masses = np.column_stack([before.mass, boxes.mass])
     below = np.where(support >= 0, support, masses.shape[1] - 1)
     share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])
@@ -161,12 +163,12 @@ def _supports(target: FloatArray, half_size: FloatArray) -> NDArray[np.intp]:
 
 
 CLEAR_M: Final = 0.0002
-"""Gap between two boxes after they are moved apart, m. It must exceed 0.14 mm, since contacts of edges may begin before
-the edges touch: at up to 0.7 × the skins of both boxes. A skin is the thickness by which the collider enlarges a box
-(docs/rules.md, section 1)."""
+"""Gap between two boxes after they are moved apart, m. The gap must exceed 0.14 mm, since contacts of edges may begin
+before the edges touch: at a gap of up to 0.7 × the skins of both boxes. A skin is the thickness by which the collider
+enlarges a box (docs/rules.md, section 1)."""
 
 _KNOWN_TO_M: Final = 1e-6
-"""Tolerance of ``CLEAR_M``, m. It is a hundredth of the depth of contacts at rest."""
+"""Tolerance of ``CLEAR_M``, m. The tolerance is a hundredth of the depth of contacts at rest."""
 
 _MOST_ROUNDS: Final = 500
 """Largest number of rounds of Hildreth's method (see ``make_room``). A row of 12 boxes needs 200 rounds. If boxes still
@@ -184,14 +186,14 @@ def make_room(
     reach_m: float,
 ) -> FloatArray:
     """(m, n, 2) horizontal places of the boxes of m worlds, m, at which no box overlaps a box beside it. The places are
-    as near as possible to the given places.
+    as near as possible to the given places:
 
-    As near as possible means that the sum of the squares of all translations is smallest. Two boxes are kept apart
-    along one axis: that axis of either box along which they overlap least. The gap between them must be at least
-    ``CLEAR_M``, or the planned gap if that is smaller; a planned overlap is a negative gap. So each pair gives one
-    linear inequality for the translations. Hildreth's method (Hildreth 1957, "A quadratic programming procedure", Naval
-    Research Logistics Quarterly 4, 79-85) finds the smallest translations, pair by pair. The places in a world do not
-    depend on other worlds.
+    the sum of the squares of all translations is as small as possible. Two boxes are kept apart along one axis: that
+    axis of either box along which they overlap least. The gap between the two boxes must be at least ``CLEAR_M``, or
+    the planned gap if that is smaller; a planned overlap is a negative gap. So each pair gives one linear inequality
+    for the translations. Hildreth's method (Hildreth 1957, "A quadratic programming procedure", Naval Research
+    Logistics Quarterly 4, 79-85) finds the smallest translations, pair by pair. The places in a world do not depend on
+    other worlds.
 
     Args:
         place: (m, n, 2) given horizontal places of the boxes' middles, m.
@@ -201,7 +203,7 @@ def make_room(
             are not rotated.
         beside: (n, n) whether two boxes are side by side, so that neither is above the other; a symmetric matrix.
         movable: (n,) whether each box may be moved.
-        reach_m: pairs of boxes whose planned gap is larger than this are ignored, m.
+        reach_m: pairs of boxes whose planned gap is larger than ``reach_m`` are ignored, m.
     """
     apart = _separation(planned, planned_half)
     first, second = np.nonzero(np.triu(beside & (apart < reach_m) & (movable[:, None] | movable), k=1))

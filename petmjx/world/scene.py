@@ -65,30 +65,34 @@ class Scene:
         half_size: (n, 3) half extents of the boxes, m.
         mass: (n,) masses of the boxes, kg.
         target: (n, 3) planned places of the boxes, m. A box's shift is measured from its planned place.
-        start_pos: (n, 3) places at which the boxes are released, m. Without errors, they equal ``target``.
+        start_pos: (n, 3) places at which the boxes are released, m. Without errors, these places equal ``target``.
         start_quat: (n, 4) orientations of the boxes at release, as quaternions (w, x, y, z).
         friction: (n, 3) sliding, torsional and rolling coefficients of the boxes.
-        carrier: the carrier before gravity acts. Its top is at z = 0.
+        carrier: the carrier before gravity acts, with its top at z = 0.
         floor_friction: sliding, torsional and rolling coefficients of the floor.
         floor_z: height of the floor, m.
-        mass_center: (n, 3) vectors from the boxes' middles to their centres of mass, along the boxes' axes, m. If None,
-            the centres of mass are in the middles.
-        inertia_box: (n, 3) half extents of solid boxes with the same inertia (see ``Body``), m. If None, the boxes are
-            solid.
-        surface: (n,) surface number of each box. If None, every box has the number 0.
+        mass_center: (n, 3) vectors from the boxes' middles to their centres of mass, along the boxes' axes, m. If
+            ``mass_center`` is None, the centres of mass are in the middles.
+        inertia_box: (n, 3) half extents of solid boxes with the same inertia (see ``Body``), m. If ``inertia_box`` is
+            None, the boxes are solid.
+        surface: (n,) surface number of each box. If ``surface`` is None, every box has the number 0.
         pair_friction: (k, k) coefficient of sliding friction between two surfaces, or
-            ``petmjx.world.friction_pairs.LARGER``. If None, the larger coefficient of the two shapes is used for every
-            pair.
+            ``petmjx.world.friction_pairs.LARGER``. If ``pair_friction`` is None, the larger coefficient of the two
+            shapes is used for every pair.
         pair_landing: (k, k, 2) coefficient of restitution and landing time, s, between two surfaces, or
-            ``petmjx.world.friction_pairs.USUAL``. If None, the values of ``Physics`` are used for every pair.
+            ``petmjx.world.friction_pairs.USUAL``. If ``pair_landing`` is None, the values of ``Physics`` are used for
+            every pair.
         pair_kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or
-            ``petmjx.world.friction_pairs.USUAL``. If None, the value of ``Physics`` is used for every pair.
+            ``petmjx.world.friction_pairs.USUAL``. If ``pair_kinetic`` is None, the value of ``Physics`` is used for
+            every pair.
         placing: how boxes are placed.
         approach: (n, 2) horizontal unit vectors along which carried boxes move to their places. If a row is 0, the
-            box's direction follows from its neighbours. If None, the directions of all boxes do.
-        stiffness: (n,) force on a box's top per compression of the box, N/m; inf if the box is rigid. If None, all
-            boxes are rigid.
-        soft: (n,) whether each box is a flex body of MuJoCo (petmjx/world/soft_boxes.py). If None, no box is soft.
+            box's direction follows from its neighbours. If ``approach`` is None, the directions of all boxes follow
+            from their neighbours.
+        stiffness: (n,) force on a box's top per compression of the box, N/m; inf if the box is rigid. If ``stiffness``
+            is None, all boxes are rigid.
+        soft: (n,) whether each box is a flex body of MuJoCo (petmjx/world/soft_boxes.py). If ``soft`` is None, no box
+            is soft.
         wrap: the film around the pallet while the pallet is shaken (petmjx/world/film.py).
         pieces: shapes of the bodies that consist of several shapes: interlayer sheets, which carry load only above
             other bodies (petmjx/world/sheets.py), and pallets among the boxes (petmjx/world/load_units.py).
@@ -237,7 +241,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
 
 
 def carrier_of(plan: Plan, sim: Simulation) -> Body:
-    """The carrier of a plan, with its walls but without numbers of surfaces."""
+    """The carrier of a plan, with its walls but without surface numbers."""
     boards = pallet(sim.carrier)
     if boards is not None:
         return with_walls(body_of(boards, sim.physics), sim)
@@ -245,7 +249,7 @@ def carrier_of(plan: Plan, sim: Simulation) -> Body:
 
 
 def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
-    """The result of ``build_scene`` for each plan, in order. Many plans are computed together; the scenes are
+    """The scene of each plan, in order, as from ``build_scene``. Many plans are computed together; the scenes are
     bit-identical to those of ``build_scene``."""
     slabs, source = pallet(sim.carrier) is None and not has_walls(sim), iter(plans)
     while batch := list(islice(source, AT_A_TIME)):
@@ -330,7 +334,8 @@ def half_size_and_target(
 
 
 def _stiffness(plan: Plan) -> NDArray[np.float64] | None:
-    """(n,) stiffness of each box, N/m; inf if the plan gives no stiffness for the box. None if it gives none at all."""
+    """(n,) stiffness of each box, N/m; inf if the plan gives no stiffness for the box. None if the plan gives no
+    stiffness at all."""
     if plan.stiffness_n_mm is None:
         return None
     return np.where(np.isnan(plan.stiffness_n_mm), np.inf, plan.stiffness_n_mm * MM_PER_M)

@@ -36,7 +36,7 @@ def pieces_of(
     Args:
         sheets: (n,) whether each box is a sheet.
         target, half_size: (n, 3) planned middles and half extents of all boxes, m.
-        carrier: the carrier. Sheets can also lie on its boards whose tops are at z = 0.
+        carrier: the carrier. Sheets can also lie on those boards of the carrier whose tops are at z = 0.
     """
     pieces = []
     board, half = (carrier.pos + carrier.shape_pos)[: carrier.n_boards], carrier.half_size[: carrier.n_boards]

@@ -9,11 +9,12 @@ then κ·c, where c follows from the places and masses of the points (``_network
 
 Along each axis, the points' masses are in the proportion 1 : 4 : 1. With these weights of Simpson's rule, three points
 have the moments of inertia of a solid box. The stiffness of an edge is proportional to the mass of its points. So a box
-also resists tilting like a bed of springs, with S·L²/12, and its own weight compresses it evenly.
+of length L also resists tilting like a bed of springs, with the rotational stiffness S·L²/12, and its own weight
+compresses it evenly.
 
-MuJoCo gives each element one contact point. On a flat face, this point jumps from step to step, and boxes tremble. So
-each point of a box also has a ball, and elements touch a little later than balls. Flat faces therefore rest on balls.
-Elements only carry load at edges that cross.
+MuJoCo gives each element one contact point. On a flat face, an element's contact point jumps from step to step, and
+boxes tremble. So each point of a box also has a ball, and elements touch a little later than balls. Flat faces
+therefore rest on balls. Elements carry load only where two edges cross.
 """
 
 from __future__ import annotations
@@ -177,7 +178,8 @@ def _mujocos_share() -> float:
 
 @lru_cache(maxsize=4096)
 def _network_kg(length: float, width: float, height: float) -> float:
-    """The ratio c of a box's stiffness to κ, in kg, for a box of mass 1 kg between two plates that do not slip.
+    """The ratio c of a box's stiffness to κ (see the module's docstring), in kg, for a box of mass 1 kg between two
+    plates that do not slip.
 
     Args:
         length, width, height: half sizes of the box, m.
@@ -213,7 +215,7 @@ def _add_points(spec: mujoco.MjSpec, box: str, places: FloatArray, mass: FloatAr
         body.explicitinertial = True
         body.mass = mass[number]
         body.ipos, body.iquat = np.zeros(3), np.array(IDENTITY_QUAT)
-        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # has no effect, since the body cannot rotate
+        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # without effect: the body cannot rotate
         for axis in np.eye(3):
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         bodies.append(body)
@@ -288,7 +290,7 @@ class SoftFriction:
 
     Attributes:
         of_boxes: (n,) coefficients of the boxes.
-        of_carrier: coefficient of the carrier. If None, each board keeps its own coefficient.
+        of_carrier: coefficient of the carrier. If ``of_carrier`` is None, each board keeps its own coefficient.
     """
 
     of_boxes: FloatArray

@@ -1,12 +1,12 @@
 """Supports of boxes in a plan, the loads on these supports, and the distances of loads from the supports' edges.
 
 A support of a box is a body below the box that touches its base. The load of a box is its own weight plus the weight
-that rests on it. The load acts at a point of the box's base, the centre of pressure. The box is in balance if that
-point lies within the convex hull of its supports. Statics does not determine how several supports share a load. This
-module assumes that supports share a load like a bed of equal springs (Winkler 1867, "Die Lehre von der Elasticität und
-Festigkeit"): the pressure varies linearly over all areas that touch. The balance of force and moments determines this
-pressure. If springs would have to pull somewhere, the module computes the pushing forces with the least energy instead
-(petmjx.world.load_sharing).
+that rests on it. The load acts at a point of the box's base, the centre of pressure. The box is in balance if its
+centre of pressure lies within the convex hull of its supports. Statics does not determine how several supports share a
+load. This module assumes that supports share a load like a bed of equal springs (Winkler 1867, "Die Lehre von der
+Elasticität und Festigkeit"): the pressure varies linearly over all areas that touch. The balance of force and moments
+determines this pressure. If springs would have to pull somewhere, the module computes the pushing forces with the least
+energy instead (petmjx.world.load_sharing).
 """
 
 from __future__ import annotations
@@ -115,12 +115,14 @@ class Boxes:
 
 
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
-    """(n, 2, 2) ``Boxes.held`` of a scene with walls. ``target`` has the (n, 3) middles of the boxes, m.
+    """(n, 2, 2) largest distance of a box's load beyond its supports at which a wall keeps the box from tipping, m
+    (``Boxes.held``), in a scene with walls. ``target`` has the (n, 3) middles of the boxes, m.
 
     If the load W of a box acts at a distance e beyond an edge of the supports, the box tips until it touches the wall
     on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. This point is a
     height h above the box's bottom. The wall then presses on the box with the force W·e/h, which friction at the edge
-    must balance. So the wall holds the box up to e = µ·h. This assumes a smooth wall and a support that does not move.
+    must balance. So the wall holds the box up to e = µ·h. This formula assumes a smooth wall and a support that does
+    not move.
     """
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
@@ -184,8 +186,8 @@ class Bearing:
         return weights
 
     def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
-        """(k, 3) the part of its box's load that each of the contacts ``together`` carries: mass, kg, and first moments
-        along x and y, kg·m.
+        """(k, 3) the part of the upper box's load that each of the contacts ``together`` carries: mass, kg, and first
+        moments along x and y, kg·m.
 
         Args:
             load: (n, 3 or 4) loads of all boxes, as in ``loads``.
@@ -203,7 +205,7 @@ class Bearing:
         return force
 
     def shared(self, contact: IntArray, load: FloatArray) -> FloatArray:
-        """(k, 3) the part of its box's load that each contact carries if supports share loads like equal springs.
+        """(k, 3) the part of the upper box's load that each contact carries if supports share loads like equal springs.
 
         Args:
             contact: (k,) numbers of the contacts. The upper box of each contact has several supports.
@@ -216,7 +218,7 @@ class Bearing:
     def pushed(
         self, load: FloatArray, boxes: IntArray, owner: IntArray, low: FloatArray, high: FloatArray
     ) -> FloatArray:
-        """(k, 3) the part of its box's load that each contact carries if supports can push but not pull.
+        """(k, 3) the part of the upper box's load that each contact carries if supports can push but not pull.
 
         Args:
             load: (p, 3) load of each box in ``boxes``.
@@ -419,8 +421,8 @@ class Bearing:
         """(k, 3, 3) a matrix for each of the k contacts ``together``. The matrix maps the load of the upper box (mass
         and first moments) to the part of the load that the contact carries."""
         boxes, upper = self.boxes, self.upper[self.together]
-        # Places are relative to the upper box's middle, in units of its half extents. This keeps the 3 × 3 systems well
-        # conditioned.
+        # Places are relative to the upper box's middle, in units of its half extents. Such coordinates keep the 3 × 3
+        # systems well conditioned.
         origin, scale = boxes.target.take(upper, axis=0)[:, :2], boxes.half_size.take(upper, axis=0)[:, :2]
         low = (self.low.take(self.together, axis=0) - origin) / scale
         high = (self.high.take(self.together, axis=0) - origin) / scale
@@ -467,7 +469,8 @@ def ranges(first: IntArray, count: IntArray) -> IntArray:
 
 @lru_cache(maxsize=256)
 def bearing_of(scene: Scene) -> Bearing:
-    """The result of ``find_bearing``, cached, since many worlds of a sweep have the same scene."""
+    """The contacts of a scene, from ``find_bearing``. The contacts are cached, since many worlds of a sweep have the
+    same scene."""
     return find_bearing(scene)
 
 
@@ -480,10 +483,11 @@ def bearings_of(
     """The contacts of several scenes in one ``Bearing``, scene after scene.
 
     Args:
-        scenes: scenes whose boxes are at their planned places. They come first.
-        elsewhere: scenes whose boxes are at other places. They come after ``scenes``.
+        scenes: scenes whose boxes are at their planned places. The contacts of these scenes come first.
+        elsewhere: scenes whose boxes are at other places. The contacts of these scenes come after those of ``scenes``.
         pos: (n, 3) places of the boxes in each scene of ``elsewhere``, m.
-        most_gap_m: ``most_gap_m`` of ``find_bearing`` for each scene of ``elsewhere``. If empty, it is ``TOUCH_M``.
+        most_gap_m: ``most_gap_m`` of ``find_bearing`` for each scene of ``elsewhere``. If ``most_gap_m`` is empty,
+            ``TOUCH_M`` is used.
     """
     if len({id(scene) for scene in scenes}) == 1 and not elsewhere:
         one = bearing_of(scenes[0])
@@ -509,7 +513,7 @@ def find_bearings(
     boxes, most_gap_m = Boxes.of(scenes, targets), np.broadcast_to(most_gap_m, len(scenes))
     first, counts = boxes.first, np.diff(boxes.first)
     plain = np.array([is_plain(scene) for scene in scenes], bool)
-    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # empty arrays, since scenes may have no contacts
+    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # empty, since scenes may lack contacts
     for k in np.flatnonzero(~plain).tolist():
         one = find_bearing(replace(scenes[k], target=targets[k]), float(most_gap_m[k]))
         lower = np.where(one.lower == CARRIER, CARRIER, one.lower + first[k])
@@ -590,11 +594,11 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
 
     A box lies on a board of the carrier's deck if the box's bottom is not above the deck. A box lies on another box if
     the other box's bottom is lower, and its top is at the height of the first box's bottom. Both rules have the
-    tolerance ``TOUCH_M``. They require that the two bodies overlap along x and y.
+    tolerance ``TOUCH_M``, and require that the two bodies overlap along x and y.
 
     Args:
-        most_gap_m: largest gap below a box's bottom across which the box still counts as lying on a body, m. It can
-            exceed ``TOUCH_M``, since a box may lean onto a lower body.
+        most_gap_m: largest gap below a box's bottom across which the box still counts as lying on a body, m. The gap
+            can exceed ``TOUCH_M``, since a box may lean onto a lower body.
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
     deck_low, deck_high = _deck(scene.carrier)

@@ -1,12 +1,12 @@
 """Variants: how a world differs from its plan's nominal (unchanged) world.
 
-A variant has two halves. Its *placement* is the changes that act while boxes are placed, or before (friction, mass,
-sizes, placement errors). Its *drive* is what shakes the finished pallet (profile, strength, direction). Worlds of a
-plan with the same ``placement_key`` have the same placement. It is simulated once, and each of these worlds starts from
-the settled state.
+A variant has two halves. The *placement* of a variant is the changes that act while boxes are placed, or before
+(friction, mass, sizes, placement errors). The *drive* of a variant is what shakes the finished pallet (profile,
+strength, direction). Worlds of a plan with the same ``placement_key`` have the same placement. This placement is
+simulated once, and each of these worlds starts from the settled state.
 
-The scenes of many variants of a plan are made together (``apply_all``). It takes 0.05 ms per scene. If scenes were made
-one by one, it would take ten times as long: as long as a GPU needs to simulate a small world.
+The scenes of many variants of a plan are made together (``apply_all``). Making scenes together takes 0.05 ms per scene.
+Making them one by one would take ten times as long: as long as a GPU needs to simulate a small world.
 """
 
 from __future__ import annotations
@@ -105,11 +105,12 @@ class PlacementChange:
         size_rel: relative change of each dimension of a box (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: errors of a box's place along x and y, mm, and of its rotation about the vertical, degrees.
         drop_height_mm: height above its place at which a box is released, mm. Negative random heights count as 0.
-        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``. If None, the options apply.
+        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``. If ``placing_name`` is None, the
+            option ``placing`` applies.
         placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: values that replace
-            fields of ``petmjx.options.placing.Placing``. If one is None, the options apply.
-        wrap_turns: number of turns of film that replaces that of ``petmjx.options.wrap.Wrap``. If None, the
-            options apply.
+            fields of ``petmjx.options.placing.Placing``. For a value of None, the option applies.
+        wrap_turns: number of turns of film that replaces that of ``petmjx.options.wrap.Wrap``. If ``wrap_turns`` is
+            None, the options apply.
         shifts_from_release: whether a box's shift is measured from its place of release, not from its planned place.
     """
 
@@ -150,7 +151,7 @@ class PlacementChange:
 
     @cached_property
     def random(self) -> bool:
-        """Whether anything is random, so that repetitions of the placement differ."""
+        """Whether any change of the placement is random, so that repetitions of the placement differ."""
         values = (getattr(self, entry.name) for entry in fields(self))
         return any(isinstance(value, Distribution) and value.random for value in values)
 
@@ -169,7 +170,7 @@ class DriveSpec:
         scale: factor on the profile: its scale or level.
         direction_deg: angle by which the profile is rotated about the vertical, degrees.
         scale_to: if given, each world gets a random factor that is uniformly distributed between ``scale`` and
-            ``scale_to``. If None, the factor is ``scale``.
+            ``scale_to``. If ``scale_to`` is None, the factor is ``scale``.
     """
 
     profile: str
@@ -187,7 +188,7 @@ class LegSpec:
         drives: what shakes the pallet, in order, with a pause of ``pause_s`` between two drives. If there are no
             drives, the pallet rests for ``pause_s``.
         pause_s: duration of a pause, s.
-        wrap_turns: turns of film around the pallet during the leg. If None, the options apply.
+        wrap_turns: turns of film around the pallet during the leg. If ``wrap_turns`` is None, the options apply.
         open_walls: walls of the carrier that are open during the leg, in addition to those that the options open.
     """
 
@@ -299,7 +300,7 @@ def _variant_batches(variants: Iterable[Variant]) -> Iterator[tuple[Variant, ...
 
 
 def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], standing: int) -> Iterator[Scene]:
-    """The scenes of worlds that differ only in their random numbers, one for each key.
+    """The scenes of worlds that differ only in their random numbers. Each key identifies a world.
 
     In this function, each array has one row per world, or a single row if all worlds are equal.
     """
@@ -430,7 +431,8 @@ def _with_walls(
     movable: NDArray[np.bool_],
     reach_m: float,
 ) -> FloatArray:
-    """The result of ``make_room`` for the boxes, with the carrier's walls as additional boxes that do not move."""
+    """(m, n, 2) horizontal places of the boxes, m, from ``make_room``, with the carrier's walls as additional boxes
+    that do not move."""
     walls, n, sides = slice(carrier.n_boards, None), len(target), carrier.walls
     middle, half = (carrier.pos + carrier.shape_pos)[walls], carrier.half_size[walls]
     gap = carrier.room.gaps(target, planned[1], 0.0)

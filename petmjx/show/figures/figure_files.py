@@ -53,14 +53,14 @@ def figure(results: PackerComparison | CriteriaResults | RunResults, *files: str
     check_figures(paths)
     with paper_style():
         for path in paths:
-            drawn = _drawn_figure(results)  # drawn again for each file, since writing a figure changes the figure
+            drawn = _drawn_figure(results)  # the figure is drawn again for each file, since writing a figure changes it
             with atomic_write(path) as temporary:
                 write(drawn, temporary, path.suffix.lower().removeprefix("."))
     return paths
 
 
 def check_figures(paths: list[Path]) -> None:
-    """Check that figures can be written. Called before the results are computed.
+    """Check that figures can be written. This check comes before the results are computed.
 
     Raises:
         InputError: a suffix is unknown, a path cannot be written, or matplotlib is missing.

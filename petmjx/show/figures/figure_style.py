@@ -19,11 +19,11 @@ POINTS: Final = 8.0
 DOTS_PER_INCH: Final = 200
 
 SETTINGS: Final[Any] = {
-    "svg.fonttype": "none",  # store letters as text, not as outlines
-    "svg.hashsalt": "petmjx",  # makes ids in SVG files the same each time
-    "pdf.fonttype": 42,  # TrueType, which journals require
-    "font.family": "DejaVu Sans",  # comes with matplotlib
-    "text.parse_math": False,  # otherwise, a $ in a name would begin a formula
+    "svg.fonttype": "none",  # Letters are stored as text, not as outlines.
+    "svg.hashsalt": "petmjx",  # With a fixed salt, ids in SVG files are always the same.
+    "pdf.fonttype": 42,  # Type 42 is TrueType, which journals require.
+    "font.family": "DejaVu Sans",  # This font comes with matplotlib.
+    "text.parse_math": False,  # Otherwise, a $ in a name would begin a formula.
     "font.size": POINTS,
     "axes.titlesize": POINTS,
     "axes.labelsize": POINTS,

@@ -50,7 +50,7 @@ FOOTER: Final = 0.045
 
 SIDES: Final = (("front", 0, 1, 1.0), ("right", 1, 0, -1.0), ("back", 0, 1, -1.0), ("left", 1, 0, 1.0))
 """For each view of the load: its name, the horizontal axis in the view, the axis perpendicular to the view, and whether
-the latter points away from the eye (1) or towards the eye (-1). Axis 0 is x, axis 1 is y."""
+this perpendicular axis points away from the eye (1) or towards the eye (-1). Axis 0 is x, axis 1 is y."""
 
 MIRRORED: Final = frozenset({"back", "left"})
 """Views in which the horizontal axis points to the left."""
@@ -205,8 +205,8 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
     Args:
         run: the run of the chain.
         plan: the plan.
-        slides_g: smallest acceleration at which the load slides without film, g. This number is the coefficient of
-            friction between load and carrier.
+        slides_g: smallest acceleration at which the load slides without film, g. In g, this acceleration equals the
+            coefficient of friction between load and carrier.
     """
     sim = Simulation.read(run.info["config"]["simulation"])
     legs = [leg for leg in run.info["config"]["sweep"]["legs"] if leg.get("wrap_turns") is not None]

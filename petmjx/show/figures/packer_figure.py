@@ -18,7 +18,7 @@ LINE_IN: Final = 0.155
 """Height of a line of text, inches."""
 
 MOST_PAIRS: Final = 15
-"""Largest number of pairs in a figure. Six packers have this many pairs."""
+"""Largest number of pairs in a figure: the pairs of six packers."""
 
 _COLOUR: Final = OKABE_ITO[4]
 

@@ -49,7 +49,7 @@ def draw_answers(run: RunResults) -> Any:
     For a search, there is a panel for each profile, with a line for each direction: the share of plans that survive
     each level. For another sweep, there is a panel for each axis with several values: the share of worlds that stand,
     with its interval. For a score with confidence, the figure shows the share of worlds in which each plan stands. For
-    a chain, it shows the share of worlds in which each plan arrives.
+    a chain, the figure shows the share of worlds in which each plan arrives.
 
     Raises:
         InputError: the run has no summary, or nothing in its summary can be drawn.
@@ -72,7 +72,7 @@ def survival_curve(levels: pd.Series[float]) -> tuple[Any, Any]:
     """A step curve of the share of plans that survive each level.
 
     Args:
-        levels: the largest level that each plan survives. A missing value means that the plan survives no level; it
+        levels: the largest level that each plan survives. A missing value means that the plan survives no level, and
             counts as 0.
 
     Returns:

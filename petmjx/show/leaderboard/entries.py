@@ -160,7 +160,8 @@ def enter(
         name: name of the packer.
         path: folder of a run, or plans.
         folder: folder of the board.
-        watch: see ``Watch``. If None, the run is not watched.
+        watch: function that makes the object that watches the progress of the run (see ``Watch``). If ``watch`` is
+            None, nothing watches the run.
         options: options of ``petmjx.score`` for plans.
         ours: whether the packer is part of petmjx.
 

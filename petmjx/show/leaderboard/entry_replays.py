@@ -64,7 +64,7 @@ class Replay:
 
     @property
     def differs(self) -> bool:
-        """Whether the entry's run has another valid verdict."""
+        """Whether the verdict in the entry's run is valid and differs from that of the replay."""
         return self.claimed in _VALID and self.verdict != self.claimed
 
 
@@ -98,9 +98,10 @@ class Sample:
     def refusal(self) -> str:
         """Why the entry is not rated, in one line; "" if it is rated.
 
-        If the sample is ``exact``, one different verdict refutes the run, unless the replay is near a threshold.
-        Otherwise, at least two such verdicts are needed. If all different verdicts are near a threshold, they refute
-        the run only if there are at least two of them, and if they are more than half of the replays.
+        One different verdict refutes the run if the sample is ``exact`` and the replay is not near a threshold. If the
+        sample is not ``exact``, at least two different verdicts that are not near a threshold are needed. If all
+        different verdicts are near a threshold, they refute the run only if there are at least two of them, and if they
+        are more than half of the replays.
         """
         differing = [replay for replay in self.replays if replay.differs]
         firm = [replay for replay in differing if not replay.near]
@@ -150,9 +151,9 @@ def sample_entry(
         most: number of plans. If a verdict differs but does not refute the run, the same number of further plans is
             simulated.
         sim: simulation options of the board.
-        options: run options of the board. If they name no engine, the engine of the entry's run is used, or ``mujoco``
-            if this engine cannot run on this machine.
-        wanted: ids of the plans from which the sample is chosen. If None, all plans of the run are used.
+        options: run options of the board. If the options name no engine, the engine of the entry's run is used, or
+            ``mujoco`` if that engine cannot run on this machine.
+        wanted: ids of the plans from which the sample is chosen. If ``wanted`` is None, all plans of the run are used.
     """
     config = entry.run.info.get("config", {})
     engine = options.engine if "engine" in options.model_fields_set else str(config.get("engine"))

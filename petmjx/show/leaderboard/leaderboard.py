@@ -66,8 +66,8 @@ def leaderboard(
     ``petmjx.leaderboard({"mine": "mine.json"}, "board", orders="orders.json", baselines=True)``
 
     The folder contains ``index.html``, ``leaderboard.json`` with the same numbers, and pages about single plans
-    (stories). It also contains all that is needed to make the board again: the folder ``plans``, ``orders.json``, and
-    the command, which ``index.html`` shows.
+    (stories). The folder also contains all that is needed to make the board again: the folder ``plans``,
+    ``orders.json``, and the command, which ``index.html`` shows.
 
     Plans are simulated, with results in the folder ``runs``. Existing runs are used unchanged, but ``replays`` of their
     plans are simulated again. If these simulations contradict the run of an entry, the entry is not rated, and a
@@ -77,17 +77,17 @@ def leaderboard(
         packers: name of a packer → folder of a run, or plans. If no names are given, packers get the names of these
             folders and files.
         out: folder of the site.
-        orders: file with the orders of the plans, in any form. The rating then covers these orders, and KPIs are added.
-            If None, the rating covers the orders for which any packer has a plan, so the rating of a packer depends on
-            the other packers.
+        orders: file with the orders of the plans, in any form. With a file of orders, the rating covers these orders,
+            and KPIs are added. If ``orders`` is None, the rating covers the orders for which any packer has a plan, so
+            the rating of a packer depends on the other packers.
         baselines: whether the orders are also packed by each of petmjx's packers, which then take part.
         repairs: names of packers whose plans are also repaired (docs/repair.md). The repaired plans are rated as an
             additional entry ``NAME-repaired``.
         stories: number of plans per packer that get a page. Plans that fall while another packer's plan for the same
             order stands come first.
         replays: number of plans per entry that are simulated again, unless this call has simulated all plans of the
-            entry. The plans are chosen at random. The options of these simulations are those of this call. If this call
-            gives no options, they are those of the runs, or the defaults if runs have different options.
+            entry. The plans are chosen at random. Replays have the options of this call. If this call gives no options,
+            replays have the options of the runs, or the defaults if runs have different options.
         watch: function that returns, for the name of a packer, a context with an object that watches the progress of
             its run.
         overwrite: whether to replace an existing leaderboard.
@@ -162,7 +162,7 @@ class _RatedEntries:
         comparison: the comparison of these entries.
         story_entries: the stories.
         options: simulation options of the board.
-        samples: the replays of each entry of which plans were simulated again.
+        samples: the replays (plans simulated again) of each entry that has any.
     """
 
     entries: Sequence[Entry]
@@ -209,8 +209,8 @@ def _rated_entries(
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
-    """The simulation options of the board: those of the call. If the call gives no options, they are those of the runs,
-    or the defaults if runs have different options."""
+    """The simulation options of the board: those of the call. If the call gives no options, the board has the options
+    of the runs, or the defaults if runs have different options."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
     if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)
@@ -246,7 +246,7 @@ def _stories(
     entries: Sequence[Entry], comparison: PackerComparison, folder: Path, most: int
 ) -> tuple[list[StoryEntry], dict[str, list[Replay]]]:
     """Make stories of some plans of each packer. Each of these plans is simulated again, as in its run. Returns the
-    stories, and the name of each packer → these simulations as replays."""
+    stories, and the name of each packer → the simulations for its stories, as replays."""
     folder.mkdir(exist_ok=True)
     stories: list[StoryEntry] = []
     replays_by_name: dict[str, list[Replay]] = {}

@@ -31,7 +31,7 @@ board."""
 
 _MOST_BYTES: Final = 1 << 30
 _NO_FILE: Final = ".none"
-"""Name of a file that no run has. It stands for any file in the folder of a run when the path of this folder is
+"""Name of a file that no run has. The name stands for any file in the folder of a run when the path of this folder is
 checked."""
 
 
@@ -59,7 +59,8 @@ class BoardFolder:
         packers: names of the packers.
         names: the files that may be written, from :func:`names_of`.
         inputs: files and folders that are read.
-        overwrite: whether to replace an existing board. An unfinished board is continued even if this is False.
+        overwrite: whether to replace an existing board. An unfinished board is continued even if ``overwrite`` is
+            False.
 
     Attributes:
         board_files: the files that belong to the board, as paths relative to the board's folder.
@@ -146,8 +147,8 @@ def _board_in(folder: Path) -> Mapping[str, Any] | None:
 
 
 def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
-    """The files that belong to a board, according to the list in its ``leaderboard.json``. If there is no list, they
-    are the files of its packers and stories."""
+    """The files that belong to a board, according to the list in its ``leaderboard.json``. If there is no list, the
+    files of the board's packers and stories are returned."""
     if not board:
         return
     listed = board.get(FILES)

@@ -79,7 +79,7 @@ class Board:
         orders: whether the board was made with orders.
         stories: largest number of stories per packer.
         options: simulation options with which the board can be made again.
-        samples: the replays of each entry of which plans were simulated again, including entries that are not rated.
+        samples: the replays (plans simulated again) of each entry that has any, including entries that are not rated.
     """
 
     entries: Sequence[Entry]
@@ -126,7 +126,7 @@ class Board:
 
     @property
     def command(self) -> str:
-        """The command that makes the board again, in another folder. It must be run in the board's folder."""
+        """The command that makes the board again, in another folder. The command must be run in the board's folder."""
         entry_names = [entry.name for entry in self.entries if entry.name in self.digests and not entry.ours]
         words = ["petmjx", "leaderboard", *(f"{name}={PLANS}/{name}.json" for name in entry_names)]
         words += ["--orders", ORDERS] if self.orders else []

@@ -1,8 +1,8 @@
 """Makes one offline HTML page from its parts.
 
-The page contains its styles, scripts and data. Its content security policy forbids it to request anything else. Texts
-from plans never become markup: :func:`escaped_html` escapes them in HTML, :func:`page` escapes them in data, and
-scripts write them as text.
+The page contains its styles, scripts and data. The page's content security policy forbids the page to request anything
+else. Texts from plans never become markup: :func:`escaped_html` escapes them in HTML, :func:`page` escapes them in
+data, and scripts write them as text.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ def page(
     Args:
         title: title of the page, as text.
         body: content of the page, as markup.
-        script: name of the script's main module in ``petmjx/show/pages/static``. Modules that it imports are included.
-            "" if the page has no script.
+        script: name of the script's main module in ``petmjx/show/pages/static``. Modules that the main module imports
+            are included. "" if the page has no script.
         styles: names of style sheets in the same folder, added after ``base.css``.
         info: plain values, which the script reads with ``readInfo()``.
-        blocks: name → arrays, as text from :func:`petmjx.show.pages.page_arrays.block`. The script reads them with
-            ``readBlock(name)``.
+        blocks: name → arrays, as text from :func:`petmjx.show.pages.page_arrays.block`. The script reads the arrays
+            with ``readBlock(name)``.
 
     Raises:
         ValueError: the name of a block has characters other than lower-case letters, digits and hyphens.

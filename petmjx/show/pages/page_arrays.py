@@ -1,8 +1,8 @@
 """Compact arrays in a page: deflated bytes in base64, which ``petmjx/show/pages/static/blocks.js`` reads.
 
-A *block* is a text that contains several arrays. Before it is deflated (zlib) and encoded in base64, a block consists
-of the length of the header (4 bytes), the header (JSON, padded with spaces so that the arrays begin at a multiple of 8
-bytes), and the arrays, each of which begins at a multiple of 8 bytes. All numbers are little-endian.
+A *block* is a text that contains several arrays. The bytes of a block are the length of the header (4 bytes), the
+header (JSON, padded with spaces), and the arrays. Each array begins at a multiple of 8 bytes. All numbers are
+little-endian. The bytes are deflated (zlib) and encoded in base64.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> 
 
     Args:
         values: floats of any shape. Infinities become NaN.
-        steps: whether to store differences along axis 0. This suits values that change slowly along this axis.
+        steps: whether to store differences along axis 0. Differences suit values that change slowly along this axis.
     """
     finite = np.isfinite(values)
     low, high = (float(values[finite].min()), float(values[finite].max())) if finite.any() else (0.0, 0.0)

@@ -70,7 +70,7 @@ def look() -> dict[str, Any]:
 
 
 def _on_path(share: float) -> str:
-    """The colour at a position on the ramp, from 0 to 1. Its chroma is reduced as far as sRGB requires."""
+    """The colour at a position on the ramp, from 0 to 1. The colour's chroma is reduced as far as sRGB requires."""
     lightness, hue = (low + share * (high - low) for low, high in (_LIGHTNESS, _HUE_DEG))
     chroma = _CHROMA
     while True:

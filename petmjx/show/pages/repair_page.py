@@ -30,8 +30,8 @@ def write_repair_page(repairs: Repairs, path: Path) -> None:
 
 
 def repair_page(repairs: Repairs) -> str:
-    """The text of an offline HTML file about repairs. For each plan that did not stand, it shows the changes, and two
-    pictures: the end of the simulation before and after the repair.
+    """The text of an offline HTML file about repairs. For each plan that did not stand, the page shows the changes, and
+    two pictures: the end of the simulation before and after the repair.
 
     To make the pictures, both plans are simulated once more.
     """

@@ -47,8 +47,9 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
 
     Args:
         story: the story.
-        marked: numbers of the boxes that are outlined. If None, the first box to fail is outlined.
-        numbers: the number that the picture shows for each box. If None, it shows the boxes' numbers in the plan.
+        marked: numbers of the boxes that are outlined. If ``marked`` is None, the first box to fail is outlined.
+        numbers: the number that the picture shows for each box. If ``numbers`` is None, the picture shows the boxes'
+            numbers in the plan.
     """
     marked = (story.outcome.culprit,) if marked is None else marked
     history, scene = story.history, story.scene
@@ -109,9 +110,9 @@ def _svg(
         plan: the plan.
         shown: number in the plan of each box that is drawn.
         numbers: the number that the picture shows for each of these boxes.
-        fit: the result of ``_picture_fit``.
+        fit: how the scene fits into the picture, from ``_picture_fit``.
         marked: numbers in the plan of the boxes that are outlined.
-        n_walls: number of walls. They are the last entries in ``boxes``, and are drawn transparent.
+        n_walls: number of walls, which are the last entries in ``boxes`` and are drawn transparent.
         label: description of the picture for screen readers.
     """
     n_boards = len(boxes[0]) - len(shown)
@@ -149,7 +150,7 @@ def _picture_fit(
     Args:
         points: (…, 3) corners of all boxes, m.
         framed: lowest and highest corner of the part of the scene that the picture must show. Boxes far outside are cut
-            off. If None, the picture shows all boxes.
+            off. If ``framed`` is None, the picture shows all boxes.
     """
     projected = _projection(points).reshape(-1, 2)
     if framed is not None:

@@ -24,8 +24,8 @@ _FAR_SHARE: Final = 0.5
 """Distance from the planned load up to which the view must show boxes at the end: ``_FAR_M`` + this share of the load's
 height."""
 _LOST_M: Final = 50.0
-"""Distance from the origin beyond which boxes are not drawn, m. Such boxes occur in simulations that became numerically
-unstable. If they were drawn, all other positions would be stored less precisely."""
+"""Distance from the origin beyond which boxes are not drawn, m. Boxes so far away occur in simulations that became
+numerically unstable. If boxes so far away were drawn, all other positions would be stored less precisely."""
 _ARROW_M: Final = 0.45
 """Width of the space to the left of the carrier for the arrow of gravity, m (petmjx/show/pages/static/arrows.js)."""
 

@@ -16,7 +16,7 @@ from petmjx.version import __version__
 
 
 def story_page(story: Story) -> str:
-    """An offline HTML file in which a story can be played, turned and inspected. Without WebGL, it shows a still
+    """An offline HTML file in which a story can be played, turned and inspected. Without WebGL, the page shows a still
     picture and a table.
 
     Returns:

@@ -75,8 +75,8 @@ def film_frames(story: Story, look: PictureStyle, speed: float, times: list[floa
 
 
 def palette_of(frames: Iterable[Image]) -> Image:
-    """The palette of a GIF, made from some of its frames: 255 colours, of which one is white. The index after them
-    marks pixels that do not change."""
+    """The palette of a GIF, made from some of its frames: 255 colours, of which one is white. The index 255, after
+    these colours, marks pixels that do not change."""
     from PIL import Image
 
     sample_frames = list(frames)
@@ -142,8 +142,8 @@ def write_mp4(
 
 
 def _colour_indices(frame: Image, palette: Image) -> NDArray[np.uint8]:
-    """(height, width) index in the palette of each pixel's colour. White pixels get exactly white, since Pillow would
-    choose a similar colour."""
+    """(height, width) for each pixel, the index of its colour in the palette. White pixels get exactly white, since
+    Pillow would choose a similar colour."""
     from PIL import Image
 
     indices = np.array(frame.quantize(palette=palette, dither=Image.Dither.NONE), dtype=np.uint8)

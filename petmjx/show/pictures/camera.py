@@ -120,7 +120,7 @@ def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Marg
         points: (k, 3) the points, m.
         view: direction from the pallet to the camera.
         size: width and height of the picture, px.
-        margins: the margins. If None, the default margins are used.
+        margins: the margins. If ``margins`` is None, the default margins are used.
     """
     margins = margins or Margins()
     right, up, forward = _axes(view)

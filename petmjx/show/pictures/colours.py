@@ -36,7 +36,7 @@ MOST_NAMED: Final = 7
 class Scale:
     """The meaning of colours that represent values from ``low`` (dark) to ``high`` (bright).
 
-    If ``open_end`` is True, larger values can occur. They have the same colour as ``high``.
+    If ``open_end`` is True, values larger than ``high`` can occur, and have the same colour as ``high``.
     """
 
     label: str
@@ -88,7 +88,8 @@ class Colouring:
 
 
 def colouring(story: Story, colour: Colour) -> Colouring:
-    """The colours of a story's boxes. If they represent values, the scale is the same for all frames of the story."""
+    """The colours of a story's boxes. If colours represent values, the scale is the same for all frames of the
+    story."""
     if colour is Colour.ARTICLE:
         colours = article_colours(story.plan.articles)
         shades = {name or UNNAMED: rgb_of(shade) for name, shade in zip(story.plan.articles, colours, strict=True)}

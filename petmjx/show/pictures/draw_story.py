@@ -35,7 +35,7 @@ _SUN: Final = (0.26, 0.36, -1.0)
 _FLOOR_HALF_M: Final = 60.0
 
 _TOWARDS_CAMERA: Final = 1.5e-3
-"""Share of the distance from the camera by which edges are drawn nearer to the camera than their box. They are also
+"""Share of the distance from the camera by which edges are drawn nearer to the camera than their box. Edges are also
 drawn smaller by this share. So the edges cover the same pixels, but lie in front of the faces."""
 
 _SEE_THROUGH: Final = 0.24
@@ -61,14 +61,14 @@ extent, but at least ``LEAST_REACH_M``. To show a box that has rolled away, all 
 
 
 class Painter:
-    """Draws pictures of one story, all of the same size. Use it in a ``with`` statement, in one thread.
+    """Draws pictures of one story, all of the same size. Use this object in a ``with`` statement, in one thread.
 
     Args:
         colours: colours of the boxes.
         size: width and height of a picture, px.
         line_px: width of boxes' edges, px.
-        newtons_per_m: force per length of the arrows for contact forces. Boxes are then transparent. If None, no arrows
-            are drawn.
+        newtons_per_m: force per length of the arrows for contact forces. If arrows are drawn, boxes are transparent. If
+            ``newtons_per_m`` is None, no arrows are drawn.
 
     Raises:
         InputError: this machine cannot draw.
@@ -129,8 +129,8 @@ class Painter:
         self.canvas.box(half_size, np.array([0.0, 0.0, self.story.scene.floor_z - 0.012]), np.eye(3), FLOOR)
 
     def _shadow(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray) -> None:
-        """Draw the shadow of a box: a box that is flattened onto the floor, along the direction of the light. It keeps
-        a little of its height, since faces need normals."""
+        """Draw the shadow of a box: a box that is flattened onto the floor, along the direction of the light. The
+        flattened box keeps a little of its height, since faces need normals."""
         across = np.array(_SUN[:2]) / _SUN[2]
         flatten = np.array([[1.0, 0.0, -across[0]], [0.0, 1.0, -across[1]], [0.0, 0.0, 1e-3]])
         above = pos - np.array([0.0, 0.0, self.story.scene.floor_z])

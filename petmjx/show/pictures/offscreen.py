@@ -29,7 +29,7 @@ CONTEXTS: Final = ("egl", "osmesa", "glfw")
 """Possible values of ``MUJOCO_GL`` on Linux."""
 
 SAMPLES: Final = 4
-"""Samples per pixel. Several samples prevent jagged edges."""
+"""Samples per pixel. Several samples per pixel prevent jagged edges."""
 
 _ADVICE: Final = (
     "install EGL and a driver (Debian, Ubuntu: apt-get install libegl1 libgl1-mesa-dri), "
@@ -48,7 +48,7 @@ _LIGHTS: Final = (
 
 
 class Canvas:
-    """Draws pictures of one size, one after another. Use it in a ``with`` statement, in one thread.
+    """Draws pictures of one size, one after another. Use this object in a ``with`` statement, in one thread.
 
     Args:
         size: width and height of a picture, px.
@@ -159,7 +159,7 @@ def _gl_context(size: tuple[int, int]) -> Any:
 
 @contextmanager
 def _same_environment(name: str) -> Iterator[None]:
-    """Restore an environment variable after the body, which may change it."""
+    """A context that restores an environment variable at its end, since its body may change the variable."""
     before = os.environ.get(name)
     try:
         yield
@@ -171,7 +171,7 @@ def _same_environment(name: str) -> Iterator[None]:
 
 
 def _studio(size: tuple[int, int], line_px: float) -> Any:
-    """A MuJoCo model without bodies. It only has what the renderer needs: sizes, and a white sky."""
+    """A MuJoCo model without bodies. The model only has what the renderer needs: sizes, and a white sky."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.global_.linewidth = line_px

@@ -20,8 +20,8 @@ TIMELINE: Final = "time"
 
 
 def write_recording(story: Story, colours: Colouring, path: Path) -> None:
-    """Write all frames of a story. A box is labelled with its name; the label of the first box to fail also states
-    this."""
+    """Write all frames of a story. A box is labelled with its name; the label of the first box to fail also states that
+    it fails first."""
     import rerun as rr
 
     recording = rr.RecordingStream("petmjx", recording_id=f"{printable(story.plan.plan_id)} {story.variant}")

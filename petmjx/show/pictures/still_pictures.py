@@ -31,7 +31,8 @@ class PictureStyle:
         colours: colours of the boxes.
         view: direction from the pallet to the camera.
         size: width and height of a picture, px.
-        newtons_per_m: force per length of the arrows for contact forces. If None, no arrows are drawn.
+        newtons_per_m: force per length of the arrows for contact forces. If ``newtons_per_m`` is None, no arrows are
+            drawn.
     """
 
     colours: Colouring

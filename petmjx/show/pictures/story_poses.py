@@ -21,8 +21,8 @@ from petmjx.world.job import FORCE
 LOST_M: Final = 1000.0
 
 _ROUNDED_S: Final = 0.01
-"""Time after the end of the story that may still be requested, s. It is needed because times are printed with two
-decimals."""
+"""Time after the end of the story that may still be requested, s. This allowance is needed because times are printed
+with two decimals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def poses_at(history: History, time_s: float) -> Poses:
 
 
 def nearest_frame(history: History, time_s: float) -> int:
-    """The number of the frame nearest to a time. If several frames have this time, it is the last of them."""
+    """The number of the frame nearest to a time. If several frames have this time, the last of them is taken."""
     distance = np.abs(history.time_s - time_s)
     return int(np.flatnonzero(distance == distance.min())[-1])
 
@@ -104,8 +104,8 @@ def moments(story: Story, names: str | None) -> list[Moment]:
 
     Args:
         story: the story.
-        names: moments, separated by commas. If None, the moments are before the first sign (the first crossing of a
-            threshold by a box), at the first sign, and at the end; or only the end if no box failed.
+        names: moments, separated by commas. If ``names`` is None, the moments are before the first sign (the first
+            crossing of a threshold by a box), at the first sign, and at the end; or only the end if no box failed.
 
     Raises:
         InputError: a name is unknown, or the story has no such moment.
@@ -149,7 +149,7 @@ def tilts_deg(poses: Poses) -> FloatArray:
 
 def shaking_g(story: Story, poses: Poses) -> FloatArray:
     """(3,) what shakes the carrier, in g: the carrier's acceleration, or the force on the carrier divided by the total
-    weight. Zero if nothing shakes it."""
+    weight. The values are 0 if nothing shakes the carrier."""
     if story.drive is None:
         return np.zeros(3)
     of_force = story.drive.excitation.kind == FORCE

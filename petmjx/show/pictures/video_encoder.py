@@ -1,7 +1,8 @@
 """Encodes films in H.264 with the ffmpeg of imageio-ffmpeg.
 
-When imageio-ffmpeg starts ffmpeg, it runs a Python function between fork and exec. This is unsafe if the process has
-threads: after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg itself, without such a function.
+When imageio-ffmpeg starts ffmpeg, it runs a Python function between fork and exec. A Python function between fork and
+exec is unsafe if the process has threads: after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg
+itself, without any function between fork and exec.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
 
     Args:
         path: the file to write. An existing file is replaced.
-        size: width and height of the frames, px. Both must be even.
+        size: width and height of the frames, px. Width and height must be even.
         fps: frames per second.
 
     Yields:

@@ -30,7 +30,7 @@ MOST_BOXES: Final = 600_000
 boxes, worlds that stand are left out first."""
 
 WORLDS_PER_BLOCK: Final = 64
-"""Number of worlds in a block. Such a block is unpacked in some milliseconds, and deflates as well as a larger
+"""Number of worlds in a block. A block of this size is unpacked in some milliseconds, and deflates as well as a larger
 block."""
 
 TENTHS_PER_M: Final = 10_000
@@ -48,8 +48,8 @@ class BoxBlocks:
 
     Attributes:
         blocks: name → block. The blocks "boxes-0", "boxes-1", … contain ``WORLDS_PER_BLOCK`` worlds each.
-        drawn: (rows of the table,) the number of each row's world among the worlds in the blocks; −1 if the world is
-            not in a block.
+        drawn: (rows of the table,) for each row, the number of its world among all worlds in the blocks; −1 if the
+            world is not in a block.
         without_boxes: number of worlds that are left out because there are too many boxes.
     """
 
@@ -63,7 +63,7 @@ def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_
 
     Args:
         runs: the runs of the report.
-        table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
+        table: data frame with the rows of the table, from :func:`petmjx.show.report.plan_rows.table_rows`.
         most: largest number of boxes.
     """
     chosen, left = _drawn_rows(runs, table, most)
@@ -133,7 +133,7 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
 
 
 def simulation_of(info: Mapping[str, Any]) -> Simulation:
-    """The simulation options of a run. They are the defaults if the run does not state its options, or states options
+    """The simulation options of a run, or the default options if the run does not state its options, or states options
     that this version of petmjx cannot read."""
     settings = info.get("config", {}).get("simulation")
     try:
@@ -143,8 +143,8 @@ def simulation_of(info: Mapping[str, Any]) -> Simulation:
 
 
 def _block_columns_of_boxes(worlds: Sequence[_World]) -> dict[str, NDArray[Any] | PackedArray]:
-    """The arrays of a block. The array ``items`` is JSON in UTF-8, with an entry for each kind of box: [item, article,
-    length, width and height in mm, mass in kg]."""
+    """The arrays of a block with the boxes of some worlds. The array ``items`` is JSON in UTF-8, with an entry for each
+    kind of box: [item, article, length, width and height in mm, mass in kg]."""
     numbers = np.concatenate([world.numbers for world in worlds])
     pos, quat, (tilt, force, rest_force, drop) = numbers[:, :3], numbers[:, 3:7], numbers[:, 7:].T
     target = np.concatenate([world.target for world in worlds])

@@ -49,7 +49,7 @@ def interval_text(low: float, high: float) -> str:
 
 
 def _span(low: float, high: float, counts: bool) -> str:
-    """The range of a histogram's bin as text, such as "0.5 to 1". If the values are counts, such as "3" or "3 to 5"."""
+    """The range of a histogram's bin as text, such as "0.5 to 1", or for counts "3" or "3 to 5"."""
     if not counts:
         return f"{three_digits(low)} to {three_digits(high)}"
     first, last = math.ceil(low), math.floor(high)
@@ -153,8 +153,8 @@ class Bar:
         length: length of the bar, in any unit.
         text: text to the right of the bar.
         class_: class of the style sheet that gives the bar its colour.
-        link: part of the page's address after #, with which a click on the bar filters the table of plans. If None, a
-            click has no effect.
+        link: part of the page's address after #, with which a click on the bar filters the table of plans. If ``link``
+            is None, a click has no effect.
     """
 
     name: str

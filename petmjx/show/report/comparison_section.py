@@ -23,7 +23,7 @@ MOST_FLIPS: Final = 50
 flipped verdicts."""
 
 MOST_PAIRS: Final = 28
-"""Largest number of pairs of runs that are drawn. Eight runs have this many pairs."""
+"""Largest number of pairs of runs that are drawn: the pairs of eight runs."""
 
 
 def comparison_section(runs: Sequence[ReportRun]) -> Markup:

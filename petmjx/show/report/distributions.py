@@ -31,7 +31,7 @@ class Quantity:
         title: name of the metric.
         label: name and unit of the metric, for an axis.
         factor: factor that converts values to the unit of the label.
-        log_from: lower end of a logarithmic axis. If None, the axis is linear and begins at 0.
+        log_from: lower end of a logarithmic axis. If ``log_from`` is None, the axis is linear and begins at 0.
         lowest: label at the lower end of the axis, if smaller values are also drawn there.
         counts: whether values are whole numbers.
     """
@@ -50,7 +50,7 @@ class Quantity:
         return values.where(np.isfinite(values))
 
     def scale(self, values: pd.Series) -> Scale:
-        """The axis for histograms of this metric. It extends from the metric's lower end to the largest value."""
+        """The axis for histograms of this metric, which extends from the metric's lower end to the largest value."""
         return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
 
     def across(self, values: pd.Series) -> Scale:

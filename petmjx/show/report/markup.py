@@ -40,7 +40,8 @@ def element(name: str, *children: Content, **attributes: str | float | bool | No
         name: name of the element, such as "p".
         children: the children.
         attributes: attributes of the element. ``class_`` becomes class, and ``aria_label`` becomes aria-label. An
-            attribute with the value None or False is left out. With True, it is written without a value.
+            attribute with the value None or False is left out. An attribute with the value True is written without a
+            value.
     """
     written = "".join(_attribute(key, value) for key, value in attributes.items())
     end = "" if name in _EMPTY else f"</{name}>"

@@ -26,7 +26,7 @@ MOST_ROWS: Final = 200_000
 that stand are left out first."""
 
 MOST_OF_SWEEP: Final = 100_000
-"""Largest number of worlds of a sweep for which each world gets a row. If there are more worlds, each plan gets a
+"""Largest number of worlds of a sweep for which each world gets a row. In a sweep with more worlds, each plan gets a
 row."""
 
 PLAN: Final = "plan"
@@ -182,7 +182,7 @@ def _add_parameters(
 
 
 def _key(name: str) -> str:
-    """The key of a parameter's column in the page. It differs from the keys of all other columns."""
+    """The key of a parameter's column in the page, which differs from the keys of all other columns."""
     return f"x-{name}"
 
 

@@ -44,7 +44,7 @@ def replays(
 
     Args:
         runs: the runs of the report.
-        table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
+        table: data frame with the rows of the table, from :func:`petmjx.show.report.plan_rows.table_rows`.
         drawn: (rows of the table,) negative if the row's world has no 3D picture; see ``BoxBlocks.drawn``.
         most: largest number of poses.
     """

@@ -32,7 +32,7 @@ from petmjx.show.report.verdict_shares import headline, verdict_table
 from petmjx.world.carrier_boards import floor_z_m
 
 N_CATEGORIES: Final = 21
-"""Number of different colours for articles. If there are more articles, colours repeat."""
+"""Number of different colours for articles. If a run has more articles, colours repeat."""
 
 Source = str | Path | RunResults
 
@@ -62,7 +62,7 @@ def report(
     """
     path = path_of(out, "out")
     check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
-    check_writable(path)  # before the report is made, which may take long
+    check_writable(path)  # checked before the report is made, which may take long
     sources: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
     )

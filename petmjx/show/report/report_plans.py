@@ -1,4 +1,4 @@
-"""Finds the plans of a run again. A report needs them for 3D pictures and for the weights of loads."""
+"""Finds the plans of a run again. A report needs the plans for 3D pictures and for the weights of loads."""
 
 from __future__ import annotations
 

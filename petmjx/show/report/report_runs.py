@@ -79,8 +79,8 @@ class ReportRun:
     def worlds(self) -> pd.DataFrame:
         """The worlds that the report shows, with a row for each world, sorted by plan and variant.
 
-        Usually, these are all worlds of the run. For a score with confidence, they are the nominal worlds (without
-        errors). For a chain, they are the worlds without a remedy.
+        Usually, the report shows all worlds of the run. For a score with confidence, the report shows the nominal
+        worlds (without errors). For a chain, the report shows the worlds without a remedy.
 
         There are three additional columns: ``height_m`` and ``mass_kg`` of the plan's load (NaN if the plan was not
         found), and ``first_article``, the article of the first box to fail ("" if no box failed).
@@ -120,7 +120,7 @@ class ReportRun:
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
         """Id of a plan → articles of the plan's boxes, in packing order. Articles come from the plan or, if the plan
-        was not found, from the table ``boxes``. A plan is missing if the run has neither."""
+        was not found, from the table ``boxes``. A plan for which the run has neither is missing in the result."""
         articles_by_plan: dict[str, Sequence[str]] = {
             plan_id: plan.articles for plan_id, plan in self.plan_files.plans.items() if plan_id in plan_ids
         }
@@ -189,7 +189,7 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
 
 
 def distinct_path_ends(paths: Sequence[Path]) -> list[str]:
-    """The last parts of each path, such as "fast/run" and "slow/run". There are as few parts as needed to make all
+    """The last parts of each path, such as "fast/run" and "slow/run". Each name has as few parts as needed to make all
     names different."""
     depth = 1
     deepest = max(len(path.parts) for path in paths)

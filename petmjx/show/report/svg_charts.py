@@ -19,7 +19,7 @@ from petmjx.show.report.markup import Content, Markup, element
 
 WIDTH: Final = 300
 HEIGHT: Final = 190
-"""Width and height of a chart, CSS pixels. A wide screen shows four charts side by side. A phone shows one."""
+"""Width and height of a chart, CSS pixels. A wide screen shows four charts side by side, a phone shows one."""
 
 LEFT: Final = 54
 RIGHT: Final = 12
@@ -36,7 +36,7 @@ class Scale:
 
     Attributes:
         low, high: ends of the range of values. Values outside are drawn at the nearest end.
-        log: whether the scale is logarithmic. Then ``low`` must be above 0.
+        log: whether the scale is logarithmic, which requires that ``low`` is above 0.
         lowest: label at the lower end, such as "≤ 1", if smaller values are also drawn there.
         counts: whether values are counts, that is, whole numbers.
     """
@@ -53,7 +53,7 @@ class Scale:
 
         Args:
             values: the values.
-            log_from: lower end of a logarithmic scale. If None, the scale is linear.
+            log_from: lower end of a logarithmic scale. If ``log_from`` is None, the scale is linear.
             lowest: as in ``Scale``.
             zero: whether a linear scale begins at 0.
         """
@@ -90,7 +90,7 @@ class Scale:
         return np.linspace(self.low, self.high, bins + 1)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """(value, label) of each tick. Ticks are at round values. There are about ``MOST_TICKS`` at most."""
+        """(value, label) of each tick. Ticks are at round values. There are at most about ``MOST_TICKS`` ticks."""
         if not self.log:
             step = max(round_step((self.high - self.low) / (MOST_TICKS - 1)), 1.0 if self.counts else 0.0)
             first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
@@ -126,7 +126,7 @@ class Frame:
         title: title of the chart, which screen readers also read.
         x, y: scales of the axes.
         x_label, y_label: labels of the axes, with units.
-        x_ticks: (value, label) of each tick of the x axis. If None, they are those of the scale.
+        x_ticks: (value, label) of each tick of the x axis. If ``x_ticks`` is None, the ticks are those of the scale.
         y_percent: whether the labels of the y axis are in per cent.
         width, height: size of the chart, CSS pixels.
         marks: the marks drawn so far.
@@ -170,8 +170,8 @@ class Frame:
         self.add(element("path", d=outline, class_=class_))
 
     def limit(self, value: float, text: str, *, across: bool = False) -> None:
-        """Draw a dashed line at a threshold. It is vertical if the threshold is a value of x, and horizontal if it is a
-        value of y (``across``)."""
+        """Draw a dashed line at a threshold. The line is vertical if the threshold is a value of x, and horizontal if
+        it is a value of y (``across``)."""
         scale = self.y if across else self.x
         if not scale.low <= value <= scale.high:
             return
@@ -229,7 +229,7 @@ def path(x: FloatArray, y: FloatArray) -> str:
 
 
 def drawing(title: str, width: float, height: float, *marks: Content) -> Markup:
-    """An SVG picture with the given marks. It becomes smaller if the page is narrow."""
+    """An SVG picture with the given marks. The picture becomes smaller if the page is narrow."""
     return element(
         "svg",
         *marks,

@@ -55,7 +55,8 @@ WEAKEST: Final = "The leg in which most worlds of a plan failed first."
 
 
 def sweep_answers(run: ReportRun) -> Markup:
-    """The section with the answers of a sweep, or of a score with confidence. The section of another score is empty."""
+    """The section with the answers of a sweep, or of a score with confidence. For a score without confidence, the
+    section is empty."""
     summary = run.results.summary
     if summary is None or summary.empty or run.worlds.empty:
         return NOTHING
@@ -170,8 +171,8 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
 
 
 def correlation_ratio(values: pd.Series, keys: pd.Series) -> float:
-    """The correlation ratio η² of values in groups: variance between groups / total variance. It is NaN if all values
-    are equal.
+    """The correlation ratio η² of values in groups: variance between groups / total variance. The ratio is NaN if all
+    values are equal.
 
     Args:
         values: the values.
@@ -353,7 +354,8 @@ def _chain(summary: pd.DataFrame) -> Markup:
 
 
 def _share_row(name: str, row: Mapping[Any, Any]) -> tuple[str, float, float, float, str]:
-    """A row of the chart ``intervals``. If nothing is random, the interval is the share itself."""
+    """A row of the chart ``intervals``. If nothing in the run is random, both ends of the interval are the share
+    itself."""
     share = float(row["share"])
     low, high = (share if pd.isna(row[end]) else float(row[end]) for end in ("low", "high"))
     text = f"{percent(share)} of {row['n_worlds'] - row['n_invalid']:,}"

@@ -83,7 +83,7 @@ def headline(run: ReportRun) -> Markup:
 
 
 def _of_search(summary: pd.DataFrame) -> Iterator[Markup]:
-    """The most important numbers of a search: number of placements, share of them that stands at rest, number of
+    """The most important numbers of a search: number of placements, share of placements that stand at rest, number of
     answers, and median answer."""
     placements = summary.drop_duplicates(["plan_id", "placement"])
     stand = placements["stands_at_rest"].astype(bool)

@@ -1,8 +1,9 @@
-"""Profiles of the carrier's acceleration. They are simulated with a clamped carrier: an acceleration a is subtracted
-from gravity.
+"""Profiles of the carrier's acceleration. Such a profile is simulated with a clamped carrier: the carrier's
+acceleration is subtracted from gravity.
 
-There are four kinds: ramps, tilts, shocks, and random vibration. The user gives the power spectral density (PSD) of a
-random vibration in g²/Hz over Hz. In direction 0, the carrier accelerates along +x, so the load is thrown towards −x.
+There are four kinds of acceleration profiles: ramps, tilts, shocks, and random vibration. The user gives the power
+spectral density (PSD) of a random vibration in g²/Hz over Hz. In direction 0, the carrier accelerates along +x, so the
+load is thrown towards −x.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ EN_12195_SOURCE = "EN 12195-1:2010, coefficients for road transport (0.8 forward
 
 
 def _horizontal_unit(yaw_deg: float) -> FloatArray:
-    """(3,) horizontal unit vector. Its components are rounded, so that they are exactly 0 and 1 along the axes."""
+    """(3,) horizontal unit vector. The vector's components are rounded, so that they are exactly 0 and 1 along the
+    axes."""
     yaw = math.radians(yaw_deg)
     return np.round(np.array([math.cos(yaw), math.sin(yaw), 0.0]), 15)
 
@@ -110,13 +112,13 @@ class Tilt:
     """The carrier is slowly tilted about a horizontal axis. Seen from the carrier, gravity turns.
 
     In direction 0, the load is pulled towards −x, as by an acceleration along +x. The angle grows at ``rate_deg_s`` to
-    ``max_deg``, stays there for ``hold_s``, and returns to 0 within ``return_s``. The return is so slow that no pallet
-    falls during it that stood before. Centrifugal and Euler forces are neglected: at 5°/s they are below 0.1 % of
-    gravity.
+    ``max_deg``, stays there for ``hold_s``, and returns to 0 within ``return_s``. The return is so slow that a pallet
+    that stood at the largest angle does not fall during the return. Centrifugal and Euler forces are neglected: at 5°/s
+    they are below 0.1 % of gravity.
 
-    petmjx defines this test itself. Its results can be checked in closed form: a rigid box begins to slide at the angle
-    atan μ, and to topple at atan(width / height). A failure is recognised later, since a box needs time to slide as far
-    as the threshold, or to tip. docs/profiles.md lists these delays.
+    petmjx defines this test itself. The results of this test can be checked in closed form: a rigid box begins to slide
+    at the angle atan μ, and to topple at atan(width / height). A failure is recognised later, since a box needs time to
+    slide as far as the threshold, or to tip. docs/profiles.md lists these delays.
     """
 
     name: str = "tilt"
@@ -142,8 +144,8 @@ class Tilt:
         return np.interp(time_s, corners_s, [0.0, self.max_deg, self.max_deg, 0.0])
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """The samples are a = g − g_tilted, including the vertical component. So gravity − a has a length of 9.81 m/s²
-        at every angle."""
+        """The acceleration is a = gravity − tilted gravity, including the vertical component. So gravity − a has a
+        length of 9.81 m/s² at every angle."""
         ends_s: FloatArray = np.arange(1, self.n_steps(timestep_s) + 1, dtype=np.float64) * timestep_s
         angle = np.radians(self._angles_deg(ends_s))
         samples = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle) - 1.0], axis=1)
@@ -196,12 +198,12 @@ def _unit(axis: tuple[float, float, float]) -> FloatArray:
 
 QUASI_STATIC_DEG_S: Final = 0.5
 """Rate of the quasi-static tilt, °/s. In measurements at this rate, boxes failed at an angle 0.4 to 0.6° larger than in
-theory (docs/profiles.md). At 5°/s, the angle was 2.5 to 2.7° larger."""
+theory (docs/profiles.md). At 5°/s, the angle was 2.5 to 2.7° larger than in theory."""
 
 
 def quasi_static_tilt() -> Tilt:
-    """The tilt test at the rate ``QUASI_STATIC_DEG_S``. While the angle grows, it takes ten times as many steps as
-    ``Tilt``."""
+    """The tilt test at the rate ``QUASI_STATIC_DEG_S``. While the angle grows, the quasi-static test takes ten times as
+    many steps as ``Tilt``."""
     return Tilt("tilt-quasi-static", rate_deg_s=QUASI_STATIC_DEG_S, source="definition: quasi-static tilt test")
 
 

@@ -29,7 +29,7 @@ class Window:
 
     ``offset_s`` is the time in a chain at which the window's profile begins. The window stores a duration instead of an
     end, because sums must be computed in the order of the reference implementation: profile's start + offset + window's
-    start + duration. Another order can change the last digit of the sum, and so the step to which it is truncated.
+    start + duration. Another order can change the last digit of the sum, and so the step to which the sum is truncated.
     """
 
     start_s: float
@@ -47,10 +47,11 @@ class Window:
 class WindowProfile:
     """A force profile.
 
-    ``replaces`` states what happens when windows overlap. If False, their forces add up. If True, windows act as in the
-    reference implementation: the beginning of a window ends the previous window, and the first end of any window sets
-    the force to zero. If several windows begin in the same step, only the last of them acts. The profile
-    ``radial-chain``, from the demo of the reference implementation, needs ``replaces``.
+    ``replaces`` states what happens when windows overlap. If ``replaces`` is False, the forces of overlapping windows
+    add up. If ``replaces`` is True, windows act as in the reference implementation: the beginning of a window ends the
+    previous window, and the first end of any window sets the force to zero. If several windows begin in the same step,
+    only the last of them acts. The profile ``radial-chain``, from the demo of the reference implementation, needs
+    ``replaces``.
     """
 
     name: str
@@ -73,7 +74,8 @@ class WindowProfile:
         """The forces of all windows. A window acts from step int(begin / dt) to step int(end / dt), where step 0 is at
         time 0.
 
-        Row 0 of the samples belongs to the step after int(start_s / dt). A window shorter than a step may have no row.
+        Row 0 of the samples acts in the step after step int(start_s / dt). A window shorter than a step may have no
+        row.
         """
         first_step = seconds_to_steps(start_s, timestep_s)
         spans = []
@@ -91,8 +93,8 @@ class WindowProfile:
 
 
 def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, int, Vector]]:
-    """Spans (first step, end step, force) that do not overlap, made from overlapping spans as the reference
-    implementation does it.
+    """Spans (first step, end step, force) that do not overlap, made from overlapping spans as in the reference
+    implementation.
 
     The force changes at the beginning and at the end of every given span, in order of time. At each change, the old
     force is removed first. Then the force of the next span is set, if that span has begun.
@@ -188,10 +190,10 @@ RADIAL_CHAIN = chain(
     replaces=True,
 )
 """Seven profiles ``radial`` of growing strength: the dynamic check in the demo of PET-Physics, the reference
-implementation. There, the chain begins 2 s (``settle_s``) after the nominal end of the placement, n × interval, and the
-first push comes 2 s later. From the third profile on, the last two pushes of a profile act at the same time as two
-pushes of the next profile (the first time at 10.1 and 10.4 s). The reference implementation then applies only one of
-the two pushes, and so does this profile."""
+implementation. In that demo, the chain begins 2 s (``settle_s``) after the nominal end of the placement, n × interval,
+and the first push comes 2 s later. From the third profile on, the last two pushes of a profile act at the same time as
+two pushes of the next profile (the first time at 10.1 and 10.4 s). Of two pushes at the same time, the reference
+implementation applies only one, and so does this profile."""
 
 BUILT_IN_FORCES: tuple[Profile, ...] = (RADIAL, JOLTS, SINE, RADIAL_CHAIN)
 """To add a built-in force profile: define it above, list it here, and describe it in docs/profiles.md."""

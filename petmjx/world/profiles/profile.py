@@ -60,14 +60,15 @@ class Profile(Protocol):
             timestep_s: timestep of the simulation, s.
             start_s: simulated time at which the profile begins, s. The ends of force windows, in simulated time, are
                 rounded to whole steps, as in the reference implementation. Other profiles ignore ``start_s``.
-            world: the world whose random numbers are used. Only random profiles need it.
+            world: the world whose random numbers a random profile uses. Other profiles ignore ``world``.
         """
         ...
 
 
 def allowed_sway_m(profile: Profile) -> float:
-    """``Drive.allowed_sway_m`` of a profile, m. The value is infinite if the profile tilts the carrier, so that no box
-    counts as lost: a box that slides to the edge tips there, although its first failure was to slide."""
+    """Distance by which a culprit may sway under a profile before it counts as lost, m (``Drive.allowed_sway_m``). The
+    value is infinite if the profile tilts the carrier, so that no box counts as lost: a box that slides to the
+    carrier's edge tips at the edge, although its first failure was to slide."""
     return math.inf if profile.strength is Strength.ANGLE else 0.0
 
 

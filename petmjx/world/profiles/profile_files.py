@@ -34,8 +34,8 @@ MAX_CSV_BYTES = 1 << 20
 MAX_PARQUET_BYTES = 64 << 20
 
 MAX_PUSH_S = 100 * MAX_PROFILE_S
-"""Largest sum of the durations of all windows of a profile, s. Every window is added to the samples separately, so the
-sum limits the work."""
+"""Largest sum of the durations of all windows of a profile, s. Every window is added to the samples separately, so this
+limit also limits the work."""
 
 Seconds = Annotated[StrictFloat, Field(ge=0), within(0, MAX_PROFILE_S)]
 LongerThanNothing = Annotated[StrictFloat, Field(gt=0), within(0, MAX_PROFILE_S)]
@@ -45,7 +45,7 @@ Density = Annotated[StrictFloat, Field(gt=0), within(0, MAX_DENSITY)]
 
 
 class WindowRow(CheckedRecord):
-    """One push. Sweep files may also give a push as a list of these five numbers."""
+    """One push. Sweep files may also give a push as a list of its five numbers: start_s, duration_s, x, y, z."""
 
     start_s: Seconds = Field(description="when it begins, s after the profile's beginning")
     duration_s: LongerThanNothing = Field(description="how long it acts, s")
@@ -144,7 +144,7 @@ def _is_psd(rows: PsdTable) -> PsdTable:
     lowest = min(density for _, density in rows)
     if lowest < MIN_DENSITY:
         raise ValueError(f"must have densities of at least {MIN_DENSITY:g} g²/Hz, got {lowest:g}")
-    with np.errstate(all="ignore"):  # a result that overflows is refused below
+    with np.errstate(all="ignore"):  # an RMS that overflows is refused below
         rms_g = psd_rms_g(rows)
     if not rms_g <= MAX_RMS_G:
         raise ValueError(f"must have an RMS of at most {MAX_RMS_G:g} g, got {rms_g:g} g")

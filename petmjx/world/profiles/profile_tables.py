@@ -208,7 +208,7 @@ ProfileTable = Annotated[
     | Annotated[TrapezoidTable, Tag("<trapezoid>")],
     by_entry("kind"),
 ]
-"""A profile table of any kind. Its entry ``kind`` names the kind."""
+"""A profile table of any kind. The table's entry ``kind`` names the kind."""
 
 _TABLES: Final = TypeAdapter(dict[Name, ProfileTable])
 
@@ -222,7 +222,8 @@ def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:
 
     Raises:
         ValidationError: a field of a table is wrong. The message names the field and states what is allowed.
-        InputError: a file that a table names is wrong. The message has the same form.
+        InputError: a file that a table names is wrong. Like a ValidationError, its message names the field and states
+            what is allowed.
     """
     profiles: dict[str, Profile] = {}
     for name, table in _TABLES.validate_python(tables).items():
