@@ -25,8 +25,8 @@ def history_of(
     """The history of f recorded frames. The values of boxes that are not placed yet become NaN.
 
     Args:
-        step: (f,) number of the step after which each frame was recorded, counted from the end of the soft start,
-            rising.
+        step: (f,) number of the step after which each frame was recorded, counted from the end of the soft start; in
+            ascending order.
         placed: (f,) number of placed boxes.
         pose: (f, n, 7) positions (m) and quaternions of the boxes.
         top_force_n: (f, n) force on top of each box, N.
