@@ -18,7 +18,7 @@ from petmjx.world.job import Job
 
 
 class Trail(NamedTuple):
-    """The steps of a chunk, for each world. Values are taken after a step and its rules.
+    """The steps of a chunk, for each world. All values hold after a step and the rules that follow it.
 
     ``ran``: whether the step was taken; ``fresh``: whether a box was just placed.
     """

@@ -18,8 +18,8 @@ from petmjx.common.compile_caches import VARIABLES, cache_folder, why_not_writte
 from petmjx.common.machine import jax_devices
 
 MIN_COMPILE_S = 0.0
-"""Programs that compile in less than this time, s, are not cached. With 0, all programs are cached: a run has about a
-hundred small programs, which together take some seconds to compile."""
+"""Programs that compile in less than this time (s) are not cached. With 0, all programs are cached, since a run has
+about a hundred small programs, which together take some seconds to compile."""
 
 CPU_COMPILER_OPTIONS = {
     # With the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool: with jaxlib

@@ -88,8 +88,8 @@ class Metrics(NamedTuple):
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
-        """Whether a box of each world has failed for good: it has dropped, or was tilted too far at a look. A shift is
-        not final, since it is judged at rest and may decrease until then."""
+        """Whether a box of each world has failed for good: it has dropped, or was tilted too far at a look. A large
+        shift is not a final failure: the shift is judged at rest, and may decrease until then."""
         failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
         return (self.culprit >= 0) & failed.any(-1)
 
@@ -161,7 +161,7 @@ def run_metrics(
 
 def of_boxes(metrics: Metrics, measured: RunMetrics, row: int, n: int, driven: bool) -> dict[str, FloatArray]:
     """Fields of ``petmjx.engines.metrics.BoxMetrics`` for the n boxes of the world in this row, from records on the
-    host. Poses and times are missing, since they require the scene and the clock."""
+    host. Poses and times are not included, since they require the scene and the clock."""
 
     def doubles(values: Any) -> FloatArray:
         return np.asarray(values[row, :n], np.float64)

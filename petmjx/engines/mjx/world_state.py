@@ -18,7 +18,7 @@ from petmjx.options.simulation import SOFT_START_STEPS
 from petmjx.world.scene import IDENTITY_QUAT
 
 NEVER = np.iinfo(np.int32).max
-"""A step that is never reached. It also stands for an end that is not known yet."""
+"""A step that no world reaches. The value also stands for an end that is not known yet."""
 
 SOFT_START_BEGIN = -2 * SOFT_START_STEPS
 """Step counter of a fresh world: the steps of the soft start come before step 0."""
@@ -156,7 +156,7 @@ def put_rows(table: Record, rows: Int[Array, " row"], values: Record) -> Record:
 
 def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
     """``put_rows`` for states with another number of box columns. Columns that the table does not have are dropped. If
-    the states have fewer columns, the other columns of the table are not changed."""
+    the states have fewer columns than the table, the table's remaining columns are not changed."""
 
     def write(old: Array, new: Array) -> Array:
         columns = tuple(slice(min(sizes)) for sizes in zip(old.shape[1:], new.shape[1:], strict=True))

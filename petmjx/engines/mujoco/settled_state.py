@@ -21,7 +21,7 @@ class SettledState:
     metrics: OracleMetrics
     flags: Flag
     ended: Outcome | None
-    """The outcome of the world, if it ended before it settled. It is also the outcome of all forks. None if it
+    """The outcome of the world, if it ended before it settled. All forks have the same outcome. None if the world
     settled."""
 
     def ended_as(self, stream_number: int) -> Outcome | None:
