@@ -59,7 +59,7 @@ def outcomes_of(
     def counted() -> Generator[SliceResult]:
         with closing(slices):
             for next_slice in slices:
-                count(sum(len(batch.rows) for batch in next_slice.picked))  # the sum may be 0 if slices wait
+                count(sum(len(batch.rows) for batch in next_slice.picked))  # may be 0 if slices wait for the CPU
                 yield next_slice
 
     try:
