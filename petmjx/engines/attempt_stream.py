@@ -47,7 +47,7 @@ PAUSE_S: Final = 0.02
 
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
-    """A pool of processes that check the outcomes of ``worlds`` worlds while an engine simulates. None if the engine
+    """A pool of processes that check the outcomes of ``worlds`` worlds while an engine simulates; None if the engine
     needs no pool, or if there are too few worlds.
     """
     return (
@@ -79,9 +79,9 @@ def score_worlds(
     once.
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
-    a settled pallet. It returns each world exactly once, and is called after each outcome. An engine that reads a
-    stream simulates these worlds together with the other worlds. Any other engine simulates them after the other
-    worlds.
+    a settled pallet. This function is called after each outcome, and returns each of these worlds exactly once. An
+    engine that reads a stream simulates the returned worlds together with the other worlds; any other engine simulates
+    the returned worlds last.
 
     ``begin_with``: number of worlds with which a GPU begins. ``bounds``: limits that hold for all jobs, including the
     jobs that follow from results.
@@ -222,7 +222,7 @@ class _AttemptRun(Generic[AnyWorld]):
     ) -> Iterator[WorldResult[AnyWorld]]:
         """The final results among these worlds, and the final results of side tasks that have ended in the meantime."""
         for pending in attempt_results:
-            if pending is not None:  # None means that the engine pauses
+            if pending is not None:  # None is not an outcome: the engine pauses
                 yield from self._finish_or_retry(attempt, pending)
             yield from self._side_results()
 
@@ -240,8 +240,8 @@ class _AttemptRun(Generic[AnyWorld]):
                 yield from self._finish_or_retry(self.attempts[0], pending)
 
     def _finish_or_retry(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """After an attempt at a world, yield the world's result if it is final. Otherwise, begin the next attempt as a
-        side task, or put the world into ``retry_queue``.
+        """After an attempt at a world, yield the world's result if it is final. If it is not, begin the next attempt as
+        a side task, or put the world into ``retry_queue``.
 
         Args:
             pending: the world, with the outcome of the attempt.

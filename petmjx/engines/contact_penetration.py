@@ -31,12 +31,12 @@ LEAST_TIME_CONSTANT_STEPS = 4
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:
-    """The same physics with stiffer contacts. With stiffer contacts, light boxes can carry heavy boxes, and slender
+    """The physics ``physics``, but with stiffer contacts. With these, light boxes can carry heavy boxes, and slender
     boxes stay upright.
 
     The stiffer contacts have a constant impedance (MuJoCo's ``solimp``), the largest that MuJoCo accepts, instead of an
-    impedance that rises with the depth. Their time constants are multiplied by ``share``. With a share of 0.5, contacts
-    are 40 times as stiff as in the preset ``pallet``; with 0.1, 1,000 times.
+    impedance that rises with the depth. The contacts' time constants are multiplied by ``share``. With a share of 0.5,
+    contacts are 40 times as stiff as in the preset ``pallet``; with 0.1, 1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:
@@ -143,7 +143,7 @@ class _Pairs(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _stack(scene: Scene) -> _Stack:
-    """The ``_Stack`` of a scene. It is cached, since many worlds of a sweep have the same scene."""
+    """The ``_Stack`` of a scene. The result is cached, since many worlds of a sweep have the same scene."""
     return _Stack(scene)
 
 
@@ -288,8 +288,8 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     low_x, high_x, low_y, high_y, above, below = (
         np.ascontiguousarray(np.take_along_axis(values, order, axis=1).T) for values in columns
     )
-    # These arrays have one column per world and one row per box, from the lowest box to the highest. ``depth`` is the
-    # distance by which the top of each box descends. Its first row is the carrier's top.
+    # The arrays below have one column per world and one row per box, from the lowest box to the highest. ``depth`` is
+    # the distance by which the top of each box descends; the first row of ``depth`` is for the carrier's top.
     depth = np.empty((len(above) + 1, len(scenes)))
     depth[0] = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)
     over = np.ones((len(above), *depth.shape), bool)

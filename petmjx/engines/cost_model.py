@@ -85,9 +85,9 @@ FALL_BOXES = 7
 """Number of boxes that are placed during the ``FALL_STEPS`` steps of a fall, in the plans of the two shelf packers."""
 
 STATIC_FALL_BOXES = 12
-"""In a static check, all boxes may fall. A check with this number of boxes costs as much as one fall while boxes are
-placed one by one, and the cost grows with the number of boxes. Plans of 24 boxes took 1 to 1.4 times as long as when
-placed one by one, and generated plans of 41 boxes 1.6 to 5 times as long."""
+"""A fall in a static check of n boxes costs n / ``STATIC_FALL_BOXES`` times as much as a fall while boxes are placed
+one by one, since all boxes may fall. Plans of 24 boxes took 1 to 1.4 times as long as when placed one by one, and
+generated plans of 41 boxes 1.6 to 5 times as long."""
 
 LOST = 0.3
 """Steps and cost of a fall in a placement with errors, relative to a fall without errors. A world with errors ends when
@@ -333,9 +333,9 @@ class ThreadCosts:
         landing_s: additional time until a box has landed, s per box² of the standing boxes, at ``Work.coupling`` 1.
         static_s: additional time until all boxes of a static check have landed, s per box², at ``Work.coupling`` 1.
         shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, s per box².
-        fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. It hardly
-            depends on the number of boxes. The time of a single fall varies from a tenth of this value to ten times
-            this value.
+        fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. This time
+            hardly depends on the number of boxes. The time of a single fall varies from a tenth of this value to ten
+            times this value.
         jammed: cost of a placement by hand with errors, relative to one without errors.
         hand_s: additional time of a step of a placement by hand, s.
         film_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive in film, s per box.
@@ -363,8 +363,8 @@ class ThreadCosts:
         return replace(self, **times)
 
     def seconds(self, work: Work, threads: int) -> float:
-        """Expected time of a run whose worlds are divided among threads, s. It is at least the time of the longest
-        world.
+        """Expected time of a run whose worlds are divided among threads, s. The result is at least the time of the
+        longest world.
         """
         counts = (work.planned, work.displaced, work.carried)
         placing = [(count, self.placing_s(work, way)) for count, way in zip(counts, work.ways, strict=True) if count]
@@ -502,8 +502,8 @@ class Costs:
         return np.asarray(placing + work._driving(WARP_POWER, drive_steps))
 
     def _phase_s(self, worlds: float, work: float) -> float:
-        """Time of a phase of many worlds on the device, s. It includes the end of the phase, when only a few worlds
-        still run.
+        """Time of a phase of many worlds on the device, s. The time includes the end of the phase, when only a few
+        worlds still run.
         """
         return self.gpu_step_s * work * (worlds + self.tail_worlds) / self.full_worlds if worlds else 0.0
 

@@ -32,7 +32,7 @@ def history_of(
         top_force_n: (f, n) force on top of each box, N.
         carrier_pose: (f, 7) position (m) and quaternion of the carrier.
         time_s: function that returns the time after a step, s.
-        driven_from: the step after which the drive (the motion of the carrier) began. None if there was no drive.
+        driven_from: the step after which the drive (the motion of the carrier) began; None if there was no drive.
     """
     absent = np.arange(job.scene.n_boxes) >= placed[:, None]
     poses, forces = np.array(pose, np.float64), np.array(top_force_n, np.float64)

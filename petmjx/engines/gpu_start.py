@@ -11,8 +11,8 @@ from petmjx.options.simulation import Simulation
 
 
 def start_gpu() -> None:
-    """Start JAX and Warp, and load the modules of ``mjx-warp``. This takes a second or two. Errors are ignored here:
-    the engine that needs these libraries reports them."""
+    """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two. Errors are ignored
+    here: the engine that needs these libraries reports them."""
     with suppress(Exception):
         importlib.import_module("petmjx.engines.mjx.jax_setup").set_up_jax()
         set_up_warp()

@@ -48,7 +48,8 @@ class JobStream(Generic[Tag]):
         most_boxes: ``put`` waits while the waiting jobs have at least this number of boxes in total.
         feedback: whether jobs may follow from outcomes.
         begin_with: number of jobs for which an engine that simulates many jobs at once should wait at first.
-        bounds: limits that hold for all jobs, including those that follow from outcomes. None if they are unknown.
+        bounds: limits that hold for all jobs, including those that follow from outcomes; None if the limits are
+            unknown.
 
     Attributes:
         in_flight: stream number → tag, for the jobs that were taken and have no outcome yet.

@@ -36,7 +36,7 @@ def cpu_kernel(traits: Traits) -> str:
 
 
 def _file_of(name: str) -> Path:
-    """The file of a note. It is in Warp's cache, so it is deleted together with the kernels."""
+    """The file of a note. The file is in Warp's cache, so it is deleted together with the kernels."""
     return cache_folder("warp") / f"{name}-{kernel_code()}"
 
 

@@ -60,7 +60,7 @@ def kept_edges(
 
     Args:
         world: columns of the table ``worlds``, or fields of ``petmjx.engines.verdict.Outcome``.
-        plan_edge_m, rest_edge_m: (n,) distances of the boxes' loads, in the plan and at rest, m. None if they are not
+        plan_edge_m, rest_edge_m: (n,) distances of the boxes' loads, in the plan and at rest, m; None if they are not
             stored.
     """
     for name, when, of_boxes in (
@@ -82,7 +82,7 @@ def edges_when(edge_m: FloatArray, when: str, own_weight: bool = False) -> Itera
 
 
 def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> KnifeEdge | None:
-    """The load that is nearest to an edge, on either side. None if there is no load.
+    """The load that is nearest to an edge, on either side; None if there is no load.
 
     Args:
         verdict: if given, only loads that set the flag of a world with this verdict are considered.

@@ -92,7 +92,7 @@ class WorldReduction:
 
 @dataclass(frozen=True)
 class BoxMetric:
-    """A quantity that each box has. It is one column of the table ``boxes``, or one column per component.
+    """A quantity that each box has. In the table ``boxes``, it has one column, or one column per component.
 
     Attributes:
         attribute: field of ``BoxMetrics`` that holds the values, as an array (n,) or (n, components).
@@ -136,9 +136,9 @@ class BoxMetric:
 
 @dataclass(frozen=True)
 class WorldMetric:
-    """A quantity of a whole world. It is a column of the table ``worlds``, and a field of ``Outcome`` with the same
-    name. If the type is int32, the value is the number of a box or a step, from 0. The value -1 of the outcome becomes
-    null in the table."""
+    """A quantity of a whole world: a column of the table ``worlds``, and a field of ``Outcome`` with the same name. If
+    the type is int32, the value is the number of a box or a step, from 0. The value -1 of the outcome becomes null in
+    the table."""
 
     name: str
     unit: str

@@ -182,8 +182,8 @@ class OpenWorlds(ABC):
 
     A world follows the rules of placement (docs/rules.md): a box is placed when all boxes before it are at rest. When
     the last box is at rest, the world pauses, and more boxes can be added. What happens in a world depends only on its
-    scene. It depends neither on the other worlds nor on how many calls added the boxes. A world whose last boxes do not
-    come to rest pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
+    scene. Neither the other worlds nor the number of calls that added its boxes have an influence. A world whose last
+    boxes do not come to rest pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
 
     This class checks the arguments for all engines; each engine implements the abstract methods.
 

@@ -1,6 +1,6 @@
 """Checks of outcomes, which are the same for all engines. The checks find verdicts that soft contacts may have decided,
 boxes that came to rest otherwise than planned, and loads so near the edges of their supports that the verdict is on a
-knife's edge. They also compute the margin of each world.
+knife's edge. The checks also compute the margin of each world.
 
 If engines run in worker processes, each worker checks its own outcomes. If the run's own process checked them, the
 checks of small worlds would take almost half of its time.

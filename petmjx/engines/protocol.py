@@ -34,8 +34,8 @@ class Progress:
         message: what the engine does at the moment, such as "compiling".
         work_share: share of the run's work that is done, from 0 to 1. The run, not the engine, sets this share. If
             None, the share of finished worlds is used.
-        at_hand: at least this number of outcomes will follow the last outcome without delay. None if the engine does
-            not report it. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
+        at_hand: at least this number of outcomes will follow the last outcome without delay; None if the engine does
+            not report this number. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work.
         notes: notes for the results about deviations from the options. Each note occurs once.
     """
@@ -78,7 +78,7 @@ class RunLock:
     """Allows only one run at a time on an engine. An engine with this lock keeps data between runs, such as compiled
     programs.
 
-    A run is a generator. A run begins when its first outcome is requested. It ends after its last outcome, or when the
+    A run is a generator. A run begins when its first outcome is requested, and ends after its last outcome, or when the
     generator is closed.
     """
 

@@ -186,7 +186,8 @@ def resolve_engine(
 
         return resolve_workers(options, work, costs or MEASURED, ahead)
     threads = options.threads or cpu_threads()
-    # Measuring the speed of CPU threads takes half a second. This speed is irrelevant for a GPU.
+    # Measuring the speed of CPU threads takes half a second. If a GPU simulates, the speed of CPU threads is
+    # irrelevant.
     costs = costs or (MEASURED if requested_engine == "mjx-warp" else costs_here(work, threads))
     seconds = costs.seconds(work, threads)
     if requested_engine != AUTO:

@@ -98,8 +98,8 @@ class Outcome:
     flags: Flag
     boxes: BoxMetrics
     n_at_sign: int = 0
-    """Number of boxes that were placed when the culprit crossed a threshold. It is 0 if no box crossed a threshold
-    before the world's end."""
+    """Number of boxes that were placed when the culprit crossed a threshold. The number is 0 if no box crossed a
+    threshold before the world's end."""
     solver: str = "newton"
     attempt: int = 1
     engine: str = ""
@@ -139,7 +139,7 @@ _INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
 
 
 class Signs(NamedTuple):
-    """The metrics of (…, n) boxes that decide whether a box fails. They are defined as in ``BoxMetrics``."""
+    """The metrics of (…, n) boxes that decide whether a box fails. Each field is defined as in ``BoxMetrics``."""
 
     shift_m: FloatArray
     max_tilt_deg: FloatArray

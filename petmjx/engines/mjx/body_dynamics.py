@@ -98,7 +98,7 @@ class ContactRows(NamedTuple):
 
 
 class Links:
-    """Which geoms and which moving bodies touch in each contact of MJX. This is the same in all steps.
+    """Which geoms and which moving bodies touch in each contact of MJX. They are the same in all steps.
 
     Args:
         model: the MJX model of all worlds. All contacts have three rows.

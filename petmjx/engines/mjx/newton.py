@@ -78,7 +78,7 @@ class Cones(NamedTuple):
     """The cones of a world's contacts for some residuals J·a − r, m/s².
 
     Attributes:
-        sticks: whether the force is within the cone. Then the contact is a spring with three components.
+        sticks: whether the force is within the cone, so that the contact is a spring with three components.
         slides: whether the force is on the cone's surface. Contacts that neither stick nor slide have no force.
         slip: unit vector of the tangential residual times friction, times friction.
         speed: length of the tangential residual times friction.
@@ -183,7 +183,8 @@ class BlockSolver:
     def __init__(self, links: Links) -> None:
         self.links = links
         self._sums = np.float32(links.sides.T.reshape(-1)[None] == np.arange(links.bodies)[:, None])
-        """(body, side · pair) 1 where a body is this side of the pair: a product sums over the pairs of each body"""
+        """(body, side · pair) 1 if the body is this side of the pair, else 0; a product with this matrix sums over the
+        pairs of each body"""
         self._couplings, self._layout = _couplings(links.sides, links.bodies)
 
     def solve(self, problem: Problem, pull: Rows, start: Velocities) -> tuple[Velocities, Rows, Rows]:

@@ -123,7 +123,7 @@ class Rules:
 
     def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "world box"]:
         """(world, box) height of each box's support above the support's planned height, m, limited to
-        ± ``worlds.most_followed``. It is 0 for boxes without a support."""
+        ± ``worlds.most_followed``. The value is 0 for boxes without a support."""
         boxes = motion.middles(state.qpos, worlds.middle)[..., 2] - worlds.target[..., 2]
         carrier = state.carrier_qpos[:, 2] - worlds.carrier_pos[:, 2]
         moved = jnp.take_along_axis(boxes, jnp.maximum(worlds.support, 0), axis=1)
@@ -359,8 +359,8 @@ class Rules:
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
-        """(world,) whether the drive may end early if the pallet is quiet. It may end early only if a rest window that
-        begins now ends before the rest window at the drive's planned end begins."""
+        """(world,) whether the drive may end early if the pallet is quiet. For this, a rest window that begins now must
+        end before the rest window at the drive's planned end begins."""
         early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
         return early & (self.driven and self._rests_first)
 

@@ -1,7 +1,7 @@
 """Running metrics of boxes, for all worlds together: statistics of samples, and the final metrics of a run.
 
 Twin of petmjx/engines/mujoco/running_metrics.py, and of petmjx/engines/warp/kernels/samples.py, which uses the same
-fields. Definitions: docs/metrics.md. The rules decide which boxes and steps count (petmjx/engines/mjx/rules.py).
+fields. Definitions: docs/metrics.md. petmjx/engines/mjx/rules.py decides which boxes and steps the metrics include.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ class Sample(NamedTuple):
 
     Attributes:
         sampled: whether the box has a sample in this step.
-        presses: whether the force on the box's top counts.
-        tilts: whether the box's tilt counts. Tilts also count at looks in a drive.
+        presses: whether the largest force on the box's top includes this step.
+        tilts: whether the largest tilt of the box includes this step, at a sample or at a look in a drive.
         looked: whether the box is checked. Boxes are also checked at the end of their world.
-        rested: whether the force on the box's top counts for its force at rest. ``rests``: whether each world is in its
-            rest window.
+        rested: whether the mean force on the box's top at rest includes this step. ``rests``: whether each world is in
+            its rest window.
     """
 
     step: Int[Array, " world"]

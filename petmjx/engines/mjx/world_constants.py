@@ -44,11 +44,11 @@ class Worlds(NamedTuple):
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. The release follows the
     support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.
-    Carried boxes begin at an offset of ``way_offset`` from ``start``. Their path has ``way_steps`` steps; 0 if they
-    fall. At the end of the path, boxes are set down, unless they are released to fall (petmjx/world/approach_paths.py).
-    ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m, is how far a box may start to the
-    side, towards the low and the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces of film
-    (petmjx/world/film.py).
+    Carried boxes begin at an offset of ``way_offset`` from ``start``. The path of a carried box has ``way_steps``
+    steps; for a box that falls, ``way_steps`` is 0. At the end of the path, boxes are set down, unless they are
+    released to fall (petmjx/world/approach_paths.py). ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits.
+    ``way_aside``, m, is how far a box may start to the side, towards the low and the high end of x and y.
+    ``wrap_press`` and ``wrap_hold``, N, are the forces of film (petmjx/world/film.py).
     """
 
     n_boxes: Int[Array, " world"]

@@ -40,7 +40,7 @@ class Status:
 class State(NamedTuple):
     """The states of worlds between two steps. Steps are counted from the end of the soft start."""
 
-    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. They are positions, velocities,
+    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. The arrays are positions, velocities,
     # accelerations of the last step, and accelerations from which mjx-warp's solver starts in the next step. Other
     # solvers start from the accelerations of the last step.
     qpos: Float[Array, "world box 7"]

@@ -13,14 +13,14 @@ from petmjx.world.scene import Scene
 
 
 class ActingDrive:
-    """A drive that begins after a given step. Its force or acceleration is an array with one row per step.
+    """A drive that begins after a given step. The force or acceleration of the drive is an array with one row per step.
 
     Args:
         begin: the step after which the drive begins.
         gravity: (3,) gravity, m/s².
 
     Attributes:
-        holds_carrier: whether the drive prescribes the carrier's acceleration. If so, the carrier is clamped.
+        holds_carrier: whether the drive prescribes the carrier's acceleration, in which case the carrier is clamped.
     """
 
     def __init__(self, drive: Drive, begin: int, total_mass: float, gravity: FloatArray) -> None:

@@ -32,7 +32,7 @@ LOOK_S: Final = 0.25
 
 
 class MujocoEngine(Engine):
-    """Simulates each world alone, on its exact model. The other engines are tested against this engine. Without a GPU,
+    """Simulates each world alone, on its exact model. Tests compare the other engines with this engine. Without a GPU,
     it is the fastest engine for a small amount of work.
 
     ``mj_step`` takes all steps up to the next event without Python's global interpreter lock, so the speed grows with

@@ -79,7 +79,7 @@ class WorldRecorder:
 
         Args:
             time_s: function that returns the time after a step, s.
-            driven_from: the step after which the drive (motion of the carrier) began. None if there is no drive.
+            driven_from: the step after which the drive (motion of the carrier) began; None if there is no drive.
         """
         frames = self._frames
         acted = np.array([frame.acted for frame in frames])

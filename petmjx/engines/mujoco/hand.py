@@ -1,6 +1,6 @@
 """The hand (a limited force and moment) that carries a box to its place on C MuJoCo (docs/rules.md, section 4).
 
-The same hand is also in ``petmjx/engines/warp/kernels/hand.py`` and ``petmjx/engines/mjx/hand.py``.
+Other engines have the hand in ``petmjx/engines/warp/kernels/hand.py`` and ``petmjx/engines/mjx/hand.py``.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ class LiveWorld:
 
     Attributes:
         order: (capacity,) numbers of the boxes in the order of their bodies.
-        hand: the hand that carries the box placed last. None if all placed boxes are released.
+        hand: the hand that carries the box placed last; None if all placed boxes are released.
         geom_bodies: (ngeom,) the body to which each geom belongs: the number of a box, ``CARRIER`` or ``FLOOR``.
         pyramidal: whether friction cones are pyramidal.
     """

@@ -64,7 +64,7 @@ class Templates:
 
     @classmethod
     def of(cls, sim: Simulation) -> Templates | None:
-        """The templates for these options. None if models must be compiled. Models must be compiled if boxes have no
+        """The templates for these options; None if models must be compiled. Models must be compiled if boxes have no
         skin (contact margin), since MuJoCo then computes their inertia. With pyramidal cones, models must also be
         compiled, since boxes that wait are then part of the model."""
         physics = sim.physics

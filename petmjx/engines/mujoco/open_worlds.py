@@ -132,8 +132,8 @@ class OpenWorld(WorldRun):
             self._keep_still_pose()
 
     def read(self) -> Reading:
-        """The state of the world. It has ``Flag.MOVING`` if the world paused because its time was up, although boxes
-        were still moving."""
+        """The state of the world, with ``Flag.MOVING`` if the world paused because its time was up, although boxes were
+        still moving."""
         live, k = self._live, self._live.n_placed
         pose = live.pose[:k]
         moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)

@@ -102,13 +102,14 @@ class OracleMetrics:
         return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
-        """Whether the pallet falls for certain, so that the simulation of its world can end. It falls for certain if a
-        box has dropped. In worlds with errors, it also falls if one of the k placed boxes is tilted too far in these
-        poses. In a drive (motion of the carrier), it also falls if the culprit is tilted too far and has moved too far.
+        """Whether the pallet falls for certain, so that the simulation of its world can end. The pallet falls for
+        certain if a box has dropped. In worlds with errors, it also falls if one of the k placed boxes is tilted too
+        far in these poses. In a drive (motion of the carrier), it also falls if the culprit is tilted too far and has
+        moved too far.
 
         Args:
-            culprit: number of the box that crossed a threshold first, at an earlier check. It is -1 if no box has
-                crossed a threshold, or if the culprit does not end a drive.
+            culprit: number of the box that crossed a threshold first, at an earlier check. The number is -1 if no box
+                has crossed a threshold, or if the culprit does not end a drive.
         """
         if self.any_dropped:
             return True
@@ -180,7 +181,9 @@ class OracleMetrics:
         return np.asarray(np.hypot(*(pos - origin)[:, :2].T))
 
     def add_rest(self, top_force_n: FloatArray) -> None:
-        """Add the forces in one step of the rest window, N. Their mean is the force at rest."""
+        """Add the forces in one step of the rest window, N. The force at rest is the mean over all steps of the
+        window.
+        """
         self._rest_sum_n[: len(top_force_n)] += top_force_n
         self._rest_steps += 1
 

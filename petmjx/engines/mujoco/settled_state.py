@@ -21,8 +21,8 @@ class SettledState:
     metrics: OracleMetrics
     flags: Flag
     ended: Outcome | None
-    """The outcome of the world, if it ended before it settled. All forks have the same outcome. None if the world
-    settled."""
+    """The outcome of the world, if it ended before it settled. All forks have the same outcome. If the world settled,
+    the value is None."""
 
     def ended_as(self, stream_number: int) -> Outcome | None:
         """The outcome of a fork, if the world ended before it settled; otherwise None."""

@@ -45,7 +45,7 @@ class Stepper:
 
         Args:
             first: number of the first step.
-            metrics: object that records the forces on tops. None if forces are not needed.
+            metrics: object that records the forces on tops; None if forces are not needed.
             acts: whether a drive (motion of the carrier) acts. If a drive acts, any step may have the largest forces.
         """
         number, end, budget = first, first + count, self._budget

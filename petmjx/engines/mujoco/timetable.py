@@ -21,7 +21,7 @@ class Waits:
         settles: whether a drive follows the placement, or the settled state is kept.
         since: the step after which the wait begins.
         last_placement: the step after which the last box was placed.
-        drive_end: the last step of the drive, if boxes do not come to rest earlier. None before the drive begins.
+        drive_end: the last step of the drive, if boxes do not come to rest earlier; None before the drive begins.
     """
 
     def __init__(self, sim: Simulation, clock: Clock, settles: bool) -> None:
@@ -56,8 +56,8 @@ class Waits:
         Args:
             n_boxes: number of boxes of the plan.
             all_placed: whether all boxes are placed.
-            restless: whether an earlier wait ended while boxes were moving, and this is not the world's last wait. This
-                wait is then short.
+            restless: whether an earlier wait ended while boxes were moving, and this wait is not the world's last, so
+                that it is short.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
@@ -74,7 +74,7 @@ class Waits:
         a short wait that begins at the first sign of failure.
 
         Args:
-            sign_step: step of the first sign of failure. None if no box has failed.
+            sign_step: step of the first sign of failure; None if no box has failed.
         """
         if self.in_drive:
             return NEVER

@@ -30,7 +30,7 @@ divided by the box's mass."""
 
 
 def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
-    """Add the body that represents the waiting boxes. Its stop comes before all boxes in the model."""
+    """Add the body that represents the waiting boxes. The body's stop comes before all boxes in the model."""
     body = spec.worldbody.add_body(name=_NAME, pos=[0.0, 0.0, -_PARKING_M])
     body.mass = _MASS_KG
     body.inertia = np.ones(3)
@@ -44,8 +44,8 @@ def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
 def press_waiting(model: mujoco.MjModel, data: mujoco.MjData, waiting_kg: float, gravity_m_s2: float) -> None:
     """Press on the stop with the force that makes its cost equal to the cost of the waiting boxes on the floor.
 
-    A mass m under the gravity g rests on constraints with the total weight D. Its cost in free fall exceeds its cost at
-    rest by (D + m)·g²/2. For the stop and for the boxes, D is proportional to m.
+    A mass m under the gravity g rests on constraints with the total weight D. The cost of the mass in free fall exceeds
+    its cost at rest by (D + m)·g²/2. For the stop and for the boxes, D is proportional to m.
     """
     share = (_FLOOR_STIFFNESS + 1.0) * waiting_kg / ((_STOP_STIFFNESS + 1.0) * _MASS_KG)
     data.xfrc_applied[model.body(_NAME).id, 2] = _MASS_KG * gravity_m_s2 * (1.0 - sqrt(share))

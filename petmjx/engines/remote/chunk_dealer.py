@@ -49,7 +49,7 @@ class Deal:
     Args:
         costs: (n,) expected time of each job, in any unit.
         slots: number of chunks that are simulated at the same time, over all workers.
-        group: largest number of jobs of a chunk, if the engine simulates worlds side by side. None if the engine
+        group: largest number of jobs of a chunk, if the engine simulates worlds side by side; None if the engine
             simulates job after job.
         least: used with ``group``: if there are fewer jobs than this, one worker gets all of them.
         deadly: numbers of the jobs that were the only job in a worker that died.

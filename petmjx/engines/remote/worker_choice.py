@@ -160,7 +160,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
 
 
 def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
-    """The reason why ``auto`` cannot give each worker a GPU or a share of a GPU. None if there is no such reason."""
+    """The reason why ``auto`` cannot give each worker a GPU or a share of a GPU; None if it can."""
     assert options.asked_workers is not None
     return why_no_gpus(nodes, options.asked_workers)
 

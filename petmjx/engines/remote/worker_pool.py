@@ -60,7 +60,7 @@ class _Hand:
     """The pool's record of a worker.
 
     Attributes:
-        hello: Ray's reference to the worker's first message. None when this message has arrived.
+        hello: Ray's reference to the worker's first message; None when this message has arrived.
         working: whether the worker's engine certainly exists: it was created before the first message, or the worker
             has reported about a chunk.
         streams: Ray's streams of reports, one for each chunk of the worker.
@@ -329,7 +329,7 @@ class WorkerPool(Engine):
                 waiting.append(hand)
 
     def _next_report(self, ref: Any) -> Report | Exception | None:
-        """The next report about a chunk. None after the last report; the error if the worker is dead."""
+        """The next report about a chunk; None after the last report; an error if the worker is dead."""
         try:
             item = self._thread.submit(lambda: self._ray.get(ref_of) if (ref_of := next(ref, None)) else None).result()
             report: Report | None = pickle.loads(item) if item is not None else None

@@ -79,7 +79,7 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
 
 
 def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
-    """The reason why the GPUs cannot be divided among this number of workers, in a few words. None if the GPUs can be
+    """The reason why the GPUs cannot be divided among this number of workers, in a few words; None if the GPUs can be
     divided.
 
     A worker gets a whole GPU, or the same share of a GPU as all other workers. With shares of two sizes, Ray might

@@ -27,8 +27,8 @@ class Child:
         module: the module whose function ``main`` the process runs.
 
     Attributes:
-        tasks: queue of pickled tasks. None ends the queue.
-        answers: queue of answers. None is the last entry.
+        tasks: queue of pickled tasks; the entry None ends the queue.
+        answers: queue of answers; the last entry is None.
     """
 
     def __init__(self, module: str) -> None:

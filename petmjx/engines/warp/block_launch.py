@@ -282,8 +282,7 @@ class Launch:
 
     @property
     def tile_words(self) -> int:
-        """Size of the tile (an array in shared memory) of a block, in units of four bytes. It is 0 if there is no
-        tile."""
+        """Size of the tile (an array in shared memory) of a block, in units of four bytes; 0 if there is no tile."""
         newton_words = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
         return self.worlds * (self.shared_words + newton_words)
 
@@ -332,7 +331,7 @@ class Launch:
 
 @functools.cache
 def kernel(launch: Launch) -> Any:
-    """The kernel of a launch. Its threads call ``kernels.world_loop.run_worlds``."""
+    """The kernel of a launch. The kernel's threads call ``kernels.world_loop.run_worlds``."""
     shared_words, of_block = launch.shared_words, launch.worlds
     tile_words, threads = launch.tile_words, launch.threads // launch.worlds
     hands, gives, wraps, lands = (int(flag) for flag in (launch.hands, launch.gives, launch.wraps, launch.lands))

@@ -57,8 +57,8 @@ class MjxWarpEngine(Engine):
 
     Args:
         lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
-        allow_cpu: whether to run Warp's kernels on the CPU if there is no CUDA device. This is slow, and meant for
-            tests.
+        allow_cpu: whether to run Warp's kernels on the CPU if there is no CUDA device. Running on the CPU is slow, and
+            meant for tests.
         most_rows: largest number of worlds whose states are on the device at the same time. This number limits the
             memory, whatever the number of jobs.
         slice_ns: length of a time slice (one call of the kernels), ns. After each slice, the CPU reads which worlds
@@ -69,9 +69,9 @@ class MjxWarpEngine(Engine):
         least_rows: smallest number of rows of a table. Programs are compiled for each number of rows and of columns. So
             a larger ``least_rows`` saves compilations in long runs that begin with few jobs, and in series of runs with
             different numbers of jobs.
-        depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU it is
-            False, so that the longest of all worlds come first, since many blocks would be idle if long worlds came
-            last.
+        depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU, the
+            value is False, so that the longest of all worlds come first: if long worlds came last, many blocks would be
+            idle.
 
     Raises:
         EngineUnavailable: there is no CUDA device, or Warp is not installed. The message names the reason.
@@ -150,7 +150,8 @@ class MjxWarpEngine(Engine):
             else:
                 continue
             self._drop()
-            # This is outside the ``except`` block, since the traceback would keep the tables in memory.
+            # The following call is outside the ``except`` block, in which the traceback would keep the tables in
+            # memory.
             yield from self._again(source, sim, progress)
 
     def _again(self, source: TableJobs, sim: Simulation, progress: Progress) -> Iterator[Outcome]:
@@ -218,7 +219,7 @@ class MjxWarpEngine(Engine):
             raise
 
     def _rollout(self, table: WorldTable) -> Rollout | None:
-        """The buffers for the simulation of a table, with fewer blocks if memory is short. None if not even
+        """The buffers for the simulation of a table, with fewer blocks if memory is short; None if not even
         ``MIN_BLOCKS`` blocks fit in memory. If the table has blocks of two sizes, the memory error is raised
         instead."""
         run = table.run

@@ -24,7 +24,7 @@ faster."""
 
 
 def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:
-    """The block pool for small worlds. None if this device has no such blocks, or if there are too few small worlds.
+    """The block pool for small worlds; None if this device has no such blocks, or if there are too few small worlds.
 
     Args:
         pool: the pool from which these worlds come.
@@ -47,7 +47,7 @@ def small_world_queues(
     """The queues, preceded by a new queue of small worlds. The worlds that have few boxes now move from the last queue
     to the new queue, if there are enough of them.
 
-    Worlds keep their order. Jitted programs can call this function.
+    Worlds keep their order. This function can be called in jitted programs.
 
     Args:
         placed: number of placed boxes of each world.

@@ -33,7 +33,7 @@ GOES_ON: Final = 8.0
 
 
 def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
-    """The block pool for the last worlds. None if this pool would be the same as the usual pool, as on a CPU.
+    """The block pool for the last worlds; None if this pool would be the same as the usual pool, as on a CPU.
 
     Args:
         pool: the pool from which these worlds come.

@@ -219,8 +219,8 @@ class WorldTable(Batch):
         self.table = _put_into(self.table, rows, running.states, _put_resized)
 
     def retry(self, rows: NDArray[np.int64]) -> None:
-        """Prepare worlds that overflowed their buffers to continue with larger buffers. Their flags of overflow are
-        replaced by ``Flag.RERUN_AFTER_OVERFLOW``, since their results will be valid."""
+        """Prepare worlds that overflowed their buffers to continue with larger buffers. Each flag of overflow is
+        replaced by ``Flag.RERUN_AFTER_OVERFLOW``, since the results with larger buffers are valid."""
         flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
         self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
 
