@@ -111,8 +111,9 @@ class AttemptRunner(Generic[AnyWorld]):
         return stream
 
     def run_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Simulate the worlds for which the engine returned no outcome. The fallback engine simulates them, if there is
-        one. Worlds that still have no outcome become invalid, with the reason ``failed``. Yields the same as ``run``.
+        """Simulate the worlds for which the engine returned no outcome. If there is a fallback engine, it simulates
+        these worlds. Worlds that still have no outcome become invalid, with the reason ``failed``. Yields the same as
+        ``run``.
         """
         engine = self.engines.primary
         if left and self.engines.fallback is not None:
@@ -174,7 +175,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     f"engine {engine.name} returned two outcomes for job {answer.job}, or had no such job"
                 ) from None
             # Up to MOST_TOGETHER outcomes are checked together. Only outcomes that are ready now are checked together,
-            # so no outcome waits for a later one.
+            # so no outcome waits for a later outcome.
             idle = not (tells and progress.at_hand)
             if len(arrivals) == MOST_TOGETHER or idle:
                 until = self._has_outcomes if tells else _never
@@ -219,8 +220,7 @@ class AttemptRunner(Generic[AnyWorld]):
             engine: name of the engine that made the outcomes; empty if each outcome names its engine.
             checked: whether the engine has already checked the outcomes.
             wait: if True, wait until the pool has checked all outcomes. If False, yield only the outcomes that are
-                ready; later calls yield the remaining ones.
-            until: see ``CheckPool.exchanged``.
+                ready; later calls yield the remaining outcomes. until: see ``CheckPool.exchanged``.
         """
         if checked:
             answered = arrivals

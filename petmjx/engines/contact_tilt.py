@@ -128,13 +128,13 @@ def n_loading(outcome: Outcome) -> int:
 
 
 def places_with_errors(job: Job) -> FloatArray:
-    """(n, 3) the places of boxes from which loads are computed in a world with placement or size errors, m. In such a
-    world, every body that is below a box by at most the shift threshold counts as its support.
+    """(n, 3) the places of boxes from which loads are computed in a world with placement or size errors, m. With such
+    errors, every body that is below a box by at most the shift threshold counts as its support.
 
-    A box in such a world often overlaps a neighbour that is millimetres higher, and is released on the strip in which
-    the two overlap. The box does not stay on this strip: it tips and leans on the bodies beside the strip. So the
-    places are the places of release, and the higher neighbour is not the only support. If only the strip were the
-    support, 75 of 167 unstable worlds with errors would be simulated again; with this rule only a few are.
+    A box with errors often overlaps a neighbour that is millimetres higher, and is released on the strip in which the
+    two overlap. The box does not stay on this strip: it tips and leans on the bodies beside the strip. So the places
+    are the places of release, and the higher neighbour is not the only support. If only the strip were the support, 75
+    of 167 unstable worlds with errors would be simulated again; with this rule only a few are.
     """
     places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]
     return places

@@ -378,7 +378,7 @@ class ThreadCosts:
         way = way or work.ways[0]
         boxes = np.asarray(work.boxes, dtype=float) * work.share
         one_by_one = work.sim.check is Check.ONE_BY_ONE
-        # if boxes are placed one by one, the number of standing boxes grows from 1 to n: these sums over 1…n replace n
+        # if boxes are placed one by one, the number of standing boxes grows from 1 to n, so costs are sums over 1…n
         standing = 0.5 if one_by_one else 1.0
         step_s = self.rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1) + self.overhead_s
         step_s = step_s + standing * self.give_s * work.compliant * work.share + self.hand_s * way.is_carried

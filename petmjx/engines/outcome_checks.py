@@ -88,10 +88,10 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     ``Flag.KNIFE_EDGE`` is set if any box is too near an edge. ``Flag.SINKING`` is set for worlds that may have tipped
     over because contacts are soft.
 
-    Distances at rest are computed for worlds that stand and were not shaken, because the carrier of such a world is
-    still at its place. Distances while the plan is built are computed for plans whose boxes are placed in order and
-    without errors. In a chain, a world that still stands after a later leg (part of the journey) is left out. Such a
-    world keeps the distances and the flag of the previous leg.
+    Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
+    places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
+    In a chain, a world that still stands after a later leg (part of the journey) is left out. Such a world keeps the
+    distances and the flag of the previous leg.
     """
     scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
     valid = [

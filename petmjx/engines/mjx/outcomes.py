@@ -116,7 +116,7 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
             enough.
     """
     # A drive (the motion of the carrier in a test) that directly follows its placement starts from a state on the
-    # device. The boxes of such a state cannot be moved to other poses.
+    # device. The boxes of a state on the device cannot be moved to other poses.
     assert all(job.poses is None or isinstance(job.start, State) for job in jobs)
     starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:

@@ -418,8 +418,8 @@ class LiveWorld:
 
     @classmethod
     def resume(cls, scene: Scene, sim: Simulation, state: BodyState, time_s: float) -> LiveWorld:
-        """A world with all its boxes, in a state that another world has reached. Drives (motions of the carrier) begin
-        in such a world."""
+        """A world with all its boxes, in a state that another world has reached. The result is a world in which a drive
+        (motion of the carrier) can begin."""
         live = cls(scene, sim, n_boxes=len(state.pose) - 1, shaken=True)
         live._restore(state, time_s)
         return live

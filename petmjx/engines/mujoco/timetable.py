@@ -47,7 +47,9 @@ class Waits:
 
     @property
     def _is_plain_static(self) -> bool:
-        """Whether this is a static check without a drive. The option ``duration_s`` is the length of such a check."""
+        """Whether this is a static check without a drive. The option ``duration_s`` is the length of a static check
+        without a drive.
+        """
         return self._static and not self.settles
 
     def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:

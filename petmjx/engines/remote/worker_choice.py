@@ -1,6 +1,6 @@
 """Chooses and starts the worker processes of a run: it joins the cluster, chooses the engine, and starts the workers.
 
-If possible, it does so while plans are read.
+If possible, the workers start while plans are read.
 """
 
 from __future__ import annotations

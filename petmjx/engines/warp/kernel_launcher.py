@@ -200,8 +200,8 @@ _CHANGED = (
 
 _IDS = itertools.count()
 _LAUNCHERS: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
-"""Number of a launcher → the launcher. JAX never frees a function that it calls. If such a function belonged to a
-launcher, the memory of the run would never be freed. So the function ``_launch`` gets only the number of the
+"""Number of a launcher → the launcher. JAX never frees a function that it calls. If a function that JAX calls belonged
+to a launcher, the memory of the run would never be freed. So the function ``_launch`` gets only the number of the
 launcher."""
 
 

@@ -127,7 +127,7 @@ class Simulator:
 
     def finish(self, open_: OpenState) -> State:
         """Let each paused world begin its rest window or its drive, as its constants say. A world may have paused
-        because its boxes did not come to rest in time. If such a world still moves, it first continues to wait, since
+        because its boxes did not come to rest in time. A paused world that still moves first continues to wait, since
         the last wait of a world may be longer than the earlier waits."""
         state, worlds = open_.state, open_.worlds
         paused = state.status == Status.PAUSED
