@@ -90,7 +90,7 @@ class AttemptRunner(Generic[AnyWorld]):
         the engine pauses.
 
         Args:
-            batch: the worlds. The list is emptied, so that finished worlds do not stay in memory.
+            batch: the worlds. This method empties the list, so that finished worlds do not stay in memory.
         """
         engine = self.engines.primary
         left, others = list[Pending[AnyWorld]](), list[Pending[AnyWorld]]()

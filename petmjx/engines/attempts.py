@@ -101,7 +101,8 @@ class AttemptRecipe:
         """Whether this attempt may give a different result from the previous attempt. A world that ran out of time gets
         no further attempt."""
         if self.checks:
-            # the margin of a world that ended early is that of a falling box, and says nothing about a near miss
+            # a world that ended early has the margin of a falling box, which does not show how near it was to the
+            # threshold
             return sim.check_timestep and abs(outcome.margin) < NEAR and not int(outcome.flags) & _EARLY_STOP
         sinks = bool(int(outcome.flags) & _SINKING) and sim.physics.cone is Cone.ELLIPTIC
         if self.soft:
@@ -139,8 +140,8 @@ class AttemptRecipe:
         return sim.changed(**update) if update else sim
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
-        """The jobs with the boxes of this attempt. Profiles (motions of the carrier) are resampled to the attempt's
-        timestep; jobs that shared a profile still share it."""
+        """The jobs, with soft boxes if this attempt simulates boxes as soft bodies. Profiles (motions of the carrier)
+        are resampled to the attempt's timestep; jobs that shared a profile still share it."""
         if self.soft:
             jobs = [replace(job, scene=job.scene.all_soft, start=None, keep_state=False) for job in jobs]
         if self.timestep_divisor == 1:

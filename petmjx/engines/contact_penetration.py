@@ -27,7 +27,8 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LEAST_TIME_CONSTANT_STEPS = 4
-"""Smallest time constant of contacts, in timesteps. MuJoCo requires 2. With 2.5, pallets exploded."""
+"""Smallest time constant of contacts, in timesteps. MuJoCo requires 2. With 2.5 timesteps, simulations of pallets
+exploded."""
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:

@@ -49,7 +49,8 @@ In stacks that fell, the distance of a load from its edge was at most 28 times t
 
 SURE: Final = 1.0
 """The same multiple as ``SAFETY``, for a stack in which a load acts beyond an edge in the plan. Such a stack would also
-fall on hard contacts. So soft contacts are suspected only if another load is nearer to its edge than its loss."""
+fall on hard contacts. So soft contacts may be the cause only if another load is nearer to its edge than the loss of
+this load."""
 
 KNIFE_EDGE_M: Final = 0.0004
 """Distance beyond an edge from which on a load surely acts beyond this edge, m: half a millimetre in the plan, minus
@@ -132,9 +133,9 @@ def places_with_errors(job: Job) -> FloatArray:
     errors, every body that is below a box by at most the shift threshold counts as its support.
 
     A box with errors often overlaps a neighbour that is millimetres higher, and is released on the strip in which the
-    two overlap. The box does not stay on this strip: it tips and leans on the bodies beside the strip. So the places
-    are the places of release, and the higher neighbour is not the only support. If only the strip were the support, 75
-    of 167 unstable worlds with errors would be simulated again; with this rule only a few are.
+    two overlap. The box does not stay on this strip: it tips and leans on the bodies beside the strip. So loads are
+    computed at the places of release, and the higher neighbour is not the only support. If only the strip were the
+    support, 75 of 167 unstable worlds with errors would be simulated again; with this rule only a few are.
     """
     places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]
     return places

@@ -36,8 +36,8 @@ SLOWEST, FASTEST = 8.0, 0.125
 
 
 def costs_here(work: Work, threads: int) -> Costs:
-    """The costs on this machine. Its speed is measured only for runs of at least a second. If the machine has compiled
-    kernels in an earlier run, the costs have a shorter start.
+    """The costs of the engines on this machine. The machine's speed is measured only for runs of at least a second. If
+    the machine has compiled kernels in an earlier run, the costs have a shorter start.
 
     Args:
         work: the work of the run.

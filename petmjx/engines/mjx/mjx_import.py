@@ -34,7 +34,9 @@ class _SilentLoader(SourceFileLoader):
 
 
 class _SilentFinder(MetaPathFinder):
-    """Finds only the module that prints the message. ``hides_warp``: whether Warp counts as not installed."""
+    """An import finder for a single module: the one that prints the message. ``hides_warp``: whether Warp counts as not
+    installed.
+    """
 
     def __init__(self, hides_warp: bool) -> None:
         self._hides_warp = hides_warp

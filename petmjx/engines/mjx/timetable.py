@@ -1,4 +1,4 @@
-"""The timetable of a run in whole steps. The steps are the same as in the reference implementation.
+"""The timetable of a run in whole steps. Events happen at the same steps as in the reference implementation.
 
 MuJoCo's clock is a float64 running sum of the timestep. A wait ends after the first step at which ``time − time at
 which the wait began ≥ length of the wait``. The batched engines count steps as integers. The tables of this module give

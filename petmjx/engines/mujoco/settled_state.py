@@ -14,7 +14,9 @@ from petmjx.world.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class SettledState:
-    """The state of a world at the end of its placement, when it has settled. Other worlds (*forks*) start from it."""
+    """The state of a world at the end of its placement, when it has settled. Other worlds (*forks*) start from this
+    state.
+    """
 
     step: int
     bodies: BodyState | SoftState | None
