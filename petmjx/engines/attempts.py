@@ -3,12 +3,12 @@
 The rules are in docs/rules.md, section 9.
 
 The first attempts are those of the PET-Physics paper: up to two attempts with Newton's method, then up to two with
-conjugate gradients (CG). An attempt with half the timestep follows. Worlds whose verdict may come from soft contacts
-(``petmjx.engines.contact_penetration``) have two attempts of their own. An optional last attempt simulates boxes as
-soft bodies, like the third attempt of the reference implementation. In the reference implementation of the paper, the
-second attempt only repeats the first, deterministic simulation. Here, a second attempt gives the solver up to
-``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``. These settings help if the solver stopped too
-early.
+conjugate gradients (CG). An attempt with half the timestep follows. Two further attempts, with stiffer contacts, are
+for worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``). An optional last attempt
+simulates boxes as soft bodies, like the third attempt of the reference implementation. In the reference implementation
+of the paper, the second attempt only repeats the first, deterministic simulation. Here, a second attempt gives the
+solver up to ``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``. These settings help if the
+solver stopped too early.
 
 The MJX engines compute in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is their *fallback*
 (``FALLBACKS``). C MuJoCo makes the attempts that need double precision. C MuJoCo also simulates worlds with soft boxes,

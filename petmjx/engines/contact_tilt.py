@@ -53,8 +53,8 @@ fall on hard contacts. So soft contacts may be the cause only if another load is
 this load."""
 
 KNIFE_EDGE_M: Final = 0.0004
-"""Distance beyond an edge from which on a load surely acts beyond this edge, m: half a millimetre in the plan, minus
-the amount by which simulated boxes are smaller than planned."""
+"""A load that is farther than this distance beyond an edge surely acts beyond it, m. The distance is half a millimetre
+in the plan, minus the amount by which simulated boxes are smaller than planned."""
 
 NEAR_M: Final = 0.001
 """A load that acts less than this distance (m) inside the edge may have tipped over because of soft contacts, even if

@@ -74,8 +74,7 @@ drives take 570 steps on average and at most 6,088."""
 
 FALL_STEPS = 1350
 """Steps from the first box that tips over to the drop that ends a world whose boxes are placed one by one. 22 plans of
-two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these steps are for
-placing."""
+two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these steps place boxes."""
 
 STATIC_FALL_STEPS = 400
 """Number of steps of a static check in which boxes fall, until one has dropped and the world ends. If a check has fewer
@@ -106,8 +105,8 @@ REFERENCE_STEPS = 2.8
 
 WAY_STEPS = {Way.DROP: 3.1, Way.HAND: 4.0, Way.TINES: 7.0}
 """Number of steps of a placement whose boxes fall or are carried to their places, relative to boxes that appear there.
-Plans of 14 and of 40 boxes agree within a tenth. Boxes carried by hand take a share of 0.285 of the fixed schedule's
-steps; the share is 0.45 with few boxes, and 0.24 with many."""
+Measurements with plans of 14 and of 40 boxes agree within a tenth. Boxes carried by hand take a share of 0.285 of the
+fixed schedule's steps; the share is 0.45 with few boxes, and 0.24 with many."""
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 """The same ratio as ``WAY_STEPS``, for boxes whose places or sizes have errors. These boxes are moved apart and then
@@ -290,7 +289,7 @@ class Work:
         )
 
     def placement_steps(self, way: WayOfPlacing) -> FloatArray:
-        """(n,) expected steps of one placement of each plan, not counting its soft start."""
+        """(n,) expected steps of one placement of each plan, not counting the soft start."""
         return way.steps * self.share * self._placing_steps + way.falls * self.fall_steps
 
     def as_planned(self, errors: Errors) -> float:
@@ -456,7 +455,9 @@ class Costs:
     gpu_start_s: float = 17.0
 
     def slowed(self, factor: float) -> Costs:
-        """The costs on a machine whose CPU threads take ``factor`` times as long. The costs of GPUs do not change."""
+        """The costs on a machine whose CPU threads take ``factor`` times as long. The factor does not change the costs
+        of GPUs.
+        """
         return replace(
             self,
             mujoco=self.mujoco.slowed(factor),
@@ -509,9 +510,9 @@ class Costs:
 
 
 def _displaced_cost(coupling: FloatArray) -> FloatArray:
-    """(n,) cost of a placement whose boxes appear at places with errors, relative to one without errors. Boxes that
-    stand on several others lose some of these supports, and rock. Measured: 1.6 for generated plans, 2.6 to 3 for a
-    third-party plan, on both engines."""
+    """(n,) cost of a placement whose boxes appear at places with errors, relative to a placement without errors. With
+    errors, boxes that stand on several others lose some of these supports, and rock. The measured values are 1.6 for
+    generated plans, and 2.6 to 3 for a third-party plan, on both engines."""
     return 1.3 + 1.9 * coupling
 
 

@@ -40,7 +40,8 @@ class JobStream(Generic[Tag]):
 
     One thread, the *source*, puts the jobs of the run's worlds into the stream, and waits while the stream is full. The
     thread that takes outcomes puts in the jobs that follow from outcomes, such as the drives of a settled pallet. The
-    engine takes these jobs first. So at any time, only few settled states wait in memory for their drives.
+    engine takes jobs that follow from outcomes first. So at any time, only few settled states wait in memory for their
+    drives.
 
     The stream number of a job is the number of jobs that were taken before it since ``begin``.
 
@@ -128,8 +129,8 @@ class JobStream(Generic[Tag]):
             wait: if False, return an empty list instead of waiting.
 
         Returns:
-            The jobs. With ``wait``, an empty list means that no further jobs come: an engine without jobs in flight
-            then ends its run.
+            The jobs. If ``wait`` is True, an empty list means that no further jobs come, so that an engine without jobs
+            in flight ends its run.
         """
         with self._changed:
             if not self._ready(least, wait):

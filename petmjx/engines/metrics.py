@@ -92,7 +92,7 @@ class WorldReduction:
 
 @dataclass(frozen=True)
 class BoxMetric:
-    """A quantity that each box has. In the table ``boxes``, it has one column, or one column per component.
+    """A quantity that each box has. The table ``boxes`` has one column for the quantity, or one column per component.
 
     Attributes:
         attribute: field of ``BoxMetrics`` that holds the values, as an array (n,) or (n, components).

@@ -96,7 +96,7 @@ class State(NamedTuple):
     tremble_qpos: Float[Array, "world box 7"]
 
     # Future events, as steps or NEVER: the start of the drive, the start of the rest window, and the end of the world.
-    # Also the poses shortly before the end; from then on, boxes must be still.
+    # And the poses at the step from which on boxes must be still, shortly before the end.
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]

@@ -24,8 +24,8 @@ def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[N
 
     The four rows of a pyramidal friction cone are forces along the edges of the cone. The normal force is the sum of
     the four forces. Each of the two tangential forces is the difference of two of the four forces, times the friction.
-    The three rows of an elliptic cone are the components of the force. All contacts have condim 3. The source is given
-    at ``petmjx.engines.mjx.top_forces.contact_force_z``.
+    The three rows of an elliptic cone are the components of the force. All contacts have condim 3. The source of these
+    formulas is named in ``petmjx.engines.mjx.top_forces.contact_force_z``.
 
     Returns:
         (k,) numbers of these contacts, and (k, 3) forces of geom 1 on geom 2 in the contact frame (normal and two

@@ -132,7 +132,9 @@ class Deal:
         return given_up
 
     def put_back(self, held: Iterable[Chunk]) -> None:
-        """Record that a worker died before it started these chunks. All jobs of these chunks wait again."""
+        """Record that a worker died before it started these chunks. The jobs of these chunks are put back among the
+        waiting jobs.
+        """
         for chunk in held:
             left = self._left(chunk)
             if chunk.alone:

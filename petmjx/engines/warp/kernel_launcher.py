@@ -38,7 +38,8 @@ from petmjx.engines.warp.world_arrays import (
 )
 
 SLICE_NS = 250_000_000
-"""Length of a time slice (one call of the kernels), ns: short enough for a progress bar and for an interruption."""
+"""Length of a time slice (one call of the kernels), ns, if an engine sets no other length: short enough for a progress
+bar and for an interruption."""
 
 PAIRS_PER_BOX = 10
 """Number of pairs of near geoms for which memory is reserved, per box and per board of a carrier."""
