@@ -37,7 +37,7 @@ SLOWEST, FASTEST = 8.0, 0.125
 
 def costs_here(work: Work, threads: int) -> Costs:
     """The costs of the engines on this machine. The machine's speed is measured only for runs of at least a second. If
-    the machine has compiled kernels in an earlier run, the costs have a shorter start.
+    the machine has compiled kernels in an earlier run, the costs include less time for starting.
 
     Args:
         work: the work of the run.
