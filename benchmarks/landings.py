@@ -77,24 +77,32 @@ def rows(engine: str) -> list[dict[str, Any]]:
         fields = {"quantity": quantity, "source": source, "measured": f"{low:g} to {high:g}"}
         return fields | {"petmjx": round(value, 3), "miss": round(miss, 3), "engine": engine}
 
-    made, step_s, given = [], TIMESTEPS_S[0], "what was wanted"
+    made, step_s, given = [], TIMESTEPS_S[0], "limit for the depth"
     for height_mm, most_mm in zip(HEIGHTS_MM, MOST_DEPTH_MM, strict=True):
         usual = landed(engine, height_mm, step_s, LANDING_S, RESTITUTION)
-        made.append(row(f"restitution from {height_mm:g} mm, as shipped", "T-RO 2023", *CARDBOARD, usual.restitution))
-        made.append(row(f"depth from {height_mm:g} mm, as shipped, mm", given, 0, most_mm, usual.depth_mm))
+        made.append(
+            row(f"fall from {height_mm:g} mm, default physics: restitution", "T-RO 2023", *CARDBOARD, usual.restitution)
+        )
+        made.append(row(f"fall from {height_mm:g} mm, default physics: depth, mm", given, 0, most_mm, usual.depth_mm))
         for restitution in ASKED:
             landing = landed(engine, height_mm, step_s, LANDING_S, restitution)
-            conditions = f"from {height_mm:g} mm, restitution {restitution:g}"
-            made.append(row(f"depth {conditions}, mm", given, 0, most_mm, landing.depth_mm))
+            conditions = f"fall from {height_mm:g} mm, restitution set to {restitution:g}"
+            made.append(row(f"{conditions}: depth, mm", given, 0, most_mm, landing.depth_mm))
             low, high = restitution - NEAR, restitution + NEAR
-            made.append(row(f"restitution {conditions}", "what was asked", low, high, landing.restitution))
+            made.append(row(f"{conditions}: simulated restitution", "set value", low, high, landing.restitution))
             bounces = [landed(engine, height_mm, s, LANDING_S, restitution).restitution for s in TIMESTEPS_S[1:]]
             worst = restitution + max((bounce - restitution for bounce in bounces), key=abs)
-            made.append(row(f"restitution {conditions}, the worse of 1 and 0.5 ms", "what was asked", low, high, worst))
-        for name, landing_s in (("as shipped", LANDING_S), ("landing_s 0", 0.0)):
+            made.append(
+                row(f"{conditions}: simulated restitution, worse of 1 and 0.5 ms steps", "set value", low, high, worst)
+            )
+        for name, landing_s in (("default physics", LANDING_S), ("landing_s 0", 0.0)):
             peaks = [landed(engine, height_mm, timestep_s, landing_s, RESTITUTION).peak_n for timestep_s in TIMESTEPS_S]
             spread = max(peaks) / min(peaks) - 1
-            made.append(row(f"spread of peaks from {height_mm:g} mm, 2 to 0.5 ms, {name}", "none", 0, 0.12, spread))
+            made.append(
+                row(
+                    f"fall from {height_mm:g} mm, {name}: spread of force peaks over timesteps", "none", 0, 0.12, spread
+                )
+            )
     return made
 
 

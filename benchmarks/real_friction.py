@@ -75,7 +75,7 @@ def _row_of_friction(carton: Carton) -> Row:
     miss = _outside(ours, low, high)
     return Row(
         f"friction of a {carton.name}", _TUE, f"{low:.2f} to {high:.2f}", f"{ours:.2f}", f"{miss:.2f}", "all",
-        "of boxes by default (CTU Code, cardboard on cardboard)", miss == 0.0,
+        "petmjx's default for boxes (CTU Code, cardboard on cardboard)", miss == 0.0,
     )  # fmt: skip
 
 
@@ -114,8 +114,8 @@ def _row_of_spread(engine: str) -> Row:
         )  # fmt: skip
         spreads.append(100 * float(np.std(moved.pos_m[:, 0, :2], axis=0).max()))
     return Row(
-        "place of rest of cartons tossed by about 1.2 m", _TUE, "5 to 10 cm: error of their simulators",
-        f"{min(spreads):.1f} to {max(spreads):.1f} cm: spread by their ranges of friction", "–", engine,
+        "place of rest of cartons tossed over 1.2 m", _TUE, "5 to 10 cm: error of the authors' simulators",
+        f"{min(spreads):.1f} to {max(spreads):.1f} cm: spread from their ranges of friction", "–", engine,
         "standard deviations; trajectories are not published",
     )  # fmt: skip
 
@@ -127,7 +127,8 @@ def _row_of_floor() -> Row:
     return Row(
         "static friction of a pallet on rack beams", _RACKS, f"{low} to {high} at 0.55 to 13 kN", f"{ours:g}",
         f"{miss:.2f}", ALL_ENGINES,
-        "of the floor by default, so that pallets do not slide; physics.floor_friction says another one", miss == 0.0,
+        "petmjx's default for the floor, on which pallets do not slide; `physics.floor_friction` changes it",
+        miss == 0.0,
     )  # fmt: skip
 
 
@@ -176,13 +177,13 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
     error = moved.pos_m[:, -1, 0] / expected - 1
     worst = int(abs(error).argmax())
     yield Row(
-        f"way of a pallet that slides with {SPEED_M_S:g} m/s", f"Coulomb's law with kinetic frictions of: {_SAE}",
+        f"sliding distance of a pallet with {SPEED_M_S:g} m/s", f"Coulomb's law with kinetic frictions of: {_SAE}",
         f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", percent(abs(error[worst])), engine,
         f"the worst of {len(kinetic)} floors", bool(abs(error).max() < _WAY_WITHIN),
     )  # fmt: skip
     lift = MM_PER_M * max(_lowest_corner(pos, quat) for pos, quat in zip(moved.pos_m, moved.quat_wxyz, strict=True))
     yield Row(
-        "how far it lifts off while it slides", "a level box that slides on a level floor", "0 mm", f"{lift:.2f} mm",
+        "how far the sliding pallet lifts off", "a level box that slides on a level floor", "0 mm", f"{lift:.2f} mm",
         f"{lift:.2f} mm", engine, "", lift < _LIFT_MM,
     )  # fmt: skip
 
@@ -267,8 +268,8 @@ def _row_of_shelf(engine: str) -> Row:
     measures = shelf(engine)
     level, tilted = measures["level_shed"], measures["tilted_shed"]
     return Row(
-        f"pallets shed from shelves that are tilted by {SHELF_DEG}°", _RACKS, "none; of level shelves some",
-        f"{tilted} of {QUAKES}; of level shelves {level}", f"{tilted}", engine,
+        f"pallets that fall from shelves tilted by {SHELF_DEG}°", _RACKS, "none; from level shelves some",
+        f"{tilted} of {QUAKES}; from level shelves {level}", f"{tilted}", engine,
         f"friction 0.41, noise of {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz with a peak of {PEAK_G} g for {QUAKE_S:g} s; "
-        f"shed: outward by more than {MM_PER_M * SHED_M:g} mm", tilted == 0 and level > 0,
+        f"a pallet falls if it moves outward by more than {MM_PER_M * SHED_M:g} mm", tilted == 0 and level > 0,
     )  # fmt: skip

@@ -147,8 +147,8 @@ _FRICTION_WITHIN: Final = 0.02
 _LEAST_P: Final = 0.01
 """P-value of a test below which two distributions differ."""
 _NAMES: Final = {
-    "way_mm": ("way along the ground", " mm"),
-    "turn_deg": ("total turn", "°"),
+    "way_mm": ("distance moved along the ground", " mm"),
+    "turn_deg": ("total rotation", "°"),
     "duration_s": ("time to rest", " s"),
 }
 
@@ -169,7 +169,7 @@ def _tosses(data: Path, limit: int | None, engine: str, *, complete: bool) -> tu
         measures["spread_mujoco_own"] = spread(tosses, engine, physics=MUJOCO_OWN)
         rows += _rows_of_spread(measures["spread"], engine)
         rows.append(_row_of_faces(measures["spread_as_shipped"], "by default", engine))
-        note = f"from the measured starts {percent(measures['mujoco_own']['right_face'])} right"
+        note = f"from the measured starts: {percent(measures['mujoco_own']['right_face'])} right"
         rows.append(_row_of_faces(measures["spread_mujoco_own"], "with MuJoCo's own contacts", engine, note))
         rows += _rows_of_friction(measures["friction"], engine)
         rows += _rows_of_calibration(measures["calibration"], engine)
@@ -181,15 +181,15 @@ def _rows_of_errors(measures: Mapping[str, Any], name: str, n: int, engine: str)
     low, high = map(float, wilson_interval(round(face * n), n))
     yield Row(
         f"{name}: face that is up at the end", _CUBE, f"{n} of {n}", f"{percent(face)} right", percent(1 - face),
-        engine, f"meant: {percent(_RIGHT_FACE)}; 95 % interval {percent(low)} to {percent(high)}", face >= _RIGHT_FACE,
+        engine, f"goal: {percent(_RIGHT_FACE)}; 95 % interval {percent(low)} to {percent(high)}", face >= _RIGHT_FACE,
     )  # fmt: skip
     yield Row(
         f"{name}: place at the end", _CUBE, "by camera", "–", f"{place:.1f} mm in the median", engine,
-        f"meant: {_PLACE_MM:g} mm", place <= _PLACE_MM,
+        f"goal: at most {_PLACE_MM:g} mm", place <= _PLACE_MM,
     )  # fmt: skip
     yield Row(
         f"{name}: place and orientation along the path", _CUBE, "by camera", "–",
-        f"{path:.1f} mm, {measures['turn_mean_deg']:.1f}° in the mean", engine, f"meant: {_PATH_MM:g} mm",
+        f"{path:.1f} mm, {measures['turn_mean_deg']:.1f}° in the mean", engine, f"goal: at most {_PATH_MM:g} mm",
         path <= _PATH_MM,
     )  # fmt: skip
     for quantity, test in measures["distributions"].items():
@@ -209,11 +209,11 @@ def _rows_of_spread(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
         f"{sigma['angvel_rad_s']:.2f} rad/s"
     )
     yield Row(
-        f"ends of {runs} runs whose starts differ as the data are uncertain", _CUBE,
+        f"spread of the ends of {runs} runs with uncertain starts", _CUBE,
         f"{measures['from_measured_median_mm']:.1f} mm from the measured end",
         f"{measures['between_runs_median_mm']:.1f} mm from each other",
         f"{measures['from_measured_median_mm'] / measures['between_runs_median_mm']:.1f} times", engine,
-        f"medians; a perfect model of a perfect cube has the same in both; starts differ by {uncertain}",
+        f"medians; equal for a perfect model of a perfect cube; starts differ by {uncertain}",
     )  # fmt: skip
     yield _row_of_faces(measures, f"with restitution {RESTITUTION}", engine)
 
@@ -222,8 +222,8 @@ def _row_of_faces(measures: Mapping[str, Any], contacts: str, engine: str, note:
     """Share of runs with such starts that end with the camera's face up, and with equal faces up."""
     measured, runs_agree = measures["same_face_as_measured"], measures["same_face_between_runs"]
     return Row(
-        f"the same face up, {contacts}", _CUBE, f"{percent(measured)} of runs and the camera",
-        f"{percent(runs_agree)} of two runs", percent(runs_agree - measured), engine, note,
+        f"how often the same face is up, {contacts}", _CUBE, f"in {percent(measured)} of runs, as filmed",
+        f"in {percent(runs_agree)} of pairs of runs", percent(runs_agree - measured), engine, note,
     )  # fmt: skip
 
 
@@ -231,9 +231,9 @@ def _rows_of_friction(measures: Mapping[str, Any], engine: str) -> Iterator[Row]
     for half in measures["halves"]:
         other, miss = half["errors_of_other_half"], half["friction"] - measures["published"]
         yield Row(
-            "friction found from half of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
+            "friction fitted to half of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
             f"{abs(miss):.3f}", engine,
-            f"the other half then: {percent(other['right_face'])} right, {other['place_median_mm']:.1f} mm, "
+            f"errors on the other half: {percent(other['right_face'])} right, {other['place_median_mm']:.1f} mm, "
             f"path {other['path_mean_mm']:.1f} mm",
             abs(miss) <= _FRICTION_WITHIN + 1e-9,
         )  # fmt: skip
@@ -244,15 +244,15 @@ def _rows_of_calibration(measures: Mapping[str, Any], engine: str) -> Iterator[R
     for region, share in measures["within"].items():
         level, error = float(region), measures["standard_error"][region]
         yield Row(
-            f"measured ends within the region of {percent(level, 0)} of {measures['members']} draws", _CUBE,
+            f"measured ends within the {percent(level, 0)} region of {measures['members']} draws", _CUBE,
             percent(share), percent(level, 0), percent(abs(share - level)), engine,
             f"friction {mu} ± {sigma}, starts as uncertain as the data; by chance ± {percent(error)}",
             abs(share - level) <= 3 * error,
         )  # fmt: skip
     chance, likeliest = measures["chance_of_measured_face"], measures["chance_of_members_face"]
     yield Row(
-        "chance of the face that is up, as the draws have it", _CUBE,
-        f"{percent(chance)} of draws show the measured face", f"{percent(likeliest)} show each other's",
+        "how often draws agree on the face that is up", _CUBE,
+        f"{percent(chance)} of draws show the measured face", f"{percent(likeliest)} of pairs of draws agree",
         percent(likeliest - chance), engine,
         "overconfidence about the face",
     )  # fmt: skip

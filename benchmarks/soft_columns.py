@@ -291,7 +291,7 @@ def rows(engine: EngineName = "mujoco", count: int = 40, seed: int = 55) -> list
     fields = {"source": "bed of springs (Winkler 1867)", "engine": engine}
     return [
         {
-            "quantity": f"of {len(clear)} columns 5 % away from buckling, those that stand or buckle alike",
+            "quantity": f"of {len(clear)} columns at least 5 % from buckling: number with the same outcome",
             "measured": str(len(clear)),
             "petmjx": str(len(clear) - other),
             "miss": other,

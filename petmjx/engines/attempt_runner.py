@@ -38,7 +38,7 @@ AttemptResult = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
 
 
 class _End:
-    """The type of ``_END``, which marks the end of an engine's outcomes."""
+    """The type of ``_END``, the value that is queued after an engine's last outcome."""
 
 
 _END: Final = _End()
@@ -70,8 +70,8 @@ class AttemptRunner(Generic[AnyWorld]):
 
     Attributes:
         sim: the run's options with the changes of this attempt.
-        put_following: function that is called after each outcome. It puts the jobs that follow from results, such as
-            the drives of a settled pallet, into the stream.
+        put_following: function that is called after each outcome. This function puts the jobs that follow from results,
+            such as the drives of a settled pallet, into the stream.
         check_pool: pool of processes that check outcomes; None if this process checks them.
         most: largest number of jobs in a list, for engines that cannot read a stream.
     """
@@ -90,7 +90,7 @@ class AttemptRunner(Generic[AnyWorld]):
         the engine pauses.
 
         Args:
-            batch: the worlds. The list is emptied, so that finished worlds do not stay in memory.
+            batch: the worlds. This method empties the list, so that finished worlds do not stay in memory.
         """
         engine = self.engines.primary
         left, others = list[Pending[AnyWorld]](), list[Pending[AnyWorld]]()
@@ -102,7 +102,7 @@ class AttemptRunner(Generic[AnyWorld]):
         yield from self.run_fallback(left + others)
 
     def _stream_of(self, batch: list[Pending[AnyWorld]], engine: Engine) -> JobStream[Pending[AnyWorld]]:
-        """A stream that holds only the jobs of these worlds. The batch is emptied."""
+        """A stream that holds only the jobs of these worlds. This method empties the list ``batch``."""
         stream = JobStream[Pending[AnyWorld]]()
         for job, pending in zip(self.jobs_of([world for world, _, _ in batch], engine), batch, strict=True):
             stream.put(job, pending)
@@ -111,8 +111,9 @@ class AttemptRunner(Generic[AnyWorld]):
         return stream
 
     def run_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Simulate the worlds for which the engine returned no outcome. The fallback engine simulates them, if there is
-        one. Worlds that still have no outcome become invalid, with the reason ``failed``. Yields the same as ``run``.
+        """Simulate the worlds for which the engine returned no outcome. If there is a fallback engine, it simulates
+        these worlds. Worlds that still have no outcome become invalid, with the reason ``failed``. Like ``run``, this
+        method yields results of attempts and None.
         """
         engine = self.engines.primary
         if left and self.engines.fallback is not None:
@@ -132,7 +133,9 @@ class AttemptRunner(Generic[AnyWorld]):
     def run_stream(
         self, engine: Engine, stream: JobStream[Pending[AnyWorld]]
     ) -> Generator[AttemptResult[AnyWorld] | None, None, list[Pending[AnyWorld]]]:
-        """Yield the worlds with their outcomes. Return the worlds without an outcome, if the engine raises an error."""
+        """Yield the worlds with their outcomes. If the engine raises an error, return the worlds that have no
+        outcome.
+        """
         engine_name = "" if Capability.MIXED in engine.capabilities else engine.name
         checked = Capability.CHECKS in engine.capabilities
         progress, tells = self.engines.progress, getattr(engine, "tells", False)
@@ -171,8 +174,8 @@ class AttemptRunner(Generic[AnyWorld]):
                 raise RuntimeError(
                     f"engine {engine.name} returned two outcomes for job {answer.job}, or had no such job"
                 ) from None
-            # Up to MOST_TOGETHER outcomes are checked together. No outcome is delayed for this: only outcomes that are
-            # ready now are checked together.
+            # Up to MOST_TOGETHER outcomes are checked together. Only outcomes that are ready now are checked together,
+            # so no outcome waits for a later outcome.
             idle = not (tells and progress.at_hand)
             if len(arrivals) == MOST_TOGETHER or idle:
                 until = self._has_outcomes if tells else _never
@@ -217,8 +220,7 @@ class AttemptRunner(Generic[AnyWorld]):
             engine: name of the engine that made the outcomes; empty if each outcome names its engine.
             checked: whether the engine has already checked the outcomes.
             wait: if True, wait until the pool has checked all outcomes. If False, yield only the outcomes that are
-                ready; later calls yield the remaining ones.
-            until: see ``CheckPool.exchanged``.
+                ready; later calls yield the remaining outcomes. until: see ``CheckPool.exchanged``.
         """
         if checked:
             answered = arrivals
@@ -245,8 +247,8 @@ class AttemptRunner(Generic[AnyWorld]):
         return (self.engines.progress.at_hand or 0) > 0
 
     def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
-        """The outcome of a world after the attempt with half the timestep: the previous outcome, with ``Flag.TIMESTEP``
-        if the verdict changed."""
+        """The outcome of a world after the attempt with half the timestep. It is the previous outcome, with
+        ``Flag.TIMESTEP`` if half the timestep gives another verdict."""
         if checked.verdict is before.verdict:
             return before
         self.engines.note(f"{world.name}: {before.verdict}, but {checked.verdict} at half the timestep")

@@ -35,7 +35,8 @@ MOST_PENDING: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
 also pauses when this number of worlds waits for a further attempt."""
 
 PENDING_BOXES: Final = 1 << 20
-"""The thread that makes worlds pauses while the waiting jobs have this number of boxes. Their scenes take 130 MB."""
+"""The thread that makes worlds pauses while the waiting jobs have this number of boxes. The scenes of these jobs take
+130 MB."""
 
 FIRST_WORLDS: Final = 1600
 """Number of worlds with which a GPU begins. These worlds keep all thread blocks for worlds of few boxes busy
@@ -46,7 +47,7 @@ PAUSE_S: Final = 0.02
 
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
-    """A pool of processes that check the outcomes of ``worlds`` worlds while an engine simulates. None if the engine
+    """A pool of processes that check the outcomes of ``worlds`` worlds while an engine simulates; None if the engine
     needs no pool, or if there are too few worlds.
     """
     return (
@@ -73,13 +74,14 @@ def score_worlds(
 
     A thread makes the worlds and puts their jobs into a ``JobStream``, from which the engine takes the jobs. The thread
     waits while the jobs in the stream have ``PENDING_BOXES`` boxes. Invalid worlds are collected, and simulated again
-    together at the end, or earlier if ``most_pending`` of them wait. So memory does not grow with the number of worlds.
-    If CPU threads make an attempt beside a GPU (petmjx/engines/attempts.py), this attempt begins at once.
+    together at the end, or earlier if ``most_pending`` of them wait. So the memory of a run does not grow with its
+    number of worlds. If CPU threads make an attempt beside a GPU (petmjx/engines/attempts.py), this attempt begins at
+    once.
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
-    a settled pallet. It returns each world exactly once, and is called after each outcome. An engine that reads a
-    stream simulates these worlds together with the other worlds. Any other engine simulates them after the other
-    worlds.
+    a settled pallet. This function is called after each outcome, and returns each of these worlds exactly once. An
+    engine that reads a stream simulates the returned worlds together with the other worlds; any other engine simulates
+    the returned worlds last.
 
     ``begin_with``: number of worlds with which a GPU begins. ``bounds``: limits that hold for all jobs, including the
     jobs that follow from results.
@@ -118,8 +120,8 @@ def score_worlds(
 class _AttemptRun(Generic[AnyWorld]):
     """All attempts at the worlds of one call of ``score_worlds``.
 
-    At any time, a world that is not finished is in one of four places. Before its first attempt it is in ``stream``,
-    or, if the engine of the run cannot simulate it, in ``for_fallback``. Before each further attempt it is in
+    At any time, each unfinished world is in one of four collections. Before its first attempt it is in ``stream``, or,
+    if the engine of the run cannot simulate it, in ``for_fallback``. Before each further attempt it is in
     ``retry_queue`` or in ``side_tasks``.
 
     Attributes:
@@ -220,7 +222,7 @@ class _AttemptRun(Generic[AnyWorld]):
     ) -> Iterator[WorldResult[AnyWorld]]:
         """The final results among these worlds, and the final results of side tasks that have ended in the meantime."""
         for pending in attempt_results:
-            if pending is not None:  # None means that the engine pauses
+            if pending is not None:  # None is not an outcome: the engine pauses
                 yield from self._finish_or_retry(attempt, pending)
             yield from self._side_results()
 
@@ -238,8 +240,8 @@ class _AttemptRun(Generic[AnyWorld]):
                 yield from self._finish_or_retry(self.attempts[0], pending)
 
     def _finish_or_retry(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """After an attempt, yield the result of the world if it is final. Otherwise, begin the next attempt as a side
-        task, or let the world wait for it.
+        """After an attempt at a world, yield the world's result if it is final. If it is not, begin the next attempt as
+        a side task, or put the world into ``retry_queue``.
 
         Args:
             pending: the world, with the outcome of the attempt.
@@ -263,7 +265,7 @@ class WorldSource(Generic[AnyWorld]):
         deliver: function that puts a world's job into the stream. The function waits while the stream is full, and
             returns False if the stream is closed.
         has_room: function that returns False while too many worlds wait for further attempts or for the fallback
-            engine. The thread then pauses.
+            engine. While the function returns False, the thread pauses.
     """
 
     def __init__(
@@ -330,9 +332,9 @@ class _SideTasks(Generic[AnyWorld]):
         return len(self._in_flight)
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
-        """At the beginning of a large run, start the pool of processes that check outcomes, and the process for
-        attempts that few worlds need. This process simulates one box first, because a kernel may have to be compiled,
-        which takes as long as the simulation of many worlds."""
+        """At the beginning of a large run, start two kinds of processes: those that check outcomes, and one that makes
+        the attempts that few worlds need. The process for attempts first simulates one box. So its kernel is compiled
+        early: compiling takes as long as simulating many worlds."""
         self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
@@ -349,7 +351,7 @@ class _SideTasks(Generic[AnyWorld]):
         """Begin an attempt at a world as a side task. Returns False if the engine of the run must make the attempt."""
         runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
         world, before, _ = pending
-        # if boxes of a plan may sink into each other, all worlds of the plan with placement errors need the attempt
+        # if boxes of a plan may sink into each other, all of the plan's worlds with placement errors need the attempt
         sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID
         few = attempt.few and not (sank and may_penetrate(world.job.scene, self.sim))
         traits = {"doubles": attempt.doubles, "soft": runner.is_soft(world), "few": few}

@@ -13,7 +13,7 @@ from petmjx.engines.subprocess.attempt_process import Answer, Task, answer_to
 
 class ThreadSimulator:
     """Simulates worlds on threads. Each thread has its own engine, which uses this thread only. During a run, the
-    threads share the CPUs with the threads of the run. Afterwards, they have the CPUs for themselves.
+    threads share the CPUs with the threads of the run. After the run, these threads have the CPUs for themselves.
 
     Args:
         threads: number of threads.

@@ -3,18 +3,19 @@
 The rules are in docs/rules.md, section 9.
 
 The first attempts are those of the PET-Physics paper: up to two attempts with Newton's method, then up to two with
-conjugate gradients (CG). An attempt with half the timestep follows. Worlds whose verdict may come from soft contacts
-(``petmjx.engines.contact_penetration``) have two attempts of their own. An optional last attempt simulates boxes as
-soft bodies, like the third attempt of the reference implementation. The second attempts of the reference implementation
-only repeat the same deterministic simulation. Here, a second attempt gives the solver up to ``CAREFUL_ITERATIONS``
-iterations and the tolerance ``CAREFUL_TOLERANCE``. This helps if the solver stopped too early.
+conjugate gradients (CG). An attempt with half the timestep follows. Two further attempts, with stiffer contacts, are
+for worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``). An optional last attempt
+simulates boxes as soft bodies, like the third attempt of the reference implementation. In the reference implementation
+of the paper, the second attempt only repeats the first, deterministic simulation. Here, a second attempt gives the
+solver up to ``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``. These settings help if the
+solver stopped too early.
 
 The MJX engines compute in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is their *fallback*
-(``FALLBACKS``). C MuJoCo makes the attempts that need double precision. It also simulates worlds with soft boxes,
-worlds with conjugate gradients, and worlds for which an engine returned no outcome because of an error. ``mujoco``
+(``FALLBACKS``). C MuJoCo makes the attempts that need double precision. C MuJoCo also simulates worlds with soft boxes,
+attempts with conjugate gradients, and worlds for which an engine returned no outcome because of an error. ``mujoco``
 itself and engines that users wrote have no fallback.
 
-A GPU takes as long for a single world as for many worlds. So in a run on ``mjx-warp``, CPU threads make the attempts
+A GPU needs the same time for one world as for many worlds. So in a run on ``mjx-warp``, CPU threads make the attempts
 that few worlds need, while the GPU continues (petmjx/engines/subprocess). These are the attempts on C MuJoCo, and the
 attempts with stiffer contacts, which ``mjx-warp-cpu`` makes with the same kernels as the GPU. In a run on
 ``mjx-warp-cpu``, additional threads make the attempts with stiffer contacts (petmjx/engines/attempt_threads.py). Which
@@ -46,17 +47,18 @@ CAREFUL_ITERATIONS = 400
 CG stops so early that boxes of the physics preset ``pallet`` slide apart although they should stand."""
 
 CAREFUL_TOLERANCE = 1e-10
-"""Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines in single precision use a larger
-tolerance."""
+"""Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines that compute in single precision use a
+larger tolerance."""
 
 NEAR = 0.5
 """If the option ``check_timestep`` is set, worlds whose margin has a magnitude below this are simulated again with half
 the timestep. Invalid worlds have the margin NaN, so they are not simulated again for this reason."""
 
 STIFF_QUIET_STEPS = 25
-"""Smallest ``Quiet.steps`` of attempts with stiff contacts. Their verdicts depend on movements of less than a
-millimetre. Of 6,000 small stacks whose verdicts follow from statics, some fell although they should stand: 5 stacks
-with 15 steps, 4 with 25, and 3 with 50. With 50 steps, pallets that tremble take three times as long."""
+"""Smallest ``Quiet.steps`` of attempts with stiff contacts. The verdicts of these attempts depend on movements of less
+than a millimetre. Of 6,000 small stacks whose verdicts follow from statics, some fell although they should stand: 5
+stacks with 15 steps, 4 with 25, and 3 with 50. With 50 steps, the simulation of a pallet with trembling boxes takes
+three times as long."""
 
 # The flags as plain integers: comparing integers is several times as fast as comparing members of ``Flag``.
 _EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)
@@ -75,30 +77,32 @@ class AttemptRecipe:
     timestep_divisor: int = 1
     stiff: float | None = None
     """Time constant of contacts, divided by the usual time constant. A smaller time constant makes contacts stiffer.
-    The attempt is only for worlds whose verdict may come from soft contacts (``Flag.SINKING``)."""
+    An attempt with stiffer contacts is only for worlds whose verdict may come from soft contacts (``Flag.SINKING``)."""
     checks: bool = False
     """If True, the world keeps its verdict, and gets ``Flag.TIMESTEP`` if this attempt has a different verdict."""
 
     most_boxes: int | None = None
     """Largest number of boxes of a world for this attempt. A larger world keeps its verdict, if it has one, and
-    ``Flag.SINKING``. With stiff contacts, a step of hundreds of boxes takes tens of milliseconds. In large worlds, the
-    leaning boxes are also only a small part of the pallet."""
+    ``Flag.SINKING``. With stiff contacts, a step of a world of hundreds of boxes takes tens of milliseconds. And in a
+    large world, the boxes that soft contacts tilt are only a small part of the pallet."""
     soft: bool = False
     """If True, all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
     doubles: bool = False
-    """Whether the attempt needs double precision. A world may be invalid because of single precision. And with a
-    twentieth of the time constant, boxes sink into each other by less than single precision resolves."""
+    """Whether the attempt needs double precision. There are two reasons: a world may be invalid because of single
+    precision, and with a twentieth of the time constant, boxes sink into each other by less than single precision
+    resolves."""
 
     few: bool = False
-    """Whether only few of many worlds need the attempt. This does not hold for worlds with placement errors if the plan
-    has boxes that may sink into each other."""
+    """Whether only few of many worlds need the attempt. Even if True, many worlds need the attempt if they have
+    placement errors and their plan has boxes that may sink into each other."""
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
         """Whether this attempt may give a different result from the previous attempt. A world that ran out of time gets
         no further attempt."""
         if self.checks:
-            # the margin of a world that ended early is that of a falling box, and says nothing about a near miss
+            # a world that ended early has the margin of a falling box, which does not show how near it was to the
+            # threshold
             return sim.check_timestep and abs(outcome.margin) < NEAR and not int(outcome.flags) & _EARLY_STOP
         sinks = bool(int(outcome.flags) & _SINKING) and sim.physics.cone is Cone.ELLIPTIC
         if self.soft:
@@ -110,7 +114,9 @@ class AttemptRecipe:
         return outcome.verdict is Verdict.INVALID and outcome.reason is not Reason.TIMEOUT
 
     def apply_to_sim(self, sim: Simulation) -> Simulation:
-        """The run's options with the changes of this attempt. Times in seconds do not change; numbers of steps do."""
+        """The run's options with the changes of this attempt. A smaller timestep changes options that count steps, but
+        no option in seconds.
+        """
         update: dict[str, Any] = {}
         if self.solver is not None:
             update["solver"] = self.solver
@@ -134,8 +140,8 @@ class AttemptRecipe:
         return sim.changed(**update) if update else sim
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
-        """The jobs with the boxes of this attempt. Profiles (motions of the carrier) are resampled to the attempt's
-        timestep; jobs that shared a profile still share it."""
+        """The jobs, with soft boxes if this attempt simulates boxes as soft bodies. Profiles (motions of the carrier)
+        are resampled to the attempt's timestep; jobs that shared a profile still share it."""
         if self.soft:
             jobs = [replace(job, scene=job.scene.all_soft, start=None, keep_state=False) for job in jobs]
         if self.timestep_divisor == 1:
@@ -166,7 +172,7 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
 
 
 def may_go_on(outcome: Outcome, sim: Simulation) -> bool:
-    """Whether a world may need a further attempt. For most worlds it is False."""
+    """Whether a world may need a further attempt. For most worlds the result is False."""
     return outcome.verdict is Verdict.INVALID or bool(int(outcome.flags) & _SINKING) or sim.check_timestep
 
 
@@ -256,7 +262,7 @@ class Engines:
 
     @cached_property
     def helper(self) -> SideSimulator:
-        """The processes or threads that make attempts beside the engine of the run."""
+        """The processes or threads that make attempts at the same time as the engine of the run."""
         if isinstance(threads := getattr(self.primary, "threads", None), int) and self.primary.name == BESIDE_ITSELF:
             return ThreadSimulator(threads)
         return SubprocessSimulator()

@@ -2,7 +2,7 @@
 
 ``petmjx.world.contact_laws`` computes the depth of a contact at rest. The depth follows from the plan, the masses and
 the largest force on each box, which are in the CPU's memory whichever engine simulates. The depth is not read from
-final poses, since a stack may have fallen because its support gave way.
+final poses, since these do not show it if a stack fell because its support gave way.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LEAST_TIME_CONSTANT_STEPS = 4
-"""Smallest time constant of contacts, in timesteps. MuJoCo requires 2. With 2.5, pallets exploded."""
+"""Smallest time constant of contacts, in timesteps. MuJoCo requires 2. With 2.5 timesteps, simulations of pallets
+exploded."""
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:
-    """The same physics with stiffer contacts. With stiffer contacts, light boxes can carry heavy boxes, and slender
+    """The physics ``physics``, but with stiffer contacts. With these, light boxes can carry heavy boxes, and slender
     boxes stay upright.
 
-    The stiffer contacts have a constant impedance (MuJoCo's ``solimp``), the largest that MuJoCo accepts, instead of
-    one that rises with depth. Their time constants are multiplied by ``share``. With a share of 0.5, contacts are 40
-    times as stiff as in the preset ``pallet``; with 0.1, 1,000 times.
+    The stiffer contacts have a constant impedance (MuJoCo's ``solimp``), the largest that MuJoCo accepts, instead of an
+    impedance that rises with the depth. The contacts' time constants are multiplied by ``share``. With a share of 0.5,
+    contacts are 40 times as stiff as in the preset ``pallet``; with 0.1, 1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:
@@ -55,9 +56,9 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     """(n,) upper estimate of the distance by which each box's centre descends because contacts below it give way, m.
 
     Args:
-        top_force_n: (n,) force on each box's top, N; 0 for boxes that were not placed. If the force is larger than the
-            planned weight of all boxes above, it comes from an impact. An impact is over before the box has sunk, so
-            only the planned weight is used then.
+        top_force_n: (n,) largest force on each box's top, N; 0 for boxes that were not placed. If the force is larger
+            than the planned weight of all boxes above, it comes from an impact. An impact is over before the box has
+            sunk, so only the planned weight is used then.
         enough_m: if no box can descend by more than this distance, zeros are returned without an exact computation.
     """
     gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier.mass
@@ -143,7 +144,7 @@ class _Pairs(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _stack(scene: Scene) -> _Stack:
-    """The ``_Stack`` of a scene. It is cached, since many worlds of a sweep have the same scene."""
+    """The ``_Stack`` of a scene. The result is cached, since many worlds of a sweep have the same scene."""
     return _Stack(scene)
 
 
@@ -166,7 +167,7 @@ def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(…, n, n) 1 if the column's box is above the row's box, directly or through other boxes, else 0. Rows and columns
     are sorted from the lowest to the highest box."""
     above = np.triu(over, 1).astype(np.float32)
-    while True:  # each product doubles the length of the chains of boxes that are found
+    while True:  # after each product, the matrix covers chains of twice as many boxes, each on top of the other
         further = np.minimum(above + above @ above, 1.0)
         if np.array_equal(further, above):
             return above
@@ -194,7 +195,7 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
     scenes = [job.scene for job in jobs]
     did_not = penetration_excluded(outcomes, scenes, sim) if elliptic else [False] * len(outcomes)
     for k, (outcome, scene) in enumerate(zip(outcomes, scenes, strict=True)):
-        if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes have contacts of their own
+        if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes have other contacts
             continue
         if not did_not[k] and has_penetrated(outcome, scene, sim):
             flags = outcome.flags | Flag.SINKING
@@ -204,10 +205,10 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """For each world, whether ``has_penetrated`` is certainly False, without computing it. It is False if the boxes of
-    the world did not descend too far, and descent is not the only reason for which the world failed. For worlds with
-    the answer False, ``has_penetrated`` must be computed. This function computes all worlds together, which is fast. It
-    is valid only for elliptic friction cones."""
+    """For each world, whether ``has_penetrated`` is certainly False, without computing it. ``has_penetrated`` is
+    certainly False if no box of the world descended too far, and the world failed for another reason than descent. For
+    all other worlds, ``has_penetrated`` must be computed. This function computes all worlds together, which is fast.
+    The function is valid only for elliptic friction cones."""
     if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
@@ -259,9 +260,9 @@ _PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) an upper bound of the largest ``contact_penetration_m`` in each world, m. It is an upper bound for two
-    reasons. The depths on the two sides of a contact are added. And the largest force on each box's top is taken as a
-    force at rest, although it may come from an impact. Forces larger than the weight of all boxes above are rare, so
+    """(m,) an upper bound of the largest ``contact_penetration_m`` in each world, m. The value is an upper bound for
+    two reasons: the depths on the two sides of a contact are added, and the largest force on each box's top is taken as
+    a force at rest, although it may come from an impact. Forces larger than the weight of all boxes above are rare, so
     the bound is close."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
@@ -272,7 +273,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
         table[is_box] = joined
         return table
 
-    # worlds with fewer boxes than the largest world are filled up with boxes at infinite height, which overlap no box
+    # each world is padded to the largest number of boxes, with boxes at infinite height, which overlap no box
     place, half = (filled((getattr(scene, name) for scene in scenes), fill) for name, fill in _PLACES)
     order = np.argsort(place[..., 2], axis=1, kind="stable")
     placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]
@@ -288,8 +289,8 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     low_x, high_x, low_y, high_y, above, below = (
         np.ascontiguousarray(np.take_along_axis(values, order, axis=1).T) for values in columns
     )
-    # These arrays have one column per world and one row per box, from the lowest box to the highest. ``depth`` is the
-    # distance by which the top of each box descends. Its first row is the carrier's top.
+    # The arrays below have one column per world and one row per box, from the lowest box to the highest. ``depth`` is
+    # the distance by which the top of each box descends; the first row of ``depth`` is for the carrier's top.
     depth = np.empty((len(above) + 1, len(scenes)))
     depth[0] = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)
     over = np.ones((len(above), *depth.shape), bool)

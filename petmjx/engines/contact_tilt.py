@@ -2,8 +2,9 @@
 
 The contacts below a box give way, and they give way more on the side on which the load acts. So the box turns by an
 angle: the difference of the depths on its two sides, divided by the width between them. The load is at a height above
-these contacts, so it moves towards the edge. Let r be the share of the load on the far side of a base of width w. Then
-the load acts at the distance r·w from the edge. If no contact had given way, the load would act at the distance
+these contacts, so it moves towards the edge. A box stands on a base of width w, and the side of the base away from the
+edge carries the share r of the load. Then the load acts at the distance r·w from the edge. If no contact had given way,
+the load would act at the distance
 
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 
@@ -11,9 +12,9 @@ from the edge. h is the height of the load's centre, and x is the depth of a sid
 (``petmjx.world.contact_laws``). The smallest e(r) is called the *loss*. A load that acts nearer to the edge than the
 loss tips over. If boxes below lean, their angle times h is added to the loss.
 
-The loss may be millimetres for a column of slender boxes, or for a light box under a heavy box, but not for real
-cartons. If this lean may have decided the verdict of a world, the world is simulated again with stiffer contacts
-(petmjx/engines/attempts.py).
+The loss may be millimetres for a column of slender boxes, or for a light box under a heavy box, but is much less for
+real cartons. If the tilt by soft contacts may have decided the verdict of a world, the world is simulated again with
+stiffer contacts (petmjx/engines/attempts.py).
 """
 
 from __future__ import annotations
@@ -38,25 +39,26 @@ SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.
 """The shares r (defined above) for which e(r) is computed."""
 
 SAFETY: Final = 10.0
-"""A load may tip over if its distance from the edge is at most this multiple of the loss, since boxes rock when the
-next box is placed on them. Some stacks are stable by statics, but fall because contacts are soft. In these stacks, the
+"""A load may tip over if its distance from the edge is at most this multiple of the loss, since a box rocks when the
+next box is placed on it. Some stacks are stable by statics, but fall because contacts are soft. In these stacks, the
 distance of a load from its edge was at most 8 times the load's loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""As ``SAFETY``, for the stiffer contacts of a further attempt, with which the loss is 40 times smaller. In stacks that
-fell, the distance of a load from its edge was at most 28 times the load's loss."""
+"""The same multiple as ``SAFETY``, for a further attempt with stiffer contacts, which make the loss 40 times smaller.
+In stacks that fell, the distance of a load from its edge was at most 28 times the load's loss."""
 
 SURE: Final = 1.0
-"""As ``SAFETY``, for a stack in which a load acts beyond an edge in the plan. Such a stack would also fall on hard
-contacts. So soft contacts are suspected only if another load is nearer to its edge than its loss."""
+"""The same multiple as ``SAFETY``, for a stack in which a load acts beyond an edge in the plan. Such a stack would also
+fall on hard contacts. So soft contacts may be the cause only if another load is nearer to its edge than the loss of
+this load."""
 
 KNIFE_EDGE_M: Final = 0.0004
-"""Distance beyond an edge from which on a load surely acts beyond this edge, m: half a millimetre in the plan, minus
-the amount by which simulated boxes are smaller than planned."""
+"""A load that is farther than this distance beyond an edge surely acts beyond it, m. The distance is half a millimetre
+in the plan, minus the amount by which simulated boxes are smaller than planned."""
 
 NEAR_M: Final = 0.001
-"""A load that acts less than this distance inside the edge may have tipped over because of soft contacts, even if its
-loss is smaller, m. The reason is that boxes rock by some tenths of a millimetre when the next box is placed."""
+"""A load that acts less than this distance (m) inside the edge may have tipped over because of soft contacts, even if
+its loss is smaller: a box rocks by some tenths of a millimetre when the next box is placed."""
 
 BOUND_SHARE: Final = 0.25
 """Largest lean of a box as a share of the tilt threshold, and largest descent and sideways motion of a box as a share
@@ -98,7 +100,7 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
         return turned
 
     own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
-    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # such a box also tips over on hard contacts
+    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # a box whose load acts beyond the edge also tips over on hard contacts
     below, shift = _tilt_from_below(bearing, own_lean)
     loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
     return ContactTilt(loss + below * height, below + own_lean, shift)
@@ -121,18 +123,18 @@ def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray
 
 
 def n_loading(outcome: Outcome) -> int:
-    """Number of boxes that had been placed when a world first failed. If it did not fail: the number of placed
+    """Number of boxes that had been placed when a world first failed. If the world did not fail: the number of placed
     boxes."""
     return outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed
 
 
 def places_with_errors(job: Job) -> FloatArray:
-    """(n, 3) the places of boxes from which loads are computed in a world with placement or size errors, m. In such a
-    world, every body that is below a box by at most the shift threshold counts as its support.
+    """(n, 3) the places of boxes from which loads are computed in a world with placement or size errors, m. With such
+    errors, every body that is below a box by at most the shift threshold counts as its support.
 
-    A box in such a world often overlaps a neighbour that is millimetres higher, and is released on the strip in which
-    the two overlap. The box does not stay on this strip: it tips and leans on the bodies beside the strip. So the
-    places are the places of release, and the higher neighbour is not the only support. If only the strip were the
+    A box with errors often overlaps a neighbour that is millimetres higher, and is released on the strip in which the
+    two overlap. The box does not stay on this strip: it tips and leans on the bodies beside the strip. So loads are
+    computed at the places of release, and the higher neighbour is not the only support. If only the strip were the
     support, 75 of 167 unstable worlds with errors would be simulated again; with this rule only a few are.
     """
     places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]

@@ -4,10 +4,10 @@ On a CPU thread, a step of a pallet at rest takes one iteration of Newton's meth
 faster than the number of boxes. While boxes land or slide, a step takes more iterations. An iteration is expensive if
 boxes stand on several others, since such boxes tie the columns of a pallet into one system of equations. So the
 additional cost of a landing grows with the square of the number of standing boxes, and with the number of these ties.
-Of boxes that only stand on one other each, as in a block of columns, landings cost next to nothing.
+If each box stands on only one other, as in a block of columns, landings cost next to nothing.
 
-On a device, the cost of a step of a full stack grows with the square, too. But plans with more boxes have a larger
-share of steps at rest, so the cost of their runs grows more slowly.
+On a device, the cost of a step of a full stack grows with the square of its boxes, too. But a plan with more boxes is
+at rest in a larger share of its steps, so the cost of a run grows more slowly.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ QUIET_STEPS = 220
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
 """The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans took
-17 s, and 4,000 plans with the fixed schedule took 21 s. The adaptive schedule saves cheap steps: in the remaining ones,
-boxes move and pallets collapse."""
+17 s, and 4,000 plans with the fixed schedule took 21 s. The adaptive schedule leaves out cheap steps, in which all
+boxes are at rest. In the remaining steps, boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
 """Over whole runs, the cost of a step on ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes,
@@ -50,71 +50,71 @@ model from the beginning."""
 
 SHAKEN_FACTOR = 2.5
 """Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule. Measured on an
-H200: 6,400 drives of EUMOS at 735 to 786 per second, when drives still continued after the pallet was quiet."""
+H200: 735 to 786 drives of EUMOS per second, in a run of 6,400 drives that did not end when the pallet was quiet."""
 
 REST_POWER = 1.25
 """The cost of a step at rest on a CPU thread grows with this power of the number of standing boxes."""
 
 TYPICAL_TIES = 0.5
-"""Number of supports of a box beyond the first, the mean over all boxes of a plan, if the plan is unknown. 62
-third-party plans of 45 to 241 boxes have 0.24 to 1.3. Most generated plans have 0.1 or less, since their boxes have
-many different heights."""
+"""Assumed number of supports of a box beyond its first support, as a mean over the boxes of a plan, if the plan is
+unknown. This mean is 0.24 to 1.3 in 62 third-party plans of 45 to 241 boxes. In most generated plans, it is 0.1 or
+less, since their boxes have many different heights."""
 
 SHAKEN_STEPS = 700
-"""In a drive, boxes are expected to slide or fall in at most this many steps. This number covers all of EUMOS's
-profile. In most of a tilt's 2,970 steps, boxes are at rest. Drives of many seconds without rest take up to ten times as
-long as expected."""
+"""In a drive, boxes are expected to slide or fall in at most this many steps. EUMOS's profile has fewer steps. A
+profile that tilts the carrier has 2,970 steps, and boxes are at rest in most of them. A drive that shakes boxes for
+many seconds takes up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
 """A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker
-drive the pallet may creep. So weaker drives are expected to take ``CREEPING`` times as many steps, and are begun
-earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives take 336 steps on average and 1,149 at most, weak
-ones 570 and 6,088."""
+drive the pallet may creep. So a weaker drive is expected to take ``CREEPING`` times as many steps, and is begun
+earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives take 336 steps on average and at most 1,149; weak
+drives take 570 steps on average and at most 6,088."""
 
 
 FALL_STEPS = 1350
 """Steps from the first box that tips over to the drop that ends a world whose boxes are placed one by one. 22 plans of
-two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these steps are for
-placing."""
+two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these steps place boxes."""
 
 STATIC_FALL_STEPS = 400
-"""Number of steps of a static check in which boxes fall, until one has dropped and the world ends. A check with fewer
-steps counts with all its steps. 17 plans with loose boxes took 200 to 600 steps on ``mujoco``."""
+"""Number of steps of a static check in which boxes fall, until one has dropped and the world ends. If a check has fewer
+steps, boxes are expected to fall in all of them. 17 plans with loose boxes took 200 to 600 steps on ``mujoco``."""
 
 FALL_BOXES = 7
-"""Number of boxes that are placed during ``FALL_STEPS``, in the same plans."""
+"""Number of boxes that are placed during the ``FALL_STEPS`` steps of a fall, in the plans of the two shelf packers."""
 
 STATIC_FALL_BOXES = 12
-"""In a static check, a fall costs as much as one fall while boxes are placed one by one for each of so many boxes,
-since all of them may fall. Plans of 24 boxes took 1 to 1.4 times as long as when placed one by one, and generated plans
-of 41 boxes 1.6 to 5 times as long."""
+"""A fall in a static check of n boxes costs n / ``STATIC_FALL_BOXES`` times as much as a fall while boxes are placed
+one by one, since all boxes may fall. Plans of 24 boxes took 1 to 1.4 times as long as when placed one by one, and
+generated plans of 41 boxes 1.6 to 5 times as long."""
 
 LOST = 0.3
-"""Steps and cost of a fall in a placement with errors, relative to a fall without errors: such a world ends when a box
-is lost, before it drops."""
+"""Steps and cost of a fall in a placement with errors, relative to a fall without errors. A world with errors ends when
+a box has tilted too far, before the box drops."""
 
 BOARDS_COST = 1.35
 """Cost of a step on a carrier of boards, or between walls, relative to a slab. The measured cost was 1.2 to 1.7 for
 scores, drives and searches of 5 to 60 boxes on epal-1 and gma-48x40, and in a gitterbox."""
 
 FEWEST_WALLS = 2
-"""Smallest number of walls whose cost is noticed. A load does not touch the headboard of a trailer before it slides."""
+"""Smallest number of walls that make steps more expensive. A trailer's headboard, a single wall, costs nothing at
+first: a load touches it only after it has slid."""
 
 REFERENCE_STEPS = 2.8
 """Number of placing steps with physics ``reference``, relative to ``pallet``, with schedule ``adaptive``."""
 
 WAY_STEPS = {Way.DROP: 3.1, Way.HAND: 4.0, Way.TINES: 7.0}
 """Number of steps of a placement whose boxes fall or are carried to their places, relative to boxes that appear there.
-Plans of 14 and of 40 boxes agree within a tenth. Boxes carried by hand take a share of 0.285 of the fixed schedule's
-steps; the share is 0.45 with few boxes, and 0.24 with many."""
+Measurements with plans of 14 and of 40 boxes agree within a tenth. Boxes carried by hand take a share of 0.285 of the
+fixed schedule's steps; the share is 0.45 with few boxes, and 0.24 with many."""
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
-"""As ``WAY_STEPS``, for boxes whose places or sizes have errors. They appear after they have been moved apart, or are
-carried to their places and get stuck at their neighbours."""
+"""The same ratio as ``WAY_STEPS``, for boxes whose places or sizes have errors. These boxes are moved apart and then
+appear, or are carried to their places and get stuck at their neighbours."""
 
 GIVING_STEPS = 1.4
-"""As ``WAY_STEPS``, for plans with compliant boxes. Boxes so soft that a pile does not come to rest take up to fifteen
-times as many steps."""
+"""The same ratio as ``WAY_STEPS``, for plans with compliant boxes. A pile of boxes so soft that it does not come to
+rest takes up to fifteen times as many steps."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,8 @@ class Errors:
     """Cost of placements with errors on a device, relative to a placement without errors.
 
     Attributes:
-        displaced: factor for placements in which boxes appear at places with errors, and slip into each other's gaps.
+        displaced: factor for placements in which boxes appear at places with errors, and may slip into gaps between
+            other boxes.
         carried: factor for placements in which boxes are carried to their places.
     """
 
@@ -237,8 +238,8 @@ class Work:
 
     @property
     def coupling(self) -> FloatArray:
-        """(n,) how strongly the boxes of each plan are tied together, about 0 to 1. The cost of landings grows with it;
-        of many powers of the ties, the square root fits best."""
+        """(n,) how strongly the boxes of each plan are tied together, about 0 to 1. The cost of landings grows with
+        this number. Of the powers of ``ties`` that were tried, the square root fits best."""
         return np.sqrt(self.ties if len(self.ties) else np.full(len(self.boxes), TYPICAL_TIES))
 
     @property
@@ -249,7 +250,7 @@ class Work:
 
     @property
     def on_boards(self) -> bool:
-        """Whether the boxes touch boards, or walls on several sides."""
+        """Whether boxes may touch boards, or walls on several sides."""
         slabs = (Carrier.FOOTPRINT, Carrier.EURO_PALLET, Carrier.ROLLCONTAINER, Carrier.TRAILER)
         sides = walls_of(self.sim.carrier, self.sim.walls).sides or ()
         return self.sim.carrier not in slabs or len(sides) >= FEWEST_WALLS
@@ -275,7 +276,9 @@ class Work:
 
     @property
     def ways(self) -> tuple[WayOfPlacing, WayOfPlacing, WayOfPlacing]:
-        """How boxes are placed without errors, with errors, and if they are carried with errors."""
+        """The ways of placing: without errors; with errors, where boxes appear; with errors, where boxes are
+        carried.
+        """
         name = self.sim.placing.name
         drop = WAY_STEPS[Way.DROP] if name is Way.DROP else 1.0
         tines = WAY_STEPS[Way.TINES] / WAY_STEPS[Way.HAND] if name is Way.TINES else 1.0
@@ -286,7 +289,7 @@ class Work:
         )
 
     def placement_steps(self, way: WayOfPlacing) -> FloatArray:
-        """(n,) expected steps of one placement of each plan, not counting its soft start."""
+        """(n,) expected steps of one placement of each plan, not counting the soft start."""
         return way.steps * self.share * self._placing_steps + way.falls * self.fall_steps
 
     def as_planned(self, errors: Errors) -> float:
@@ -306,14 +309,16 @@ class Work:
         return np.minimum(share * np.where(self.compliant > 0, GIVING_STEPS, 1.0), 1.0) * self.fixed_steps
 
     def _placing(self, power: float, *, grows: bool) -> FloatArray:
-        """(n,) box^power × steps of one placement on a device. ``grows``: whether boxes that are not yet placed cost
-        nothing.
+        """(n,) cost of one placement on a device: the number of boxes to a power, times the number of steps. ``grows``:
+        whether boxes that are not yet placed cost nothing.
         """
         share = 1 / (power + 1) if grows and self.sim.check is Check.ONE_BY_ONE else 1.0
         return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
 
     def _driving(self, power: float, steps: FloatArray | float) -> FloatArray:
-        """(n,) box^power × steps of a drive of each plan, on a device. ``steps``: number of steps of the drive."""
+        """(n,) cost of a drive of each plan on a device: the number of boxes to a power, times the number of steps.
+        ``steps``: number of steps of the drive.
+        """
         return np.asarray(SHAKEN_FACTOR * np.asarray(self.boxes, dtype=float) ** power * steps)
 
 
@@ -327,8 +332,9 @@ class ThreadCosts:
         landing_s: additional time until a box has landed, s per box² of the standing boxes, at ``Work.coupling`` 1.
         static_s: additional time until all boxes of a static check have landed, s per box², at ``Work.coupling`` 1.
         shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, s per box².
-        fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. It hardly
-            depends on the number of boxes. Single falls take a tenth or ten times of it.
+        fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. This time
+            hardly depends on the number of boxes. The time of a single fall varies from a tenth of this value to ten
+            times this value.
         jammed: cost of a placement by hand with errors, relative to one without errors.
         hand_s: additional time of a step of a placement by hand, s.
         film_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive in film, s per box.
@@ -351,12 +357,14 @@ class ThreadCosts:
     board_s: float = 0.0
 
     def slowed(self, factor: float) -> ThreadCosts:
-        """The costs on a thread that is slower by ``factor``."""
+        """The costs on a CPU thread that takes ``factor`` times as long."""
         times = {name: factor * value for name, value in vars(self).items() if name.endswith("_s")}
         return replace(self, **times)
 
     def seconds(self, work: Work, threads: int) -> float:
-        """Expected time if the worlds are divided among threads, s. This time is at least that of the longest world."""
+        """Expected time of a run whose worlds are divided among threads, s. The result is at least the time of the
+        longest world.
+        """
         counts = (work.planned, work.displaced, work.carried)
         placing = [(count, self.placing_s(work, way)) for count, way in zip(counts, work.ways, strict=True) if count]
         driving_s = self.driving_s(work)
@@ -369,7 +377,7 @@ class ThreadCosts:
         way = way or work.ways[0]
         boxes = np.asarray(work.boxes, dtype=float) * work.share
         one_by_one = work.sim.check is Check.ONE_BY_ONE
-        # if boxes are placed one by one, half of them stand on average, and these are sums over 1…n standing boxes
+        # if boxes are placed one by one, the number of standing boxes grows from 1 to n, so costs are sums over 1…n
         standing = 0.5 if one_by_one else 1.0
         step_s = self.rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1) + self.overhead_s
         step_s = step_s + standing * self.give_s * work.compliant * work.share + self.hand_s * way.is_carried
@@ -447,7 +455,9 @@ class Costs:
     gpu_start_s: float = 17.0
 
     def slowed(self, factor: float) -> Costs:
-        """The costs on a machine whose CPU threads are slower by ``factor``. The costs of GPUs do not change."""
+        """The costs on a machine whose CPU threads take ``factor`` times as long. The factor does not change the costs
+        of GPUs.
+        """
         return replace(
             self,
             mujoco=self.mujoco.slowed(factor),
@@ -458,8 +468,8 @@ class Costs:
         )
 
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
-        """Engine → expected time, s, if the worlds are divided among threads or GPUs. For ``mjx-jax`` it is the time on
-        a CPU."""
+        """Name of an engine → expected time of the run if its worlds are divided among threads or GPUs, s. For
+        ``mjx-jax``, the value is the time on a CPU."""
         n_plans = len(work.boxes)
         if not n_plans:
             starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}
@@ -493,14 +503,16 @@ class Costs:
         return np.asarray(placing + work._driving(WARP_POWER, drive_steps))
 
     def _phase_s(self, worlds: float, work: float) -> float:
-        """Time of a phase of many worlds on the device, s, including its end, when only a few worlds still run."""
+        """Time of a phase of many worlds on the device, s. The time includes the end of the phase, when only a few
+        worlds still run.
+        """
         return self.gpu_step_s * work * (worlds + self.tail_worlds) / self.full_worlds if worlds else 0.0
 
 
 def _displaced_cost(coupling: FloatArray) -> FloatArray:
-    """(n,) cost of a placement whose boxes appear at places with errors, relative to one without errors. Boxes that
-    stand on several others lose some of these supports, and rock. Measured: 1.6 for generated plans, 2.6 to 3 for a
-    third-party plan, on both engines."""
+    """(n,) cost of a placement whose boxes appear at places with errors, relative to a placement without errors. With
+    errors, boxes that stand on several others lose some of these supports, and rock. The measured values are 1.6 for
+    generated plans, and 2.6 to 3 for a third-party plan, on both engines."""
     return 1.3 + 1.9 * coupling
 
 
@@ -517,20 +529,21 @@ def _starts(jobs: Sequence[Job]) -> NDArray[np.bool_]:
 
 
 MEASURED = Costs()
-"""The measured costs. The times expected from them agree with the records of runs within a factor of two. These records
-are the lines ``estimates`` of benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, and the records of
+"""The measured costs. The times expected from these costs agree with the records of runs within a factor of two. The
+records are the lines ``estimates`` of benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, and the records of
 tests/unit/test_engine_choice.py. Tests compare the model with all these records.
 
-CPU threads: one thread of two virtual EPYC cores that other programs kept busy, so that it was 1.7 to 2.5 times as slow
-as an idle one (petmjx/engines/machine_speed.py). The records are of generated plans of 5 to 80 boxes, blocks of up to
-120 boxes, and third-party plans of 45 to 140 boxes: scores and static checks on several carriers, with all ways of
-placing, both schedules and both physics, scores with confidence, and ready-made sweeps and chains. Film was fitted to
-drives of 8, 22 and 40 boxes, compliant boxes to plans of 16 to 24.
+CPU threads: one thread on a machine of two virtual EPYC cores, which other programs kept busy, so that the thread took
+1.7 to 2.5 times as long as on an idle core (petmjx/engines/machine_speed.py). The records are of generated plans of 5
+to 80 boxes, blocks of up to 120 boxes, and third-party plans of 45 to 140 boxes: scores and static checks on several
+carriers, with all ways of placing, both schedules and both physics, scores with confidence, and ready-made sweeps and
+chains. The cost of film was fitted to drives of 8, 22 and 40 boxes, and the cost of compliant boxes to plans of 16 to
+24 boxes.
 
-A fall takes a tenth or ten times of its mean on C MuJoCo, so estimates for few plans that fall are less exact. The time
-for simulating worlds again with finer steps is not estimated.
+On C MuJoCo, the time of a single fall varies from a tenth of the mean to ten times the mean. So estimates for a few
+plans that fall are less exact. The estimates leave out the time for simulating worlds again with smaller timesteps.
 
-Devices: one H100, without start and compilation. The schedule is adaptive unless stated otherwise. The runs are 10,003
-generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with confidence 16 (placed exactly), 250 by hand,
-and 128,000 and a million worlds of 12 boxes with errors. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel from
-an earlier run)."""
+Devices: one H100; the times do not include start and compilation. The schedule is adaptive unless stated otherwise. The
+runs are 10,003 generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with confidence 16 (placed exactly),
+250 by hand, and 128,000 and a million worlds of 12 boxes with errors. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with
+a kernel from an earlier run)."""

@@ -1,4 +1,4 @@
-"""Engines by name, and the choice that ``auto`` makes: the engine that should finish first."""
+"""Builds an engine from its name, and chooses the engine for ``auto``: the one that should finish first."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def options_of(name: str, options: RunOptions) -> dict[str, Any]:
 
 GAIN: Final = 1.5
 """The kernels of ``mjx-warp-cpu`` must be faster than ``mujoco`` by this factor, compilation included, to be worth
-compiling. Estimates of time are not more exact, and while a compiler works, no plan is done."""
+compiling. Estimates of time may be wrong by this factor, and no plan is simulated while the kernels are compiled."""
 
 
 def choose(
@@ -105,7 +105,7 @@ def make_engine(
         world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco`` only, s; None: no limit.
 
     Raises:
-        InputError: there is no such engine, or the engine does not have this option.
+        InputError: no engine has this name, or the engine does not have one of these options.
         EngineUnavailable: the engine cannot run here; the message gives the reason.
     """
     options = {"threads": threads, "lanes": lanes, "world_timeout_s": world_timeout_s}
@@ -123,7 +123,7 @@ def make_engine(
 
 
 def check_options(name: str, **options: Any) -> None:
-    """Raise InputError if there is no such engine, or if the engine lacks one of these options."""
+    """Raise InputError if no engine has this name, or if the engine lacks one of these options."""
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
     for option, value in options.items():

@@ -1,9 +1,9 @@
 """Engine handover: a run that begins on C MuJoCo continues in Warp kernels if worlds take longer than expected.
 
 ``auto`` chooses this engine for a small amount of work on a machine without a GPU. The choice rests on an estimate of
-time from the numbers of boxes. Plans that collapse take many times as long on C MuJoCo; in the kernels, the increase is
-smaller. So the CPU time of finished worlds is compared with their expected time. If the kernels would finish the
-remaining worlds sooner, even with the time for compiling, these worlds go to the kernels.
+time from the numbers of boxes. On C MuJoCo, plans that collapse take many times as long as plans that stand; in the
+kernels, the increase is smaller. So the CPU time of finished worlds is compared with their expected time. If the
+kernels would finish the remaining worlds sooner, even with the time for compiling, these worlds go to the kernels.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ _Numbered = tuple[int, Job]
 
 
 class HandoverEngine(Engine, Generic[Faster]):
-    """C MuJoCo, until its worlds take longer than expected; then the kernels, for all jobs that have not begun.
+    """An engine that simulates on C MuJoCo until worlds take longer than expected, and then in kernels, for all jobs
+    that have not begun.
 
     Only first attempts (first simulations of worlds) go to the kernels. C MuJoCo makes all further attempts, which need
     double precision. Each outcome names the engine that made it.
@@ -190,8 +191,8 @@ class _Shared(Generic[Faster]):
         return stays or starts_from_own_state or job.scene.soft is not None or not self._first_attempt
 
     def on_mujoco(self) -> Iterator[Outcome]:
-        """Simulate jobs on C MuJoCo. It gets only jobs that it can begin at once, so that the other jobs can still go
-        to the kernels."""
+        """Simulate jobs on C MuJoCo. C MuJoCo gets only jobs that it can begin at once, so that the other jobs can
+        still go to the kernels."""
         mujoco = self._engine._mujoco
         stream = JobStream[_Numbered]()
 

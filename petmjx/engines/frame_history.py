@@ -25,14 +25,14 @@ def history_of(
     """The history of f recorded frames. The values of boxes that are not placed yet become NaN.
 
     Args:
-        step: (f,) number of the step after which each frame was recorded, counted from the end of the soft start,
-            rising.
+        step: (f,) number of the step after which each frame was recorded, counted from the end of the soft start; in
+            ascending order.
         placed: (f,) number of placed boxes.
         pose: (f, n, 7) positions (m) and quaternions of the boxes.
         top_force_n: (f, n) force on top of each box, N.
         carrier_pose: (f, 7) position (m) and quaternion of the carrier.
         time_s: function that returns the time after a step, s.
-        driven_from: the step after which the drive (the motion of the carrier) began. None if there was no drive.
+        driven_from: the step after which the drive (the motion of the carrier) began; None if there was no drive.
     """
     absent = np.arange(job.scene.n_boxes) >= placed[:, None]
     poses, forces = np.array(pose, np.float64), np.array(top_force_n, np.float64)

@@ -11,20 +11,20 @@ from petmjx.options.simulation import Simulation
 
 
 def start_gpu() -> None:
-    """Start JAX and Warp, and load the modules of ``mjx-warp``. This takes a second or two. Errors are ignored here:
-    the engine that needs these libraries reports them."""
+    """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two. Errors are ignored
+    here: the engine that needs these libraries reports them."""
     with suppress(Exception):
         importlib.import_module("petmjx.engines.mjx.jax_setup").set_up_jax()
         set_up_warp()
         importlib.import_module("petmjx.engines.warp.engine")
         importlib.import_module("warp").init()
         jax = importlib.import_module("jax")
-        jax.jit(lambda x: x + 1).lower(0.0).compile()  # this loads the modules that lower and compile a program
+        jax.jit(lambda x: x + 1).lower(0.0).compile()  # this import loads the modules that lower and compile a program
 
 
 def begin_builds(sim: Simulation) -> KernelBuilds | None:
     """Begin to compile the kernels of ``mjx-warp`` that most runs need, in processes; None if they are kept from an
-    earlier run. Errors are ignored here: the engine compiles what is missing, and reports its errors."""
+    earlier run. Errors are ignored here: the engine compiles missing kernels itself, and then reports errors."""
     with suppress(Exception):
         return builds_if_missing(sim)
     return None
@@ -32,7 +32,7 @@ def begin_builds(sim: Simulation) -> KernelBuilds | None:
 
 def compile_ahead(sim: Simulation, builds: KernelBuilds | None) -> None:
     """Load the kernels of ``mjx-warp`` that most runs need, once the processes of ``begin_builds`` have compiled them.
-    Call it after ``start_gpu``. Errors are ignored here: the engine reports them."""
+    Call this function after ``start_gpu``. Errors are ignored here: the engine reports them."""
     with suppress(Exception):
         importlib.import_module("petmjx.engines.warp.programs").load_usual_kernels(sim, builds)
         note_kept(sim)

@@ -11,13 +11,13 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 from petmjx.world.job import Job
 
 WAIT_S: Final = 0.25
-"""Longest uninterrupted wait for a job, s. A signal, such as Ctrl-C, may be noticed this much later."""
+"""Longest uninterrupted wait for a job, s. This wait may delay the reaction to a signal, such as Ctrl-C."""
 
 Tag = TypeVar("Tag")
 
 
 class JobBounds(NamedTuple):
-    """Limits that hold for all jobs of a run. With them, an engine can reserve memory before the jobs come.
+    """Limits that hold for all jobs of a run. With these limits, an engine can reserve memory before it gets the jobs.
 
     Attributes:
         jobs: largest number of jobs that are ready at the same time.
@@ -40,15 +40,17 @@ class JobStream(Generic[Tag]):
 
     One thread, the *source*, puts the jobs of the run's worlds into the stream, and waits while the stream is full. The
     thread that takes outcomes puts in the jobs that follow from outcomes, such as the drives of a settled pallet. The
-    engine takes these jobs first. So few worlds are half done at any time, and few of their states wait in memory.
+    engine takes jobs that follow from outcomes first. So at any time, only few settled states wait in memory for their
+    drives.
 
-    The stream number of a job counts the jobs that were taken since ``begin``, from 0.
+    The stream number of a job is the number of jobs that were taken before it since ``begin``.
 
     Args:
         most_boxes: ``put`` waits while the waiting jobs have at least this number of boxes in total.
         feedback: whether jobs may follow from outcomes.
         begin_with: number of jobs for which an engine that simulates many jobs at once should wait at first.
-        bounds: limits that hold for all jobs, including those that follow from outcomes. None if they are unknown.
+        bounds: limits that hold for all jobs, including those that follow from outcomes; None if the limits are
+            unknown.
 
     Attributes:
         in_flight: stream number → tag, for the jobs that were taken and have no outcome yet.
@@ -112,8 +114,8 @@ class JobStream(Generic[Tag]):
             self._changed.notify_all()
 
     def pause(self, paused: bool = True) -> None:
-        """Declare whether the source is waiting for something other than the engine. While it is, ``take`` does not
-        wait for further jobs.
+        """Declare whether the source is waiting for something other than the engine. While the source waits, ``take``
+        does not wait for further jobs.
         """
         with self._changed:
             self._paused = paused
@@ -127,8 +129,8 @@ class JobStream(Generic[Tag]):
             wait: if False, return an empty list instead of waiting.
 
         Returns:
-            The jobs. With ``wait``, an empty list means that no further jobs come: an engine without jobs in flight
-            then ends its run.
+            The jobs. If ``wait`` is True, an empty list means that no further jobs come, so that an engine without jobs
+            in flight ends its run.
         """
         with self._changed:
             if not self._ready(least, wait):
@@ -136,7 +138,9 @@ class JobStream(Generic[Tag]):
             return [self._pop(self._following or self._waiting) for _ in range(min(most, self.ready))]
 
     def take_peeked(self, jobs: Iterable[Job]) -> None:
-        """Take the first jobs of the last ``peek``. Jobs that were added after this ``peek`` stay in the stream."""
+        """Take the first jobs that the last ``peek`` returned. Jobs that were added after this ``peek`` stay in the
+        stream.
+        """
         with self._changed:
             for job in jobs:
                 follows = bool(self._following) and self._following[0][0] is job
@@ -154,7 +158,9 @@ class JobStream(Generic[Tag]):
             return [job for job, _ in islice(ready, most)]
 
     def wait_for(self, count: int) -> int:
-        """Wait until ``count`` jobs are ready, under the conditions of ``take``. Returns the number of ready jobs."""
+        """Wait until ``count`` jobs are ready, the stream is full, or the source has no more jobs. Returns the number
+        of ready jobs.
+        """
         with self._changed:
             self._ready(count, True)
             return self.ready

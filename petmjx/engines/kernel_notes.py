@@ -1,5 +1,5 @@
-"""Notes in Warp's cache on which kernels of mjx-warp are compiled. The kernels themselves have names that only Warp can
-find, after a second or two; a note is found without Warp."""
+"""Notes in Warp's cache on which kernels of mjx-warp are compiled. Only Warp can tell whether a kernel is in its cache,
+and Warp needs a second or two to start. A note can be read without Warp."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Traits = tuple[bool, bool, bool, bool]
 
 
 def note_kernels(name: str) -> None:
-    """Note that these kernels are now in Warp's cache. If nothing can be written, nothing is noted."""
+    """Note that these kernels are now in Warp's cache. If the cache cannot be written, no note is made."""
     with suppress(OSError, EngineUnavailable):
         _file_of(name).touch()
 
 
 def are_noted(name: str) -> bool:
-    """Whether there is a note on these kernels, as they are compiled from the current sources."""
+    """Whether a note says that these kernels are compiled from the current sources."""
     with suppress(OSError, EngineUnavailable):
         return _file_of(name).exists()
     return False
@@ -36,7 +36,7 @@ def cpu_kernel(traits: Traits) -> str:
 
 
 def _file_of(name: str) -> Path:
-    """The file of a note. It is in Warp's cache, so it is deleted together with the kernels."""
+    """The file of a note. The file is in Warp's cache, so it is deleted together with the kernels."""
     return cache_folder("warp") / f"{name}-{kernel_code()}"
 
 

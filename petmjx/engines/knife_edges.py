@@ -40,11 +40,10 @@ class KnifeEdge(NamedTuple):
     """The distance of a load from an edge of its supports.
 
     Attributes:
-        edge_m: distance of the load from the edge, m; positive inside the edge, negative beyond it.
-        box: number of the box whose load it is.
-        when: ``BY_PLAN`` (at the planned places), ``AT_REST`` or ``WHILE_BUILT``.
-        step: for ``WHILE_BUILT``, number of the box after whose placement the load acts; otherwise -1.
-        own_weight: whether the load is only the box's own weight.
+        edge_m: distance of the load from the edge, m; positive inside the edge, negative beyond it. box: number of the
+        box whose supports carry the load. when: ``BY_PLAN`` (at the planned places), ``AT_REST`` or ``WHILE_BUILT``.
+        step: for ``WHILE_BUILT``, number of the box after whose placement the load acts; otherwise -1. own_weight:
+        whether the load is only the box's own weight.
     """
 
     edge_m: float
@@ -61,7 +60,7 @@ def kept_edges(
 
     Args:
         world: columns of the table ``worlds``, or fields of ``petmjx.engines.verdict.Outcome``.
-        plan_edge_m, rest_edge_m: (n,) distances of the boxes' loads, in the plan and at rest, m. None if they are not
+        plan_edge_m, rest_edge_m: (n,) distances of the boxes' loads, in the plan and at rest, m; None if they are not
             stored.
     """
     for name, when, of_boxes in (
@@ -83,7 +82,7 @@ def edges_when(edge_m: FloatArray, when: str, own_weight: bool = False) -> Itera
 
 
 def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> KnifeEdge | None:
-    """The load that is nearest to an edge, on either side. None if there is no load.
+    """The load that is nearest to an edge, on either side; None if there is no load.
 
     Args:
         verdict: if given, only loads that set the flag of a world with this verdict are considered.
@@ -96,13 +95,13 @@ def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> 
 
 
 def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float = 0.0) -> NDArray[np.bool_]:
-    """(…) whether loads at these distances from edges set the flag. A load within ``KNIFE_EDGE_M`` of an edge sets it.
-    A load within ``NEAR_M`` sets it only on the side that contradicts the verdict: beyond the edge in a stable world,
-    inside in an unstable world. NaN does not set the flag.
+    """(…) whether loads at these distances from edges set the flag. A load within ``KNIFE_EDGE_M`` of an edge sets the
+    flag. A load within ``NEAR_M`` sets the flag only on the side that contradicts the verdict: beyond the edge in a
+    stable world, inside in an unstable world. NaN does not set the flag.
 
     Args:
         verdict: verdict of the world. If None, only ``KNIFE_EDGE_M`` is used.
-        rounding_m: largest rounding error of the distances, m. Both limits are enlarged by it.
+        rounding_m: largest rounding error of the distances, m. This error is added to both limits.
     """
     away_m = np.abs(edge_m) - rounding_m
     is_near = away_m <= KNIFE_EDGE_M
@@ -113,7 +112,7 @@ def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float 
 
 
 def _edge_sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
-    """Whether a load at a stored distance sets the flag. At rest, only ``KNIFE_EDGE_M`` is used."""
+    """Whether a load at a stored distance sets the flag. For distances at rest, the limit is ``KNIFE_EDGE_M`` only."""
     side = None if edge.when == AT_REST else verdict
     return bool(sets_flag(np.array([edge.edge_m]), side, rounding_m=_ROUNDING_M)[0])
 
@@ -125,7 +124,7 @@ def is_same_edge(edge: KnifeEdge, kept: KnifeEdge) -> bool:
 
 
 def _float(value: Any) -> float:
-    """The value as a float. NaN if it is null."""
+    """The value as a float; NaN for a null value."""
     try:
         return math.nan if value is None else float(value)
     except TypeError:  # the value is pandas.NA
@@ -133,5 +132,5 @@ def _float(value: Any) -> float:
 
 
 def _number(value: float) -> int:
-    """The value as the number of a box. -1 if it is NaN."""
+    """The value as the number of a box; -1 for NaN."""
     return -1 if math.isnan(value) else int(value)

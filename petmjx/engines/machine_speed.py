@@ -29,15 +29,15 @@ SIDE, LAYERS, ROUNDS = 3, 3, 2
 of rounds. The block stands. Only the fastest round counts, since other work on the machine may slow down a round."""
 
 REFERENCE_S: Final = 0.04
-"""CPU seconds to simulate the test block of boxes on the machine on which ``MEASURED`` was taken."""
+"""CPU time for simulating the test block of boxes on the machine of ``MEASURED``, s."""
 
 SLOWEST, FASTEST = 8.0, 0.125
 """Bounds of the measured slowness. A value beyond these bounds cannot be the speed of the machine."""
 
 
 def costs_here(work: Work, threads: int) -> Costs:
-    """The costs on this machine. Its speed is measured only for runs of at least a second. Kernels that it has
-    compiled before start sooner.
+    """The costs of the engines on this machine. The machine's speed is measured only for runs of at least a second. If
+    the machine has compiled kernels in an earlier run, the costs include less time for starting.
 
     Args:
         work: the work of the run.
@@ -61,7 +61,9 @@ def _traits(work: Work) -> Traits:
 
 @functools.cache
 def slowness() -> float:
-    """Time of a CPU thread of this machine, relative to a thread of the machine of ``MEASURED``."""
+    """Time that a CPU thread of this machine needs, relative to a thread of the machine on which the costs ``MEASURED``
+    were measured.
+    """
     return float(np.clip(min(block_s() for _ in range(ROUNDS)) / REFERENCE_S, FASTEST, SLOWEST))
 
 

@@ -32,15 +32,15 @@ RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
 """The largest force on tops includes the force in a step if a box is faster than ``RESTLESS_M_S`` when the step begins,
 and a box accelerates upwards by more than ``RISING_M_S2``. Of all other steps, only those at which the rules check
-whether the pallet is quiet are included (docs/rules.md, section 7). In the steps that are left out, a force exceeds the
-weight on the top by at most a twentieth: boxes press with more than their weight only while they accelerate upwards."""
+whether the pallet is quiet are included (docs/rules.md, section 7). In all other steps, a force exceeds the weight on
+the top by at most a twentieth, since boxes press with more than their weight only while they accelerate upwards."""
 
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5
-"""If only the question whether the pallet stands matters, a trial simulation ends as soon as a box is *gone*. A box is
-gone if it is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift
-threshold. A box that starts at rest cannot rise again by itself. Boxes are examined at each check whether the pallet is
-quiet."""
+"""A trial simulation that asks only whether the pallet stands ends as soon as a box is *gone*. A box is gone if it is
+tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift threshold. A box
+that starts at rest cannot rise again by itself. Whether a box is gone is checked at the same steps as whether the
+pallet is quiet."""
 
 
 class SampleAt(StrEnum):
@@ -92,7 +92,7 @@ class WorldReduction:
 
 @dataclass(frozen=True)
 class BoxMetric:
-    """A quantity that each box has. It is one column of the table ``boxes``, or one column per component.
+    """A quantity that each box has. The table ``boxes`` has one column for the quantity, or one column per component.
 
     Attributes:
         attribute: field of ``BoxMetrics`` that holds the values, as an array (n,) or (n, components).
@@ -136,9 +136,9 @@ class BoxMetric:
 
 @dataclass(frozen=True)
 class WorldMetric:
-    """A quantity of a whole world. It is a column of the table ``worlds``, and a field of ``Outcome`` with the same
-    name. If the type is int32, the value is the number of a box or a step, from 0. The value -1 of the outcome becomes
-    null in the table."""
+    """A quantity of a whole world: a column of the table ``worlds``, and a field of ``Outcome`` with the same name. If
+    the type is int32, the value is the number of a box or a step, from 0. The value -1 of the outcome becomes null in
+    the table."""
 
     name: str
     unit: str
@@ -398,7 +398,7 @@ def world_metrics() -> tuple[WorldMetric, ...]:
 
 
 def box_columns(driven: bool = True, legs: bool = True) -> list[Column]:
-    """The columns of the table ``boxes`` that hold metrics."""
+    """The columns of metrics in the table ``boxes``."""
     return [
         Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
         for m in box_metrics(driven, legs)
@@ -407,7 +407,7 @@ def box_columns(driven: bool = True, legs: bool = True) -> list[Column]:
 
 
 def world_columns() -> list[Column]:
-    """The columns of the table ``worlds`` that hold metrics."""
+    """The columns of metrics in the table ``worlds``."""
     return [column for metric in METRICS for column in metric.world_columns()]
 
 

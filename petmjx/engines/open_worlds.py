@@ -19,7 +19,8 @@ from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
-"""Default number of boxes for which an open world reserves memory: the number of the smaller worlds of mjx-warp."""
+"""Default number of boxes for which an open world reserves memory. On mjx-warp, it is the largest number of boxes of a
+small world."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +135,7 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
     Raises:
         ValueError: a world does not exist, or a number occurs twice although ``distinct`` is set.
     """
-    numbers = np.asarray(worlds)  # NumPy checks thousands of numbers quickly; the loop only names a wrong number
+    numbers = np.asarray(worlds)  # NumPy checks thousands of numbers quickly; the loop only names the wrong one
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= count)).any():
         for world in worlds:
             if not isinstance(world, int | np.integer) or not 0 <= world < count:
@@ -176,13 +177,13 @@ class OpenWorlds(ABC):
     """Worlds that are simulated independently and keep their states between calls. Only one thread at a time may use
     them.
 
-    Each world has a number, from 0. A call with wrong arguments raises ValueError and changes nothing. Wrong arguments
-    are a number without a world, a number that occurs twice, or a missing scene.
+    Each world has a number, from 0. A call with wrong arguments raises ValueError and changes nothing. Examples of
+    wrong arguments are a number without a world, a number that occurs twice, and a missing scene.
 
     A world follows the rules of placement (docs/rules.md): a box is placed when all boxes before it are at rest. When
     the last box is at rest, the world pauses, and more boxes can be added. What happens in a world depends only on its
-    scene. It depends neither on the other worlds nor on how many calls added the boxes. A world whose last boxes do not
-    come to rest pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
+    scene. Neither the other worlds nor the number of calls that added its boxes have an influence. A world whose last
+    boxes do not come to rest pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
 
     This class checks the arguments for all engines; each engine implements the abstract methods.
 
@@ -248,8 +249,8 @@ class OpenWorlds(ABC):
 
         Args:
             until_lost: if True, a fork ends as soon as the pallet certainly does not stand: a box is tilted too far at
-                a sample, or a box is gone (``petmjx.engines.metrics.GONE_TILT``). How the fork would have ended is then
-                unknown.
+                a sample, or a box is gone (``petmjx.engines.metrics.GONE_TILT``). Such a fork does not show how it
+                would have ended.
 
         Raises:
             ValueError: a world has ended.
@@ -263,7 +264,8 @@ class OpenWorlds(ABC):
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
     ) -> list[Outcome]:
         """Copy worlds with these scenes, and simulate the copies (*forks*) to their ends as ``finish`` does. A scene
-        may have other friction than its world, and may place its new boxes in another manner.
+        may have other friction than its world, and may place its new boxes in another way (carried instead of
+        appearing, for example).
 
         Raises:
             ValueError: a world has ended.
@@ -315,8 +317,8 @@ class OpenWorlds(ABC):
 
         Each outcome is the result of one simulation, as in ``Engine.run``. Unlike in ``petmjx.score``, no world is
         simulated again with other settings (docs/rules.md, section 9). If a placement before a drive has failed without
-        a dropped box, the world waits as long as it would without a drive. This wait may be some steps shorter than in
-        ``Engine.run``.
+        a dropped box, the world gets the same time to come to rest as without a drive. This wait may be some steps
+        shorter than in ``Engine.run``.
 
         Raises:
             ValueError: a world has no boxes.

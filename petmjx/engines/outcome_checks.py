@@ -1,9 +1,9 @@
 """Checks of outcomes, which are the same for all engines. The checks find verdicts that soft contacts may have decided,
 boxes that came to rest otherwise than planned, and loads so near the edges of their supports that the verdict is on a
-knife's edge. They also compute the margin of each world.
+knife's edge. The checks also compute the margin of each world.
 
-If engines run in worker processes, each worker checks its own outcomes. Otherwise, for small worlds, the checks would
-take almost half of the time of the run's own process.
+If engines run in worker processes, each worker checks its own outcomes. If the run's own process checked them, the
+checks of small worlds would take almost half of its time.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from petmjx.world.supports import TOUCH_M, Bearing, bearings_of
 
 LEANS_DEG: Final = 2.0
 """Tilt at rest above which a box of a stable world counts as leaning, degrees. With this tilt, one side of a box of
-half a metre is 17 mm lower than the other side. Soft contacts alone tilt a box by less than a tenth of this, unless the
-world has a flag for soft contacts."""
+half a metre is 17 mm lower than the other side. Soft contacts alone tilt a box by less than a tenth of this angle,
+unless the world has ``Flag.SINKING``."""
 
 LOWER_M: Final = 0.005
-"""A box also counts as leaning if it lies lower than planned by more than this, m. Soft contacts may lower a box by as
-much without a flag (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
+"""A box also counts as leaning if it lies lower than planned by more than this, m. Soft contacts alone may lower a box
+by this distance, without a flag (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
 
 MOST_TOGETHER: Final = 256
 """Largest number of outcomes that are checked together. Checking 256 outcomes takes 0.1 to 0.2 s. Checking outcomes one
@@ -88,9 +88,9 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     ``Flag.KNIFE_EDGE`` is set if any box is too near an edge. ``Flag.SINKING`` is set for worlds that may have tipped
     over because contacts are soft.
 
-    Distances at rest are computed for worlds that stand and were not shaken, because in these the carrier is still at
-    its place. Distances while the plan is built are computed for plans whose boxes are placed in order and without
-    errors. In a chain, a world that still stands after a later leg (part of the journey) is left out. It keeps the
+    Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
+    places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
+    In a chain, a world that still stands after a later leg (part of the journey) is left out. Such a world keeps the
     distances and the flag of the previous leg.
     """
     scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
@@ -157,8 +157,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
 
 def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
-    """All distances of loads from edges that ``note_edges`` examined. The result includes two that have no column: the
-    distances of own weights, and the nearest distance while the plan is built."""
+    """All distances of loads from edges that ``note_edges`` examined. The result includes two kinds of distances that
+    have no column: those of the boxes' own weights, and the smallest distance while the plan is built."""
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
     joined = _Joined([(scene, outcome.n_placed, in_order)])
     if at_rest:

@@ -32,10 +32,10 @@ class Progress:
     Attributes:
         thread_s: CPU time that the threads of the engine ``mujoco`` spent on finished worlds, s.
         message: what the engine does at the moment, such as "compiling".
-        work_share: share of the run's work that is done, from 0 to 1. The run sets this share. If None, the share of
-            finished worlds is used.
-        at_hand: smallest number of outcomes that will follow the last outcome without delay. None if the engine does
-            not report it. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
+        work_share: share of the run's work that is done, from 0 to 1. The run, not the engine, sets this share. If
+            None, the share of finished worlds is used.
+        at_hand: at least this number of outcomes will follow the last outcome without delay; None if the engine does
+            not report this number. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work.
         notes: notes for the results about deviations from the options. Each note occurs once.
     """
@@ -68,15 +68,17 @@ def says_at_hand(run: Run) -> Run:
 
 def takes_stream(run: Run) -> Run:
     """Mark a method ``run`` that takes jobs from a ``JobStream`` while it simulates other jobs (``StreamEngine``). Any
-    other ``run`` gets lists of jobs. The mark is on the method, for the reason given at ``says_at_hand``."""
+    other ``run`` gets lists of jobs. The mark is on the method and not on the engine, for the reason given at
+    ``says_at_hand``."""
     run.takes_stream = True  # type: ignore[attr-defined]  # functions accept further attributes
     return run
 
 
 class RunLock:
-    """Allows only one run at a time on an engine. Such an engine keeps data between runs, such as compiled programs.
+    """Allows only one run at a time on an engine. An engine with this lock keeps data between runs, such as compiled
+    programs.
 
-    A run is a generator. A run begins when its first outcome is requested. It ends after its last outcome, or when the
+    A run is a generator. A run begins when its first outcome is requested, and ends after its last outcome, or when the
     generator is closed.
     """
 
@@ -175,7 +177,7 @@ class Engine(MinimalEngine, Protocol):
 
     @property
     def capabilities(self) -> Capability:
-        """The capabilities of this engine. The default is those of petmjx's engine with the same name."""
+        """The capabilities of this engine. The default: the capabilities of petmjx's engine with the same name."""
         return PHYSICS.get(self.name, _PHYSICS)
 
     @property

@@ -1,4 +1,6 @@
-"""The engine of a run: the user's own one, a named one (in workers if requested), or the fastest one for ``auto``."""
+"""The engine of a run: the user's own engine, an engine with a given name (in workers if requested), or the fastest
+engine for ``auto``.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ _OLD_FLAGS: Final = ("takes_more", "takes_parts", "looks", "names_engines")
 """Former attributes of engines, which ``Engine.capabilities`` has replaced."""
 
 WORTH_A_GPU: Final = 4 << 20
-"""If plan files have at least this size, in bytes, ``auto`` will use an available GPU: about 400 plans."""
+"""If plan files have at least this size, in bytes (about 400 plans), ``auto`` will use a GPU if there is one."""
 
 
 class UserEngine(Engine):
@@ -41,7 +43,7 @@ class UserEngine(Engine):
     since the user owns it.
 
     Args:
-        threads: the option of the run. The number is used in the name of the device if the engine itself gives no name.
+        threads: the option of the run. If the engine does not name its device, the name is made with this number.
     """
 
     def __init__(self, engine: MinimalEngine, threads: int | None) -> None:
@@ -82,7 +84,7 @@ class UserEngine(Engine):
 def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterator[WorkerStartup | None]:
     """Prepares the engine while plans are read. If ``mjx-warp`` will be the engine of this process, this starts JAX and
     Warp on the GPU and compiles kernels. If workers are requested, they are started, and yielded for
-    ``resolve_engine``. These starts consist mostly of waiting, so plans are read meanwhile."""
+    ``resolve_engine``. Starting libraries and workers is mostly waiting, so plans are read meanwhile."""
     if options.asked_workers is not None and isinstance(options.engine, str):
         from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have no workers
 
@@ -97,7 +99,7 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     if _may_be_gpu(options, plans):
         thread = threading.Thread(target=_start_if_gpu, args=(sim,), name="petmjx-start")
         thread.start()
-    # nothing waits for the thread, except perhaps the end of the process; so an error in plans is reported at once
+    # if the caller raises an error here, such as one about plans, it is reported at once: the thread is not joined
     yield None
     if thread is not None:
         thread.join()
@@ -111,7 +113,7 @@ def _may_be_gpu(options: RunOptions, plans: object) -> bool:
 
 
 def _start_if_gpu(sim: Simulation) -> None:
-    if cuda_devices():  # this call of the driver takes time, too
+    if cuda_devices():  # this call asks the GPU's driver, which takes time, too
         builds = begin_builds(sim)
         start_gpu()
         # Another thread waits for the kernels and loads them, while worlds are made.
@@ -184,7 +186,8 @@ def resolve_engine(
 
         return resolve_workers(options, work, costs or MEASURED, ahead)
     threads = options.threads or cpu_threads()
-    # Measuring the speed of CPU threads takes half a second. This speed is irrelevant for a GPU.
+    # Measuring the speed of CPU threads takes half a second. If a GPU simulates, the speed of CPU threads is
+    # irrelevant.
     costs = costs or (MEASURED if requested_engine == "mjx-warp" else costs_here(work, threads))
     seconds = costs.seconds(work, threads)
     if requested_engine != AUTO:

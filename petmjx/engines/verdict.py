@@ -65,8 +65,8 @@ class Flag(IntFlag):
     TIMEOUT = 2048
     """The world took longer than ``RunOptions.world_timeout_s``."""
     MOVING = 4096
-    """Boxes were still moving when the time was up, at the end of the world or before the next box was placed. So the
-    verdict may depend on how long the world is simulated."""
+    """Boxes were still moving when the time was up, at the end of the world or before the next box was placed. So a
+    longer simulation might give another verdict."""
     KNIFE_EDGE = 8192
     """The load of a box acts within half a millimetre of an edge of the box's supports, or within one millimetre if the
     verdict contradicts statics (petmjx.engines.knife_edges)."""
@@ -98,8 +98,8 @@ class Outcome:
     flags: Flag
     boxes: BoxMetrics
     n_at_sign: int = 0
-    """Number of boxes that were placed when the culprit crossed a threshold. It is 0 if no box did so before the
-    end."""
+    """Number of boxes that were placed when the culprit crossed a threshold. The number is 0 if no box crossed a
+    threshold before the world's end."""
     solver: str = "newton"
     attempt: int = 1
     engine: str = ""
@@ -139,7 +139,7 @@ _INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
 
 
 class Signs(NamedTuple):
-    """The metrics of (…, n) boxes that decide whether a box fails. They are defined as in ``BoxMetrics``."""
+    """The metrics of (…, n) boxes that decide whether a box fails. Each field is defined as in ``BoxMetrics``."""
 
     shift_m: FloatArray
     max_tilt_deg: FloatArray
@@ -171,7 +171,8 @@ def judge(
     """The verdict of a world, and its reason. All verdicts come from this function (docs/metrics.md, section
     "Verdict").
 
-    An engine calls this function with its measurements. Later checks that learn more about the world call it again.
+    An engine calls this function with its measurements. Later checks that change the measurements or flags of the world
+    call this function again.
 
     Metrics may be float32 numbers. With the default thresholds, comparisons in float32 and in float64 agree. 20 is
     exact in float32. The float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
@@ -179,8 +180,8 @@ def judge(
     Args:
         sank: whether boxes sank so far into their supports that the world is invalid. ``Flag.SINKING`` alone does not
             make a world invalid.
-        placement: for a world that was shaken, its verdict and reason before the shaking. A world that had failed then
-            stays failed, even if its boxes end at their planned places.
+        placement: for a world that was shaken, its verdict and reason before the shaking. A world that had failed
+            before the shaking stays failed, even if its boxes end at their planned places.
     """
     for bits, reason in INVALID_FLAGS if int(flags) & _INVALID_BITS else ():
         if flags & bits:
@@ -196,7 +197,7 @@ def judge(
 def judge_all(
     flags: NDArray[np.int64], boxes: Signs | BoxMetrics, thresholds: Thresholds
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
-    """The verdicts and reasons of many worlds, the same as ``judge`` returns for each.
+    """The verdicts and reasons of many worlds, as ``judge`` returns them for each world.
 
     Args:
         flags: (m,) flags of the worlds.
@@ -210,8 +211,9 @@ def judge_all(
 
 
 DROPPED_EXCESS: Final = 2.0
-"""Smallest excess (how far a box is beyond its thresholds) of a dropped box. With it, the margin is at most -1. A
-dropped box may end near its planned place, but its world always counts as beyond the threshold."""
+"""Smallest excess of a dropped box. (The excess says how far a box is beyond its thresholds.) With this value, the
+margin of a world with a dropped box is at most -1. A dropped box may end near its planned place, but its world always
+counts as beyond the threshold."""
 
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)

@@ -22,9 +22,10 @@ from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30
-"""Largest number of line search iterations. MJX's own solver (pyramidal cones) takes them all under ``vmap``. With 10
-iterations of it, the force on a box differed from that in C MuJoCo by more than 50 N in 2.2 % of the steps of small
-piles: the solver had given up while boxes landed. With 30 iterations, this happened in 0.2 % of the steps."""
+"""Largest number of line search iterations. Under ``vmap``, MJX's own solver (used with pyramidal cones) always takes
+this number of iterations. With 10 iterations, the force on a box differed from that in C MuJoCo by more than 50 N in
+2.2 % of the steps of small piles: the solver had given up while boxes landed. With 30 iterations, this happened in 0.2
+% of the steps."""
 
 
 class StepResult(NamedTuple):
@@ -47,7 +48,7 @@ class PaddedModel:
     """Steps worlds of up to ``capacity`` boxes under ``vmap``.
 
     With elliptic cones, MJX finds the contacts, and the rest of the step is petmjx's own (body_dynamics.py, newton.py).
-    With pyramidal cones, all is done by the parts of ``mjx.step``.
+    With pyramidal cones, the functions of which ``mjx.step`` consists do the whole step.
 
     Model fields that differ between worlds are passed to each step. Contacts have fixed slots, so nothing can overflow.
 
@@ -71,11 +72,11 @@ class PaddedModel:
             iterations=sim.solver_iterations or MAX_ITERATIONS,
             line_search_iterations=LINE_SEARCH_ITERATIONS,
         )
-        # Nothing is damped. With damping enabled, each step would compute its accelerations twice.
+        # Nothing is damped. If damping were enabled, MJX would compute the accelerations of each step twice.
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         self.capacity, self.held = capacity, held
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
-        # runs simulate worlds with the solver cg on mujoco (petmjx/engines/attempts.py)
+        # if the solver is cg, runs use the engine mujoco (petmjx/engines/attempts.py)
         assert self.pyramidal or sim.solver is Solver.NEWTON
         self.model: Any = mjx.put_model(template, impl="jax")
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody
@@ -105,8 +106,8 @@ class PaddedModel:
     ) -> StepResult:
         """Simulate one step of all worlds.
 
-        Between stiff contacts, accelerations may become NaN in float32. Then those from which the solver started are
-        used, and the forces of the previous step.
+        Between stiff contacts, accelerations may become NaN in float32. In this case, the step uses the accelerations
+        from which the solver started, and the forces of the previous step.
 
         Args:
             fields: model fields that differ between worlds.

@@ -193,8 +193,8 @@ def _area(edges: Float[Array, "2 3"]) -> Float[Array, ""]:
 def _cut(
     corners: Float[Array, "k 2"], kept: Bool[Array, " k"], across: Float[Array, 2], offset: Float[Array, ""]
 ) -> tuple[Float[Array, "k+1 2"], Bool[Array, " k+1"]]:
-    """The part of a polygon in which across · x + offset is positive. ``kept`` marks the valid rows of the polygon,
-    which come first."""
+    """The part of a polygon on the positive side of a line: the points x with across · x + offset > 0. ``kept`` marks
+    the valid rows of the polygon, which come first."""
     k = len(corners)
     count = kept.sum()
     following = jnp.where(jnp.arange(k) + 1 < count, jnp.arange(k) + 1, 0)
@@ -204,7 +204,7 @@ def _cut(
     part = here / jnp.where(crosses, here - ahead, 1.0)
     points = jnp.stack([corners, corners + part[:, None] * (corners[following] - corners)], axis=1)
     stay = jnp.stack([kept & (here >= 0), crosses], axis=1).reshape(-1)
-    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # rows beyond the last one are dropped
+    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # rows beyond the last row are dropped
     left = jnp.zeros((k + 1, 2)).at[row].set(points.reshape(-1, 2), mode="drop")
     return left, jnp.arange(k + 1) < stay.sum()
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from petmjx.engines.mjx.padded_template import CONTACTS_PER_PAIR, contact_geoms
 
 einsum: Final = partial(jnp.einsum, precision=jax.lax.Precision.HIGHEST)
-"""Einstein's sum. By default, GPUs round factors to 10 bits."""
+"""Einstein's sum. By default, GPUs round the factors of matrix products to 10 bits."""
 
 TINY: Final = mujoco.mjMINVAL
 """MuJoCo's smallest divisor."""
@@ -80,7 +80,7 @@ class Bodies(NamedTuple):
 
 
 class ContactRows(NamedTuple):
-    """The rows of a world's contacts: normal and two tangents. Rows of open contacts have no derivatives.
+    """The rows of a world's contacts: normal and two tangents. The derivatives of the rows of open contacts are zero.
 
     Attributes:
         jacobian: derivatives of the rows of each pair of geoms by the velocities of its two bodies.
@@ -98,7 +98,7 @@ class ContactRows(NamedTuple):
 
 
 class Links:
-    """Which geoms and which moving bodies touch in each contact of MJX. This is the same in all steps.
+    """Which geoms and which moving bodies touch in each contact of MJX. They are the same in all steps.
 
     Args:
         model: the MJX model of all worlds. All contacts have three rows.
@@ -132,7 +132,7 @@ class Links:
         return {"geom_xpos": place + einsum("gij,gj->gi", turn, model.geom_pos), "geom_xmat": turn}
 
     def along(self, jacobian: Float[Array, "pair constraint 12"], velocities: Velocities) -> Rows:
-        """How all rows change with these velocities, or accelerations."""
+        """The rates of change of all rows with these velocities or accelerations: the Jacobian times them."""
         of_bodies = jnp.pad(velocities.reshape(-1, 6), ((0, 1), (0, 0)))
         of_pairs = of_bodies[self.sides].reshape(-1, 12)
         return einsum("prv,pv->pr", jacobian, of_pairs).reshape(-1, 3)
@@ -179,7 +179,7 @@ def _springs(
     damping = jnp.where(ratio > 0, 2 / (high[:, None] * time), -ratio / high[:, None])
     spring = jnp.where(law[:, 0, 0] > 0, 1 / (high * time[:, 0] * ratio[:, 0]) ** 2, -law[:, 0, 0] / high**2)
     x = jnp.minimum(jnp.abs(contact.dist - contact.includemargin) / jnp.maximum(contact.solimp[:, 2], TINY), 1.0)
-    # the curve that petmjx always sets: midpoint 0.5, power 2
+    # the curve of the impedance over the depth has midpoint 0.5 and power 2 in all of petmjx's worlds
     return spring, damping, low + (high - low) * jnp.where(x <= 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
 
 

@@ -27,7 +27,7 @@ def laws(
     n, shapes = worlds.shape_give.shape
     boards = shapes - worlds.half.shape[1]
     planned = jnp.concatenate([worlds.carrier_pos[:, None] + worlds.shape_pos[:, :boards], worlds.target], axis=1)
-    # the floor comes first; it is larger than all bodies and below them
+    # the first geom is the floor, which is larger than all bodies and below them
     middle = jnp.concatenate([jnp.full((n, 1, 3), -1e3), planned], axis=1)
     half = jnp.concatenate([jnp.full((n, 1, 3), 1e2), worlds.shape_half], axis=1)
     give = jnp.pad(worlds.shape_give, ((0, 0), (1, 0)))

@@ -37,8 +37,8 @@ from petmjx.world.job import ACCELERATION, Job
 MOST_WORLDS = 256
 """Largest number of worlds in a batch on a GPU or another accelerator if the user does not set ``lanes``.
 
-On a CPU each world then is a batch of its own, and each CPU thread simulates a batch: XLA's instructions for a CPU take
-as long for each of eight worlds as for one, and worlds that do not wait for each other need fewer steps.
+On a CPU, if ``lanes`` is not set, each world is a separate batch, and each thread simulates a batch: XLA needs eight
+times as long there for eight worlds as for one, and worlds that do not wait for each other need fewer steps.
 """
 
 FEWEST_WORLDS = 8
@@ -50,7 +50,7 @@ class ProgramKey:
     """The values on which a compiled program depends.
 
     Attributes:
-        capacity, worlds: number of boxes and worlds for which there is room.
+        capacity, worlds: number of boxes per world, and number of worlds, for which there is room.
         boards: number of shapes of each carrier.
         drive: kind of the excitation; None: the program is for the placement.
         profiles: shape of the table of profiles.
@@ -108,7 +108,7 @@ class Group:
         return cls(indices, round_up(max(job.scene.n_boxes for job in alike)), steps)
 
     def take(self, most: int) -> list[int]:
-        """The jobs of the next batch, at most so many. Batches are of equal size, so that all can use one program."""
+        """The jobs of the next batch. Batches are of equal size, so that all can use one program."""
         count = math.ceil(len(self.indices) / math.ceil(len(self.indices) / most))
         some, self.indices = self.indices[:count], self.indices[count:]
         return some
@@ -126,12 +126,13 @@ class MjxJaxEngine(Engine):
 
     Boxes that are not yet placed hang in the air. So a batch keeps one model from its first step to its last.
 
-    Boxes have no skin. MJX's collider always prefers a face to an edge that is almost parallel to it, and it measures
-    depths along the face's normal (3.17: ``collision_convex.py``). With a skin, contacts of edges and corners would be
-    deeper than they should be.
+    Boxes have no skin (contact margin). MJX's collider always prefers a face to an edge that is almost parallel to it,
+    and it measures depths along the face's normal (3.17: ``collision_convex.py``). With a skin, contacts of edges and
+    corners would be deeper than they should be.
 
     Args:
-        lanes: largest number of worlds in a batch. A batch has fewer if there are fewer worlds, or if memory runs out.
+        lanes: largest number of worlds in a batch. A batch has fewer worlds if there are not enough jobs, or if memory
+            runs out.
     """
 
     name = "mjx-jax"
@@ -178,7 +179,7 @@ class MjxJaxEngine(Engine):
     ) -> Generator[tuple[list[int], Batch], None, None]:
         """The batches that have ended, with the indices of their jobs. If memory runs out, batches are halved.
 
-        Batches run in threads of their own. Meanwhile, this thread loads the next batches and compiles their programs.
+        Each batch runs in a separate thread. Meanwhile, this thread loads the next batches and compiles their programs.
         """
         most, stop = 1 if self._one_by_one else self.lanes, threading.Event()
         threads = cpu_threads() if self._one_by_one else 1
@@ -227,8 +228,8 @@ class MjxJaxEngine(Engine):
             drives.append(job.drive.excitation.kind)
         phases = []
         for drive in drives:
-            # the placement needs no profiles; if it got their table, it would be compiled again for each shape of the
-            # table
+            # the placement needs no profiles; with the table of profiles as an argument, its program would be compiled
+            # again for each shape of the table
             profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
             phases.append(Phase(self._program(batch, sim, drive, profiles, progress), drive, profiles))
         return phases
@@ -279,16 +280,16 @@ class MjxJaxEngine(Engine):
 
 
 def without_skin(sim: Simulation) -> Simulation:
-    """The same options, with boxes that have no skin."""
+    """The options ``sim``, but boxes have no skin (contact margin)."""
     return sim.changed(physics=sim.physics.changed(skin_m=0.0))
 
 
 def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
     """Groups of jobs that may share a batch, as indices. Groups with the largest plans come first.
 
-    All jobs of a group have the same kind of drive, and carriers with the same number of boards. Either all start from
-    their beginning, or all from a settled state. Appearing boxes, compliant boxes and film each occur in all worlds of
-    a group or in none. Plans of a group are of similar size: 1 to 4 boxes, 5 to 8, 9 to 16, ….
+    All jobs of a group have the same kind of drive, and carriers with the same number of boards. Either all jobs begin
+    with a placement, or all begin from a settled state. Appearing boxes, compliant boxes and film each occur in all
+    worlds of a group or in none. Plans of a group are of similar size: 1 to 4 boxes, 5 to 8, 9 to 16, ….
     """
     indices_by_key: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
     for index, job in enumerate(jobs):

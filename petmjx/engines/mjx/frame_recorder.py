@@ -18,7 +18,7 @@ from petmjx.world.job import Job
 
 
 class Trail(NamedTuple):
-    """The steps of a chunk, for each world. Values are taken after a step and its rules.
+    """The steps of a chunk, for each world. All values hold after a step and the rules that follow it.
 
     ``ran``: whether the step was taken; ``fresh``: whether a box was just placed.
     """
@@ -95,7 +95,7 @@ class Recorder:
         return Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
 
     def history(self, row: int, world: State, time_s: Callable[[int], float]) -> History | None:
-        """The history of a world that has ended; None if it was not recorded. The world's frames are then dropped.
+        """The history of a world that has ended; None if it was not recorded. The call drops the world's frames.
 
         Args:
             world: the last state of the world: one row, on the host.

@@ -51,7 +51,7 @@ def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
 
 
 def _without_carrier(worlds: Worlds, boards: int) -> Worlds:
-    """The worlds without the shapes of their carriers. Otherwise, MJX would check each shape in each step, even if no
+    """The worlds without the shapes of their carriers. MJX would check each shape of a carrier in each step, even if no
     box is near."""
     axes = {name: getattr(kind, "dim_str", "").split() for name, kind in get_type_hints(Worlds).items()}
     of_shapes = [name for name, axes_of in axes.items() if axes_of[1:2] == ["shape"]]

@@ -14,8 +14,8 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 _HELD: Final = Drive(Excitation("held", ACCELERATION, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
-"""A drive without excitation. Like all drives of the kind ``acceleration``, it holds the carrier; it does nothing
-else."""
+"""A drive without excitation. Like all drives of the kind ``acceleration``, this drive holds the carrier. The drive
+does nothing else."""
 
 
 def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[Worlds, State]:

@@ -1,7 +1,7 @@
 """Hands that carry boxes to their places, for all worlds of a batch (docs/rules.md, section 4).
 
-These are pure functions of states. Twin of petmjx/engines/mujoco/hand.py. The carried box of a world is always the box
-that was placed last.
+All functions of this module are pure functions of states. Twin of petmjx/engines/mujoco/hand.py. The carried box of a
+world is always the box that was placed last.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def _free_begin(
 
 
 def _values_of_box(values: Array, box: Int[Array, " world"]) -> Array:
-    """The values of one box in each world."""
+    """For each world, the values of one of its boxes."""
     return values[jnp.arange(len(box)), box]
 
 
@@ -197,7 +197,9 @@ def _limited(vector: Vector, most: Float[Array, "world 1"]) -> Vector:
 
 
 def _rotation_vectors(quat: Float[Array, "world 4"], target_quat: Float[Array, "world 4"]) -> Vector:
-    """Rotations from ``quat`` to ``target_quat``, as vectors in the axes of the former, rad; for small angles."""
+    """Rotations from ``quat`` to ``target_quat``, as rotation vectors in the axes of ``quat``, rad; exact only for
+    small angles.
+    """
     w, u, v = quat[:, :1], quat[:, 1:], target_quat[:, 1:]
     real = w * target_quat[:, :1] + (u * v).sum(-1, keepdims=True)
     imaginary = w * v - target_quat[:, :1] * u - jnp.cross(u, v)

@@ -1,9 +1,9 @@
-"""Sets up JAX for petmjx. JAX then leaves device memory for Warp, and keeps the programs that it compiles in a cache on
-disk (JAX's persistent compilation cache).
+"""Sets up JAX for petmjx. With this set-up, JAX leaves device memory for Warp, and keeps the programs that it compiles
+in a cache on disk (JAX's persistent compilation cache).
 
 The folder of this cache is a setting of the whole process. The first engine that is built sets the folder. The setting
-remains, and also applies to the caller's own JAX programs. A folder that the caller has already set is not changed. The
-same settings for Warp are in petmjx/common/warp_setup.py.
+remains, and also applies to the caller's own JAX programs. A folder that the caller has already set is not changed.
+petmjx/common/warp_setup.py has the corresponding settings for Warp.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from petmjx.common.compile_caches import VARIABLES, cache_folder, why_not_writte
 from petmjx.common.machine import jax_devices
 
 MIN_COMPILE_S = 0.0
-"""Programs that compile in less than this time, s, are not cached. With 0, all programs are cached: a run has about a
-hundred small programs, which together take some seconds to compile."""
+"""Programs that compile in less than this time (s) are not cached. With 0, all programs are cached, since a run has
+about a hundred small programs, which together take some seconds to compile."""
 
 CPU_COMPILER_OPTIONS = {
     # With the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool: with jaxlib

@@ -45,7 +45,7 @@ def act(
     links: Links,
     sim: Simulation,
 ) -> tuple[ContactRows, Landing]:
-    """Change the rows of landing boxes in one world. Called between collision and solver.
+    """Change the rows of landing boxes in one world. Call this function between collision detection and solver.
 
     Args:
         velocity: velocities of all bodies (MuJoCo's qvel).
@@ -53,7 +53,7 @@ def act(
         contact: MJX's contacts.
 
     Returns:
-        The changed rows and landings.
+        The rows and landings after the change.
     """
     physics = sim.physics
     n = len(landing.left)

@@ -1,10 +1,10 @@
-"""``mujoco.mjx``, imported without its message, and by the command ``petmjx`` without Warp.
+"""Imports ``mujoco.mjx`` without its message and, in the command ``petmjx``, without Warp.
 
 If Warp is not installed, MJX prints a message to standard output (3.17: in ``mujoco/mjx/warp/__init__.py``). The engine
 mjx-jax does not need Warp, and a program may read standard output as JSON.
 
-If Warp is installed, MJX imports it with all its kernels, which takes 1.7 of 2.7 s. A process that runs nothing but the
-command does without them. In other processes, MJX might be used with Warp later.
+If Warp is installed, MJX imports it with all its kernels, which takes 1.7 of 2.7 s. A process that runs only the
+command ``petmjx`` does not need these kernels. In other processes, the user's code might use MJX with Warp later.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ class _SilentLoader(SourceFileLoader):
 
 
 class _SilentFinder(MetaPathFinder):
-    """Finds only the module that prints the message. ``hides_warp``: whether Warp counts as not installed."""
+    """An import finder for a single module: the one that prints the message. ``hides_warp``: whether Warp counts as not
+    installed.
+    """
 
     def __init__(self, hides_warp: bool) -> None:
         self._hides_warp = hides_warp

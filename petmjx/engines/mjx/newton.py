@@ -6,9 +6,9 @@ accelerations without contacts, r (aref) the reference accelerations of the cont
 H = M + Jᵀ·s″·J; a line search follows.
 
 ``mjx.solve`` (3.17) does the same, but treats s″ and J as dense matrices: an iteration multiplies (3·contacts)² ·
-velocities numbers, and the program has an instruction per contact that fills in s″. Its line search takes all its
-iterations under ``vmap``. But s″ consists of blocks of 3 × 3, and a contact touches two bodies. So here all products
-run over pairs of geoms, which have four contacts each, and the line search ends early.
+velocities numbers, and the program has an instruction per contact that fills in s″. Under ``vmap``, the line search of
+``mjx.solve`` always takes its largest number of iterations. But s″ consists of blocks of 3 × 3, and a contact touches
+two bodies. So here all products run over pairs of geoms, which have four contacts each, and the line search ends early.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ class Cones(NamedTuple):
     """The cones of a world's contacts for some residuals J·a − r, m/s².
 
     Attributes:
-        sticks: whether the force is within the cone. Then the contact is a spring with three components.
-        slides: whether the force is on the cone's surface. In other contacts there is no force.
+        sticks: whether the force is within the cone, so that the contact is a spring with three components.
+        slides: whether the force is on the cone's surface. Contacts that neither stick nor slide have no force.
         slip: unit vector of the tangential residual times friction, times friction.
         speed: length of the tangential residual times friction.
         gap: mu times the normal residual minus mu times ``speed``; negative for contacts that slide.
@@ -112,19 +112,19 @@ class Cones(NamedTuple):
         )
 
     def cost(self, problem: Problem) -> Scalar:
-        """s, the cost of all contacts."""
+        """The cost s of all contacts."""
         spring = (problem.stiffness * self.residual**2).sum(-1)
         return 0.5 * jnp.where(self.sticks, spring, jnp.where(self.slides, self.surface * self.gap**2, 0.0)).sum()
 
     def force(self, problem: Problem) -> Rows:
-        """−s′, the contact forces, N."""
+        """The contact forces −s′, N."""
         along = jnp.concatenate([jnp.ones_like(self.speed)[:, None], -self.slip], axis=1)
         sliding = -(self.surface * self.gap * problem.mu)[:, None] * along
         sticking = -problem.stiffness * self.residual
         return jnp.where(self.sticks[:, None], sticking, jnp.where(self.slides[:, None], sliding, 0.0))
 
     def curvature(self, problem: Problem) -> Float[Array, "contact 3 3"]:
-        """s″, by the rows of each contact."""
+        """The second derivatives s″ of the cost, by the three rows of each contact."""
         mu = problem.mu[:, None, None]
         along = jnp.concatenate([jnp.ones_like(self.speed)[:, None], -self.slip], axis=1)
         # second derivative of ``speed``
@@ -136,7 +136,7 @@ class Cones(NamedTuple):
         return jnp.where(self.sticks[:, None, None], sticking, jnp.where(self.slides[:, None, None], sliding, 0.0))
 
     def bend(self, problem: Problem, way: Rows) -> Scalar:
-        """wᵀ·s″·w for a change w of the residuals."""
+        """The second derivative of the cost, wᵀ·s″·w, along a change w of the residuals."""
         tangent = problem.sliding * way[:, 1:]
         closing = way[:, 0] - (self.slip * way[:, 1:]).sum(-1)
         across = (tangent**2).sum(-1) - (self.slip * way[:, 1:]).sum(-1) ** 2
@@ -183,18 +183,20 @@ class BlockSolver:
     def __init__(self, links: Links) -> None:
         self.links = links
         self._sums = np.float32(links.sides.T.reshape(-1)[None] == np.arange(links.bodies)[:, None])
-        """(body, side · pair) 1 where a body is this side of the pair: a product sums over the pairs of each body"""
+        """(body, side · pair) 1 if the body is this side of the pair, else 0; a product with this matrix sums over the
+        pairs of each body"""
         self._couplings, self._layout = _couplings(links.sides, links.bodies)
 
     def solve(self, problem: Problem, pull: Rows, start: Velocities) -> tuple[Velocities, Rows, Rows]:
         """The accelerations, the contact forces (N), and the residuals J·a − pull (m/s²).
 
-        The solver ends as MuJoCo's does: if the cost has changed by less than ``problem.least``, if the gradient is
-        less, or after ``problem.iterations``.
+        Like MuJoCo's solver, it ends if the change of the cost or the gradient is below ``problem.least``, or after
+        ``problem.iterations`` iterations.
 
         Args:
             pull: reference accelerations of the rows, m/s².
-            start: accelerations to start from. The solver starts from ``problem.smooth`` if its cost is lower.
+            start: accelerations to start from. The solver starts from ``problem.smooth`` instead if the cost is lower
+                there.
         """
         begin, smooth = (self._begin(problem, pull, qacc) for qacc in (start, problem.smooth))
         begin = jax.tree.map(lambda a, b: jnp.where(begin.cost < smooth.cost, a, b), begin, smooth)
@@ -221,7 +223,7 @@ class BlockSolver:
         return self._valued(problem, start)
 
     def _valued(self, problem: Problem, now: _Iterate) -> _Iterate:
-        """The same accelerations, with their forces, gradient and cost."""
+        """The state with the same accelerations, and with the forces, gradient and cost that belong to them."""
         cones = Cones.of(problem, now.residual)
         force = cones.force(problem)
         push = einsum("prv,pr->pv", problem.jacobian, force.reshape(len(self.links.sides), -1))
@@ -237,7 +239,9 @@ class BlockSolver:
         linear = now.inertial @ direction
 
         def evaluated(before: _Search) -> _Search:
-            """The search after an evaluation: Newton's step within the bracket, or its middle."""
+            """The search after an evaluation: its next step is Newton's, if that lies within the bracket, and otherwise
+            the middle of the bracket.
+            """
             step = before.step
             cones = Cones.of(problem, now.residual + step * way)
             work = cones.force(problem) * way
@@ -295,8 +299,8 @@ def _couplings(sides: NDArray[np.integer], bodies: int) -> tuple[NDArray[np.int6
     """Where the blocks of the Hessian come from.
 
     Returns:
-        Two tables. (coupling, k): the pairs of geoms of each pair of moving bodies; rows are filled up with the number
-        of pairs. (body, body): the block in the list of all bodies' own blocks, all couplings, all couplings
+        Two tables. (coupling, k): the pairs of geoms of each pair of moving bodies; rows are padded with the number of
+        all pairs. (body, body): the block in the list of all bodies' own blocks, all couplings, all couplings
         transposed, and a block of zeros.
     """
     pairs_by_bodies: dict[tuple[int, int], list[int]] = {}

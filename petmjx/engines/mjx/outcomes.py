@@ -1,5 +1,5 @@
-"""Outcomes of finished worlds, and first states of worlds that start from the settled state of another world. Both are
-made on the host (in the CPU's memory)."""
+"""Outcomes of finished worlds, and first states of worlds that start from the settled state of another world. Outcomes
+and first states are made on the host (in the CPU's memory)."""
 
 from __future__ import annotations
 
@@ -112,10 +112,11 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     device only if a job needs them. Rows without a job never run, so they may have any state.
 
     Args:
-        fresh: fresh states. If all jobs start from kept states, shapes and types without values are enough.
+        fresh: fresh states. If all jobs start from kept states, an argument with shapes and types but without values is
+            enough.
     """
     # A drive (the motion of the carrier in a test) that directly follows its placement starts from a state on the
-    # device. The boxes of such a state cannot be moved to other poses.
+    # device. The boxes of a state on the device cannot be moved to other poses.
     assert all(job.poses is None or isinstance(job.start, State) for job in jobs)
     starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:

@@ -1,7 +1,7 @@
 """The padded template for a capacity: one compiled MuJoCo model for all plans of up to ``capacity`` boxes.
 
-Sizes, masses, frictions and gravity differ from world to world. Such values are not in the template, but in overrides
-of model fields for each world. Only ``override_fields`` computes these overrides.
+Sizes, masses, frictions and gravity differ from world to world. So these values are not in the template, but in
+overrides of model fields for each world. Only ``override_fields`` computes these overrides.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ def contact_geoms(model: Any) -> Int[np.ndarray, "pair 2"]:
 
 
 def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
-    """The carrier, and boxes that wait in the air. Inertia is explicit. Otherwise MuJoCo would sort the principal axes,
-    and overrides could not follow the order of a box's axes."""
+    """The carrier, and boxes that wait in the air. Inertia is explicit. For boxes without a given inertia, MuJoCo would
+    sort the principal axes, and overrides could not follow the order of a box's axes."""
     half, place = np.tile([0.15, 0.15, 0.1], (capacity, 1)), np.array(parked_positions(capacity), np.float64)
     solid = np.array([0.4, 0.3, physics.carrier_half_height_m])
     board = np.tile(solid, (boards, 1))
@@ -130,7 +130,8 @@ def override_fields(
     compliant boxes get their own laws.
 
     Derived fields are computed as in MuJoCo's compiler. ``body_invweight0`` and ``dof_invweight0`` of a free body are
-    1/m and the mean of 1/I. ``geom_rbound`` is the half diagonal. Tests check all of them against the compiler.
+    1/m and the mean of 1/I. ``geom_rbound`` is the half diagonal. Tests compare all these fields with those of the
+    compiler.
     """
     n_worlds, shapes = worlds.shape_half.shape[:2]
     boards = shapes - worlds.half.shape[1]

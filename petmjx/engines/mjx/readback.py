@@ -37,7 +37,7 @@ class Readback(NamedTuple):
     kinds: Any
 
     def on_host(self) -> tuple[State, RunMetrics]:
-        """The arrays, on the host. Waits for the device."""
+        """The arrays, copied to the host. The call waits for the device."""
         bits, first = np.asarray(self.bits), 0
 
         def next_of(kind: Any) -> NDArray[Any]:

@@ -1,4 +1,6 @@
-"""Gathers rows of tables if the same rows are needed many times, as for many drives that start from one placement."""
+"""Copies rows of tables when the same rows are needed many times, for example for many drives that start from one
+placement.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ from numpy.typing import NDArray
 from petmjx.common.processes import on_threads
 
 MANY: Final = 1_000
-"""From this number of rows on, several threads are faster than one: NumPy releases the interpreter's lock while it
-copies.
+"""From this number of rows on, several threads copy faster than one, since NumPy releases the interpreter's lock while
+it copies.
 """
 
 MOST_THREADS: Final = 8

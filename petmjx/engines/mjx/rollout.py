@@ -157,9 +157,9 @@ class BatchRollout:
         return after, stepped.forces, stepped.top_force
 
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
-        """Whether forces count in the step after ``before`` although no sample is due. While a drive acts, forces
-        always count. Otherwise, two conditions must hold: a box is fast, and a box rises or a look for quiet is due.
-        ``rising``: the largest upward acceleration, m/s²."""
+        """Whether the largest forces include the step after ``before`` although no sample is due. While a drive acts,
+        the largest forces include every step. Without a drive, two conditions must hold: a box is fast, and a box rises
+        or a look for quiet is due. ``rising``: the largest upward acceleration, m/s²."""
         rules, step = self.rules, before.step + 1
         if not rules.sim.waits_for_rest:
             return jnp.zeros_like(before.running)
@@ -194,7 +194,7 @@ class BatchRollout:
     def _split(
         self, row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"]
     ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
-        """The inverse of ``_join``. A held carrier keeps its coordinates."""
+        """The coordinates of carriers and of boxes (the inverse of ``_join``). A held carrier keeps its coordinates."""
         width = carrier.shape[-1]
         if not self.model.held:
             carrier, row = row[:, :width], row[:, width:]

@@ -52,7 +52,7 @@ class Rules:
 
     Attributes:
         capacity: number of boxes for which the arrays of a world have room.
-        driven: True if settled worlds are shaken; False if boxes are placed.
+        driven: True if the program shakes settled worlds; False if it places boxes.
         carries: whether boxes of some worlds fall to their places or are carried to them, instead of appearing there.
     """
 
@@ -123,7 +123,7 @@ class Rules:
 
     def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "world box"]:
         """(world, box) height of each box's support above the support's planned height, m, limited to
-        ± ``worlds.most_followed``. It is 0 for boxes without a support."""
+        ± ``worlds.most_followed``. The value is 0 for boxes without a support."""
         boxes = motion.middles(state.qpos, worlds.middle)[..., 2] - worlds.target[..., 2]
         carrier = state.carrier_qpos[:, 2] - worlds.carrier_pos[:, 2]
         moved = jnp.take_along_axis(boxes, jnp.maximum(worlds.support, 0), axis=1)
@@ -229,8 +229,8 @@ class Rules:
         ang = jnp.sqrt((seen.qacc[..., 3:] ** 2).sum(-1))
         violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
         # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So
-        # samples right after a placement do not count. A violent sample (accelerations above the thresholds) is an
-        # explosion only if the samples after it are violent, too.
+        # samples right after a placement are never signs of an explosion. A violent sample (accelerations above the
+        # thresholds) is an explosion only if the samples after it are violent, too.
         landing = self.sim.quiet.landing_steps
         counts = sample & (state.step - state.last_placed_at >= landing)
         if self.carries:
@@ -328,7 +328,7 @@ class Rules:
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
         past_deadline = ~in_drive & (state.step >= self._deadline(state, worlds, has_more, adapts))
         go = waits & (past_deadline | (still & adapts & enough))
-        # worlds that begin their drive at once, without a check that the pallet rests
+        # worlds whose drive begins at once, without a check whether the pallet is at rest
         settles = go & ~has_more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~has_more & ~settles
         moves = (settles | (go & has_more)) & ~failed & (state.quiet_steps < quiet.steps)
@@ -359,8 +359,8 @@ class Rules:
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
-        """(world,) whether the drive may end early if the pallet is quiet. It may end early only if a rest window that
-        begins now ends before the rest window at the drive's planned end begins."""
+        """(world,) whether the drive may end early if the pallet is quiet. For this, a rest window that begins now must
+        end before the rest window at the drive's planned end begins."""
         early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
         return early & (self.driven and self._rests_first)
 

@@ -1,7 +1,7 @@
 """Running metrics of boxes, for all worlds together: statistics of samples, and the final metrics of a run.
 
 Twin of petmjx/engines/mujoco/running_metrics.py, and of petmjx/engines/warp/kernels/samples.py, which uses the same
-fields. Definitions: docs/metrics.md. The rules decide which boxes and steps count (petmjx/engines/mjx/rules.py).
+fields. Definitions: docs/metrics.md. petmjx/engines/mjx/rules.py decides which boxes and steps the metrics include.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ class Sample(NamedTuple):
 
     Attributes:
         sampled: whether the box has a sample in this step.
-        presses: whether the force on the box's top counts.
-        tilts: whether the box's tilt counts. Tilts also count at looks in a drive.
+        presses: whether the largest force on the box's top includes this step.
+        tilts: whether the largest tilt of the box includes this step, at a sample or at a look in a drive.
         looked: whether the box is checked. Boxes are also checked at the end of their world.
-        rested: whether the force on the box's top counts for its force at rest. ``rests``: whether each world is in its
-            rest window.
+        rested: whether the mean force on the box's top at rest includes this step. ``rests``: whether each world is in
+            its rest window.
     """
 
     step: Int[Array, " world"]
@@ -88,8 +88,8 @@ class Metrics(NamedTuple):
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
-        """Whether a box of each world has failed for good: it has dropped, or was tilted too far at a look. A shift is
-        not final, since it is judged at rest and may decrease until then."""
+        """Whether a box of each world has failed for good: it has dropped, or was tilted too far at a look. A large
+        shift is not a final failure: the shift is judged at rest, and may decrease until then."""
         failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
         return (self.culprit >= 0) & failed.any(-1)
 
@@ -161,7 +161,7 @@ def run_metrics(
 
 def of_boxes(metrics: Metrics, measured: RunMetrics, row: int, n: int, driven: bool) -> dict[str, FloatArray]:
     """Fields of ``petmjx.engines.metrics.BoxMetrics`` for the n boxes of the world in this row, from records on the
-    host. Poses and times are missing, since they require the scene and the clock."""
+    host. Poses and times are not included, since they require the scene and the clock."""
 
     def doubles(values: Any) -> FloatArray:
         return np.asarray(values[row, :n], np.float64)

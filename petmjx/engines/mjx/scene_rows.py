@@ -49,7 +49,7 @@ def with_spare_rows(values: NDArray[Any], spare: int) -> NDArray[Any]:
 
 
 def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, spare: int = 0) -> Rows:
-    """As ``rows_of``, for scenes that are all different."""
+    """The same as ``rows_of``, for scenes that are all different."""
     boards = max(boards, *map(more_shapes, scenes))
     n = len(scenes)
     rows = _empty(n + spare, width, boards)
@@ -73,12 +73,14 @@ def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boar
 
 
 def more_shapes(scene: Scene) -> int:
-    """Number of shapes beyond one per box: the shapes of the carrier, and further pieces of sheets and pallets."""
+    """Number of shapes in addition to one shape per box: the shapes of the carrier, and further pieces of sheets and
+    pallets.
+    """
     return len(scene.shapes.body) - scene.n_boxes if scene.pieces else len(scene.carrier.half_size)
 
 
 def _empty(n: int, width: int, boards: int) -> Rows:
-    """Rows with no boxes in them."""
+    """Rows that are not filled in yet, without boxes."""
     start = np.zeros((n, width, 7), np.float32)
     start[:, :, 3:] = IDENTITY_QUAT
     shapes = boards + width

@@ -1,4 +1,4 @@
-"""The timetable of a run in whole steps. The steps are the same as in the reference implementation.
+"""The timetable of a run in whole steps. Events happen at the same steps as in the reference implementation.
 
 MuJoCo's clock is a float64 running sum of the timestep. A wait ends after the first step at which ``time − time at
 which the wait began ≥ length of the wait``. The batched engines count steps as integers. The tables of this module give
@@ -30,8 +30,8 @@ class Timetable:
         clock: time after each step, s.
         due: step at which a wait of ``interval_s`` ends that begins after step s, for each s.
         longest: step at which a wait of ``longest_wait_s`` ends that begins after step s, for each s.
-        settled: step at which a wait of ``settle_s`` ends that begins after step s, for each s. It is rounded
-            differently: the time ``clock[s] + settle_s`` is converted to whole steps.
+        settled: step at which a wait of ``settle_s`` ends that begins after step s, for each s. Its rounding differs
+            from that of the other waits: the time ``clock[s] + settle_s`` is converted to whole steps.
         settled_nominally: for each number of boxes, the step after which a drive (the motion of the carrier in a test)
             starts with the fixed schedule. As in the reference implementation, ``settle_s`` is counted from the nominal
             time of the last placement. The actual placement is a little later, since its time is rounded to steps.

@@ -21,9 +21,9 @@ def contact_force_z(
     """The z component, in world axes, of the contact force on the second geom, N.
 
     ``rows`` are the constraint forces of one contact. Elliptic cones: (normal, tangent 1, tangent 2, unused). Pyramidal
-    cones: the four edges. Their sum is the normal force, and their differences × sliding friction are the tangential
-    forces. Source: MuJoCo's documentation, "Computation", section "Contact". ``frame_z``: z components of normal and
-    tangents.
+    cones: the forces along the four edges; the normal force is the sum of these, and the tangential forces are their
+    differences × sliding friction. Source: MuJoCo's documentation, "Computation", section "Contact". ``frame_z``: z
+    components of normal and tangents.
     """
     if pyramidal:
         normal = rows.sum(-1)

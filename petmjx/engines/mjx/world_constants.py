@@ -1,6 +1,7 @@
 """Constants of worlds on the device: tables made from jobs, with one row per world.
 
-Box columns are padded to the same number. Axes are named in ``petmjx.engines.mjx``.
+All worlds of a table have the same number of box columns; columns beyond a world's boxes are padding. Axes are named in
+``petmjx.engines.mjx``.
 """
 
 from __future__ import annotations
@@ -42,13 +43,13 @@ class Worlds(NamedTuple):
     world waits for further boxes (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends
     when a box is gone.
 
-    Placing: ``start`` is the release pose of a box if its ``support`` is at its planned place. The release follows the
+    Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. The release follows the
     support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.
-    Carried boxes begin at an offset of ``way_offset`` from ``start``. Their path has ``way_steps`` steps; 0 if they
-    fall. At the end of the path, boxes are set down, unless they are released to fall (petmjx/world/approach_paths.py).
-    ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m, is how far a box may start to the
-    side, towards the low and the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces of film
-    (petmjx/world/film.py).
+    Carried boxes begin at an offset of ``way_offset`` from ``start``. The path of a carried box has ``way_steps``
+    steps; for a box that falls, ``way_steps`` is 0. At the end of the path, boxes are set down, unless they are
+    released to fall (petmjx/world/approach_paths.py). ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits.
+    ``way_aside``, m, is how far a box may start to the side, towards the low and the high end of x and y.
+    ``wrap_press`` and ``wrap_hold``, N, are the forces of film (petmjx/world/film.py).
     """
 
     n_boxes: Int[Array, " world"]
@@ -107,7 +108,7 @@ def device_array(values: NDArray[Any]) -> jax.Array:
 
 
 def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
-    """``device_array`` for many arrays in one call. This takes half the time of one call per array."""
+    """``device_array`` for many arrays in one call. One call for all arrays takes half the time of a call per array."""
     uploads: list[jax.Array] = jax.device_put([*arrays])
     return uploads
 
@@ -120,8 +121,8 @@ def upload_worlds(
     sim: Simulation,
     boards: int = 1,
 ) -> Worlds:
-    """Constants of a group of jobs, as device arrays. The constants are made on the host: on a device, each operation
-    would first have to be compiled for each shape.
+    """Constants of a group of jobs, as device arrays. The constants are computed on the host: on a device, each
+    operation would first have to be compiled for each shape.
 
     Args:
         rows: number of rows of the tables, at least one per job. Spare rows repeat the first job's scene and never run.

@@ -18,7 +18,7 @@ from petmjx.options.simulation import SOFT_START_STEPS
 from petmjx.world.scene import IDENTITY_QUAT
 
 NEVER = np.iinfo(np.int32).max
-"""A step that is never reached. It also stands for an end that is not known yet."""
+"""A step that no world reaches. The value also stands for an end that is not known yet."""
 
 SOFT_START_BEGIN = -2 * SOFT_START_STEPS
 """Step counter of a fresh world: the steps of the soft start come before step 0."""
@@ -40,7 +40,7 @@ class Status:
 class State(NamedTuple):
     """The states of worlds between two steps. Steps are counted from the end of the soft start."""
 
-    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. They are positions, velocities,
+    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. The arrays are positions, velocities,
     # accelerations of the last step, and accelerations from which mjx-warp's solver starts in the next step. Other
     # solvers start from the accelerations of the last step.
     qpos: Float[Array, "world box 7"]
@@ -96,7 +96,7 @@ class State(NamedTuple):
     tremble_qpos: Float[Array, "world box 7"]
 
     # Future events, as steps or NEVER: the start of the drive, the start of the rest window, and the end of the world.
-    # Also the poses shortly before the end; from then on, boxes must be still.
+    # And the poses at the step from which on boxes must be still, shortly before the end.
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]
@@ -156,7 +156,7 @@ def put_rows(table: Record, rows: Int[Array, " row"], values: Record) -> Record:
 
 def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
     """``put_rows`` for states with another number of box columns. Columns that the table does not have are dropped. If
-    the states have fewer columns, the other columns of the table are not changed."""
+    the states have fewer columns than the table, the table's remaining columns are not changed."""
 
     def write(old: Array, new: Array) -> Array:
         columns = tuple(slice(min(sizes)) for sizes in zip(old.shape[1:], new.shape[1:], strict=True))

@@ -1,1 +1,1 @@
-"""Engine mujoco: C MuJoCo on CPU threads, one world per thread. The other engines are tested against it."""
+"""Engine mujoco: C MuJoCo on CPU threads, one world per thread. Tests compare the other engines with this engine."""

@@ -25,17 +25,19 @@ from petmjx.world.compliance import (
 from petmjx.world.scene import Scene
 
 PARALLEL: Final = 1e-6
-"""Two edges count as parallel if the sine of the angle between them is below this. The distance of parallel edges is
-measured at their middles."""
+"""Two edges count as parallel if the sine of the angle between them is below this value. The distance of parallel edges
+is measured at their middles."""
 
 _LEVEL: Final = 1e-12
-"""Smallest slope of the depth over the pressed area. With a smaller slope, the depth counts as equal everywhere."""
+"""Smallest slope of the depth over the pressed area. With a smaller slope, the depth counts as the same at all points
+of the area."""
 
 _FAR_M: Final = 1e3
-"""If the depth is equal everywhere, this is used as the distance of the line on which the depth is 0, m."""
+"""If the depth is the same at all points of the area, this value is the assumed distance of the line on which the depth
+is 0, m."""
 
 _LEAST_MOMENT_M2: Final = 1e-18
-"""Smallest second moment of the pressed area, divided by the area, m². With a smaller one, the area counts as a
+"""Smallest second moment of the pressed area, divided by the area, m². With a smaller moment, the area counts as a
 line."""
 
 _TRUE: Final = np.ones(1, bool)
@@ -91,7 +93,9 @@ class Beds:
         self._plane = np.asarray(model.geom_type) == mujoco.mjtGeom.mjGEOM_PLANE
 
     def step1(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """``mj_step1`` of MuJoCo with beds of springs. All other results are bit-identical to those of ``mj_step1``."""
+        """``mj_step1`` of MuJoCo with beds of springs. All results other than these contacts are bit-identical to those
+        of ``mj_step1``.
+        """
         mujoco.mj_checkPos(model, data)
         mujoco.mj_checkVel(model, data)
         mujoco.mj_kinematics(model, data)
@@ -177,7 +181,7 @@ def face_pressure(
 
     Args:
         pos: (n, 3) centres of the boxes, m.
-        turn: (n, 9) rotation matrices of the boxes, row by row.
+        turn: (n, 9) rotation matrices of the boxes, flattened row by row.
         half: (n, 3) half sizes of the boxes, m.
         one, two: (p,) numbers of the two boxes of each pair.
         normal: (p, 3) contact normals that MuJoCo found, from the first box to the second box.
@@ -244,7 +248,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """``np.cross`` for few vectors. It takes a tenth of the time of NumPy's function."""
+    """The cross products of a few vectors, in a tenth of the time of ``np.cross``."""
     return np.asarray(a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT])
 
 
@@ -254,7 +258,7 @@ def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
 
     Args:
         edges: (p, 2, 2, 2) half edges. The axes are pair, parallelogram, edge and coordinate.
-        at: (p, 2) middle of the first parallelogram. The middle of the second parallelogram is the origin.
+        at: (p, 2) middle of the first parallelogram. The origin is the middle of the second parallelogram.
         lines: (p, 9, 3) nine lines for each pair, of which the first eight are written.
     """
     cross = edges[:, :, :1, 0] * edges[:, :, 1:, 1] - edges[:, :, :1, 1] * edges[:, :, 1:, 0]
@@ -282,7 +286,7 @@ def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     across, offset = lines[:, :, :2], lines[:, :, 2]
     along = across[:, :, ::-1] * _ASIDE
     turned = across.transpose(0, 2, 1)
-    sine, cosine = along @ turned, across @ turned  # [j, k]: line j, cut by line k
+    sine, cosine = along @ turned, across @ turned  # the element [j, k] belongs to line j, cut by line k
     parallel = np.abs(sine) < PARALLEL
     inside = offset[:, None, :] - offset[:, :, None] * np.where(parallel, np.rint(cosine), cosine)
     cut = -inside / np.where(parallel, 1.0, sine)

@@ -1,5 +1,5 @@
-"""The time limit of a world on C MuJoCo. It is needed because one step may take very long if boxes overlap or
-collapse."""
+"""The time limit of a world on C MuJoCo. Without a limit, a world in which boxes overlap or collapse may take very
+long."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ MOST_TIMES: Final = 32.0
 their expected time."""
 
 MOST_TIMES_CARRIED: Final = 70.0
-"""As ``MOST_TIMES``, for boxes that a hand or tines carry. They may be pressed into a pile that collapses."""
+"""The same multiple as ``MOST_TIMES``, for worlds in which a hand or tines carry boxes: a carried box may be pressed
+into a pile that collapses."""
 
 LONG_S: Final = 5.0
 """Wall-clock time after which the user sees the progress of a single world, s."""
 
 SLOW_S: Final = 0.05
-"""If at least this time passes between two checks of the budget, the budget is then checked at each step, s."""
+"""If at least this time (s) passes between two checks of the budget, all following steps check the budget."""
 
 
 class Budget:
@@ -58,7 +59,7 @@ class Budget:
         self.slow, self._last_s = now_s - self._last_s >= SLOW_S, now_s
         if now_s - self._begin_s <= self._most_s:
             return False
-        if not self._is_exact:  # the exact limit is computed only for the few worlds that need it
+        if not self._is_exact:  # most worlds end within ``LEAST_S``; only for the others is the exact limit computed
             self._is_exact = True
             soft = self._job.scene.soft is not None
             expected_s = float(MEASURED.of_jobs([self._job], self._sim)[0])
@@ -69,7 +70,7 @@ class Budget:
     @property
     def so_far(self) -> str:
         """The progress of a world that takes long, as text for the user. Empty before ``LONG_S``. Any thread may read
-        it."""
+        this text."""
         seconds = time.monotonic() - self._made_s
         if seconds < LONG_S:
             return ""

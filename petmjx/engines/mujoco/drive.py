@@ -13,21 +13,21 @@ from petmjx.world.scene import Scene
 
 
 class ActingDrive:
-    """A drive that begins after a given step. Its force or acceleration is an array with one row per step.
+    """A drive that begins after a given step. The force or acceleration of the drive is an array with one row per step.
 
     Args:
         begin: the step after which the drive begins.
         gravity: (3,) gravity, m/s².
 
     Attributes:
-        holds_carrier: whether the drive prescribes the carrier's acceleration. The carrier is then clamped.
+        holds_carrier: whether the drive prescribes the carrier's acceleration, in which case the carrier is clamped.
     """
 
     def __init__(self, drive: Drive, begin: int, total_mass: float, gravity: FloatArray) -> None:
         self.begin, self._gravity = begin, gravity
         self.holds_carrier = drive.excitation.kind != FORCE
         self._film: ActingFilm | None = None
-        # The array has one row of zeros more than the excitation, since nothing acts after the excitation's end.
+        # After the rows of the excitation, the array has a row of zeros, since nothing acts after the excitation's end.
         self._rows: FloatArray = np.vstack((drive.rows(total_mass), np.zeros((1, 3))))
         self._changes = begin + np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
 
@@ -37,7 +37,7 @@ class ActingDrive:
             self._film = ActingFilm(scene, timestep_s, live.from_carrier()[0])
 
     def next_change(self, step: int) -> int:
-        """The next step before which the force or gravity changes. With film, this is every step."""
+        """The next step before which the force or gravity changes. With film, the force changes before every step."""
         if self._film is not None:
             return step + 1
         place = int(np.searchsorted(self._changes, step, side="right"))

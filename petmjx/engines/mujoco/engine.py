@@ -28,11 +28,11 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LOOK_S: Final = 0.25
-"""Longest uninterrupted wait for a world, s. A signal, such as Ctrl-C, may be noticed this much later."""
+"""Longest uninterrupted wait for a world, s. This wait may delay the reaction to a signal, such as Ctrl-C."""
 
 
 class MujocoEngine(Engine):
-    """Simulates each world alone, on its exact model. The other engines are tested against this engine. Without a GPU,
+    """Simulates each world alone, on its exact model. Tests compare the other engines with this engine. Without a GPU,
     it is the fastest engine for a small amount of work.
 
     ``mj_step`` takes all steps up to the next event without Python's global interpreter lock, so the speed grows with
@@ -111,14 +111,17 @@ class MujocoEngine(Engine):
 
 
 def _oldest(running: Mapping[int, Budget]) -> str:
-    """The progress of the running world that began first, as text. Empty if this world has not taken long yet."""
+    """The progress of the running world that began first, as text. The text is empty if this world has not taken long
+    yet.
+    """
     with suppress(ValueError, KeyError, RuntimeError):  # other threads begin and end worlds at the same time
         return running[min(running)].so_far
     return ""
 
 
 def _say(progress: Progress, last_line: str, words: str) -> str:
-    """Show the progress of a world, unless another message is shown. Returns the line that this function showed last.
+    """Show the progress of a world, unless the progress line shows another message. Returns the line that this function
+    showed last.
 
     Args:
         last_line: the line that this function showed last.

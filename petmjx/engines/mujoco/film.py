@@ -1,6 +1,6 @@
 """Stretch film around a pallet on C MuJoCo. The law of the film is in petmjx/world/film.py.
 
-The same law is also in ``petmjx/engines/warp/kernels/film.py`` and ``petmjx/engines/mjx/film.py``.
+Other engines have the law in ``petmjx/engines/warp/kernels/film.py`` and ``petmjx/engines/mjx/film.py``.
 """
 
 from __future__ import annotations

@@ -50,14 +50,14 @@ class WorldRecorder:
         return self._begun and step % self._every == 0
 
     def next_after(self, step: int) -> int:
-        """The next step after which a frame is due. A very large number before the first frame."""
+        """The next step after which a frame is due. Before the first frame, the value is a very large number."""
         if not self._begun:
             return sys.maxsize
         return step + self._every - step % self._every
 
     def look(self, step: int, live: LiveWorld) -> None:
-        """Record a frame after a step, unless the step already has a frame. Call this before the world is changed: a
-        change loses the forces of the step."""
+        """Record a frame after a step, unless the step already has a frame. Call this method before you change the
+        world: after a change, MuJoCo no longer has the forces of the step."""
         if self._frames and self._frames[-1].step == step:
             return
         self._take(step, live, acted=True)
@@ -79,7 +79,7 @@ class WorldRecorder:
 
         Args:
             time_s: function that returns the time after a step, s.
-            driven_from: the step after which the drive (motion of the carrier) began. None if there is no drive.
+            driven_from: the step after which the drive (motion of the carrier) began; None if there is no drive.
         """
         frames = self._frames
         acted = np.array([frame.acted for frame in frames])

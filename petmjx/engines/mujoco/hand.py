@@ -1,6 +1,6 @@
 """The hand (a limited force and moment) that carries a box to its place on C MuJoCo (docs/rules.md, section 4).
 
-The same hand is also in ``petmjx/engines/warp/kernels/hand.py`` and ``petmjx/engines/mjx/hand.py``.
+Other engines have the hand in ``petmjx/engines/warp/kernels/hand.py`` and ``petmjx/engines/mjx/hand.py``.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Hand:
         begin, end: (3,) positions of the box's frame at the two ends of the path, m.
         quat: (4,) quaternion of the orientation in which the hand holds the box.
         steps: number of steps of the path.
-        falls: whether the hand releases the box at the end of the path, so that the box falls.
+        falls: whether the box falls from the end of the path, since the hand releases it there.
         taken: number of steps since the path began.
         lowered_from: value of ``taken`` at which the hand begins to set the box down.
         short_m: distance of the box from the end of the path after the last step, m.
@@ -58,7 +58,7 @@ class Hand:
 
     def has_let_go(self, pose: FloatArray, slow: bool) -> bool:
         """Whether the hand releases the box after this step. The hand waits until the box has arrived and is at rest.
-        Unless the box is meant to fall, the hand then sets it down before it releases it.
+        Unless the box is meant to fall, the hand then sets the box down, and only then releases it.
 
         Args:
             pose: (7,) position (m) and quaternion of the box's frame.
@@ -118,7 +118,9 @@ def _limited(vector: FloatArray, most: float) -> FloatArray:
 
 
 def _rotation_vector(quat: FloatArray, target_quat: FloatArray) -> FloatArray:
-    """(3,) rotation vector from ``quat`` to ``target_quat``, in the axes of ``quat``, rad. Exact for small angles."""
+    """(3,) rotation vector from ``quat`` to ``target_quat``, in the axes of ``quat``, rad. The result is exact only for
+    small angles.
+    """
     w, u = quat[0], quat[1:]
     real = w * target_quat[0] + u @ target_quat[1:]
     imaginary = w * target_quat[1:] - target_quat[0] * u - np.cross(u, target_quat[1:])

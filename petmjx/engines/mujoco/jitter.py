@@ -19,8 +19,8 @@ def _no_boxes() -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Jitter:
-    """What is known about trembling boxes after a check whether the pallet is quiet (a *look*). Each look makes a new
-    ``Jitter``.
+    """The state of the search for trembling boxes after a *look* (a check whether the pallet is quiet). Each look makes
+    a new ``Jitter``.
 
     Attributes:
         boxes: (n,) whether each box trembles. n is the number of placed boxes at the looks since the last placement.

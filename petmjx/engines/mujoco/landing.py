@@ -1,6 +1,6 @@
 """Contact law of landing boxes on C MuJoCo. The law stops boxes that arrive fast, or lets them bounce.
 
-The law itself is in petmjx/world/contact_laws.py.
+petmjx/world/contact_laws.py explains the law.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from petmjx.world.mujoco_model import geom_surfaces
 from petmjx.world.scene import Scene
 
 CALM_M_S2 = 0.5
-"""Many steps are taken together while the norm of all accelerations (m/s² and rad/s²) is at most this. The speed of a
-box then grows by at most 5 mm/s in five steps."""
+"""Many steps are taken in one call while the norm of all accelerations (m/s² and rad/s²) is at most this value. With
+accelerations below this limit, the speed of a box grows by at most 5 mm/s in five steps."""
 
 
 class MovingWorld(Protocol):
@@ -57,13 +57,13 @@ class Landings:
         self._placed = 0
 
     def fork(self) -> Landings:
-        """A copy for a copy (*fork*) of the world."""
+        """A copy of this object, for a copy (*fork*) of the world."""
         twin = Landings(self._scene, self._sim)
         twin.left[:], twin.before[:], twin._placed = self.left, self.before, self._placed
         return twin
 
     def extended(self, scene: Scene) -> Landings:
-        """A copy for the same world with additional boxes."""
+        """A copy of this object, for the same world with additional boxes."""
         twin = Landings(scene, self._sim)
         twin.left[: len(self.left)], twin.before[: len(self.left)] = self.left, self.before
         return twin

@@ -29,13 +29,14 @@ from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 GROWTH_BLOCK = 8
 """Number of boxes that are added to the model at once. A box that waits in the model costs 0.5 µs per step, and
-compiling the model again costs about 1 ms. For 40 boxes and the adaptive schedule, adding 1 box or 40 boxes at once
-takes 5 % longer than adding 8."""
+compiling the model again costs about 1 ms. For a plan of 40 boxes and the adaptive schedule, the simulation takes 5 %
+longer if 1 or 40 boxes are added at once than if 8 are."""
 
 ORDERED_FROM = 64
-"""Smallest number of boxes of a plan whose bodies are sorted in elimination order. The order makes third-party plans of
-76 or more boxes 1.3 to 4.6 times as fast. Third-party plans of 45 and 66 boxes, and generated plans, gain at most 2 %.
-For these plans, compiling the model again for a new order costs as much time as the order saves."""
+"""Smallest number of boxes of a plan whose bodies are sorted in elimination order. In elimination order, third-party
+plans of 76 or more boxes are simulated 1.3 to 4.6 times as fast. Third-party plans of 45 and 66 boxes, and generated
+plans, gain at most 2 %. For these plans, compiling the model again for a new order costs as much time as the order
+saves."""
 
 _PARKING_M = 100.0
 _PARKING_PITCH_M = 10.0
@@ -56,8 +57,8 @@ class BodyState:
 class LiveWorld:
     """MuJoCo's model and data of one world, in which the first ``n_placed`` boxes are placed.
 
-    Boxes that are in the model but not yet placed hang far apart in the air. Each of them is held by a force equal to
-    its weight. They touch nothing, so they do not influence the pallet.
+    Boxes that are in the model but not yet placed hang far apart in the air. A force equal to its weight holds each
+    waiting box. Waiting boxes touch nothing, so they do not influence the pallet.
 
     With pyramidal friction cones, an additional body represents the waiting boxes
     (``petmjx.engines.mujoco.waiting_boxes``).
@@ -74,7 +75,7 @@ class LiveWorld:
 
     Attributes:
         order: (capacity,) numbers of the boxes in the order of their bodies.
-        hand: the hand that carries the box placed last. None if all placed boxes are released.
+        hand: the hand that carries the box placed last; None if all placed boxes are released.
         geom_bodies: (ngeom,) the body to which each geom belongs: the number of a box, ``CARRIER`` or ``FLOOR``.
         pyramidal: whether friction cones are pyramidal.
     """
@@ -99,7 +100,7 @@ class LiveWorld:
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
         self._slip = SlipLaw(sim.physics)
-        self._slides, self._looked = False, 0  # whether bodies slid at the last check; number of steps since this check
+        self._slides, self._looked = False, 0  # slid at the last check; steps since it
         lands = sim.physics.has_landings and scene.soft is None
         self._landings = Landings(scene, sim) if lands else None
         self._build(n_boxes)
@@ -127,7 +128,7 @@ class LiveWorld:
         self._take(ModelInstance(model, mujoco.MjData(model)))
 
     def _take(self, instance: ModelInstance) -> None:
-        """Use this model and its data. The bodies must be in the order ``order``."""
+        """Continue with this model and its data. The bodies must be in the order ``order``."""
         self.model, self.data = instance
         self.capacity = len(self.order)
         self._row = np.argsort(self.order)
@@ -208,7 +209,7 @@ class LiveWorld:
         self.scene = scene
         if self._landings is not None:
             self._landings = self._landings.extended(scene)
-        for name in ("release", "approach_path"):  # both are computed again when needed
+        for name in ("release", "approach_path"):  # both values are computed again when they are needed
             vars(self).pop(name, None)
 
     def fork(self, *, grows: bool = False) -> LiveWorld:
@@ -360,7 +361,7 @@ class LiveWorld:
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) centres (m) and (k, 4) quaternions of the placed boxes at the beginning of the last step.
 
-        The accelerations and contact forces of the last step hold at this moment.
+        The accelerations and contact forces of the last step belong to these poses.
         """
         rows = self._first_body + self._row[: self.n_placed]
         pos, quat = self.data.xpos[rows], self.data.xquat[rows]
@@ -402,7 +403,7 @@ class LiveWorld:
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
         self._shaken = True
-        self._templates = None  # clamped carriers have a different place in each world
+        self._templates = None  # each world has its own place for a clamped carrier
         self._build(self.capacity)
         self._restore(state, time_s)
 
@@ -417,8 +418,8 @@ class LiveWorld:
 
     @classmethod
     def resume(cls, scene: Scene, sim: Simulation, state: BodyState, time_s: float) -> LiveWorld:
-        """A world with all its boxes, in a state that another world has reached. Used for drives (motions of the
-        carrier)."""
+        """A world with all its boxes, in a state that another world has reached. The result is a world in which a drive
+        (motion of the carrier) can begin."""
         live = cls(scene, sim, n_boxes=len(state.pose) - 1, shaken=True)
         live._restore(state, time_s)
         return live

@@ -9,11 +9,11 @@ import mujoco
 
 
 class QuietMujoco:
-    """While a run is active, keeps MuJoCo from printing, and from writing MUJOCO_LOG.TXT into the current folder.
+    """While a run is active, MuJoCo does not print, and does not write MUJOCO_LOG.TXT into the current folder.
 
     petmjx reads MuJoCo's warnings (bad numbers, full buffers) from MuJoCo's data instead, and turns them into flags in
-    the results. MuJoCo's setting applies to the whole process. The first active run changes the setting, and the last
-    one restores it.
+    the results. MuJoCo's setting applies to the whole process. The first active run changes the setting, and the end of
+    the last active run restores it.
     """
 
     def __init__(self) -> None:

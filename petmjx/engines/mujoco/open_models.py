@@ -24,8 +24,8 @@ from petmjx.world.scene import Scene
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
 MOST_KEPT: Final = 64
-"""Number of templates that are kept: the most recently used ones. A template of 31 boxes takes 0.2 MB, and each of its
-unused models takes 0.7 MB while a world uses it."""
+"""Number of templates that are kept: the most recently used ones. A template of 31 boxes takes 0.2 MB, and each filled
+model with its data takes 0.7 MB."""
 
 MOST_SPARE: Final = 16
 """Number of unused models with data that a template keeps for the next worlds: one per thread on most machines."""
@@ -64,15 +64,15 @@ class Templates:
 
     @classmethod
     def of(cls, sim: Simulation) -> Templates | None:
-        """The templates for these options. None if models must be compiled. Models must be compiled if boxes have no
-        skin (contact margin), since MuJoCo then computes their inertia. They must also be compiled with pyramidal
-        cones, since boxes that wait are then part of the model."""
+        """The templates for these options; None if models must be compiled. Models must be compiled if boxes have no
+        skin (contact margin), since MuJoCo then computes their inertia. With pyramidal cones, models must also be
+        compiled, since boxes that wait are then part of the model."""
         physics = sim.physics
         return cls(sim) if physics.has_own_friction and physics.skin_m > 0 else None
 
     def fits(self, scene: Scene) -> bool:
-        """Whether all boxes of the scene are rigid and have one shape each. Other boxes have contact laws of their
-        own."""
+        """Whether all boxes of the scene are rigid and have one shape each. Templates exist only for scenes of this
+        kind."""
         return scene.stiffness is None and not scene.pieces
 
     def filled(self, scene: Scene, order: NDArray[np.intp]) -> ModelInstance:

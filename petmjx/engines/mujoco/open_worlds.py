@@ -66,7 +66,7 @@ class OpenWorld(WorldRun):
         self._leave_pause()
 
     def fork(self, *, grows: bool = False) -> Self:
-        """A copy in the same state. Afterwards, the original and the copy are independent.
+        """A copy of the world in the same state, which is then independent of the original.
 
         Args:
             grows: whether the next change of the copy is an additional box.
@@ -122,8 +122,7 @@ class OpenWorld(WorldRun):
         return self._outcome(came_to_end=not self.ended and self._loop())
 
     def _lingers(self) -> bool:
-        """Whether the world paused because its time was up, is still moving, and may get a longer wait as its last
-        wait."""
+        """Whether the world paused, still moving, because its time was up, and may get a longer last wait."""
         return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:
@@ -133,8 +132,8 @@ class OpenWorld(WorldRun):
             self._keep_still_pose()
 
     def read(self) -> Reading:
-        """The state of the world. It has ``Flag.MOVING`` if the world paused because its time was up, although boxes
-        were still moving."""
+        """The state of the world, with ``Flag.MOVING`` if the world paused because its time was up, although boxes were
+        still moving."""
         live, k = self._live, self._live.n_placed
         pose = live.pose[:k]
         moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
@@ -224,7 +223,7 @@ class MujocoWorlds(OpenWorlds):
 
     def _map(self, work: Callable[[Item], Result], of: Iterable[Item]) -> list[Result]:
         """The results of ``work`` for all items, computed on threads. After an interruption, the worlds stop within a
-        few dozen steps; later calls continue them."""
+        few dozen steps, and later calls continue their simulation."""
         try:
             with QUIET_MUJOCO, ThreadPoolExecutor(self._threads, thread_name_prefix="petmjx-world") as pool:
                 try:

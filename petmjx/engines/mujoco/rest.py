@@ -44,7 +44,7 @@ class QuietRule:
         return self._steps >= self._rule.steps
 
     def look(self, pose: FloatArray, velocity: FloatArray, has_failed: bool, adapts: bool = True) -> bool:
-        """Take one look at the boxes. Returns whether the pallet is quiet, with trembling boxes left out.
+        """Take one look at the boxes. Returns whether the pallet is quiet, not counting trembling boxes.
 
         Args:
             pose: (k, 7) positions (m) and unit quaternions of the placed boxes.
@@ -73,7 +73,7 @@ class QuietRule:
                 self._steps, self._first = rule.poll_steps, speed
                 return False
         if trembles.any():
-            self._steps = 0  # the wait is over, although the pallet is not quiet
+            self._steps = 0  # the wait ends, but the pallet does not count as quiet
         return True
 
     def is_slow(self, velocity: FloatArray, boxes: slice) -> bool:
@@ -86,8 +86,8 @@ class QuietRule:
         trembling boxes that are slower than ``slow_m_s``.
 
         Args:
-            before, after: (k, 7) poses at two times that are ``seconds`` apart. A rocking box that reversed between
-                these times has a small average speed.
+            before, after: (k, 7) poses at two times that are ``seconds`` apart. The average speed of a rocking box that
+                turned back between these times is small, so ``velocity`` is used, too.
             velocity: (k, 6) current velocities, m/s and rad/s.
         """
         rule, radius = self._rule, self._radius_m[: len(after)]
@@ -101,9 +101,9 @@ class QuietRule:
 class Explosion:
     """Detects simulations that cannot be right: accelerations stay large for some time, and no failed box causes them.
 
-    When light boxes land, or tipping boxes hit something, accelerations reach 240 rad/s² for a few steps. Such a single
-    sample is not an explosion. So samples right after a placement are ignored. And after a sample with large
-    accelerations, all following samples must have large accelerations for the time that a box needs to land.
+    When light boxes land, or tipping boxes hit something, accelerations reach 240 rad/s² for a few steps. A single
+    sample with such accelerations is not an explosion. So samples right after a placement are ignored. And an explosion
+    is detected only if accelerations stay large, from sample to sample, for the time that a box needs to land.
 
     Args:
         landing: number of steps that a box needs to land.

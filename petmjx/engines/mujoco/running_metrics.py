@@ -1,4 +1,5 @@
-"""The metrics of one world while it is simulated on C MuJoCo, in NumPy. No arithmetic is shared with the JAX code.
+"""The metrics of one world while it is simulated on C MuJoCo, in NumPy. The JAX code computes the same metrics without
+sharing arithmetic with this module.
 
 docs/metrics.md defines the metrics. Arrays have one row per box, in packing order.
 """
@@ -55,7 +56,7 @@ class OracleMetrics:
         return twin
 
     def extend(self, scene: Scene) -> None:
-        """Add the additional boxes of a scene. They have no values yet."""
+        """Add the additional boxes of a scene. The additional boxes have no values yet."""
         self._work_off()
         larger = OracleMetrics(scene, self._thresholds, self._gravity_m_s2)
         for name, value in vars(larger).items():
@@ -66,12 +67,14 @@ class OracleMetrics:
 
     @property
     def max_top_force_n(self) -> FloatArray:
-        """(n,) largest force on top of each box so far, N. All steps are included, also those that still wait."""
+        """(n,) largest force on top of each box so far, N. The result includes steps whose forces have not been
+        computed yet.
+        """
         self._work_off()
         return self._max_top_force_n
 
     def _work_off(self) -> None:
-        """Compute the forces of all steps that wait for it."""
+        """Compute the forces of all collected steps."""
         if self._pressed:
             steps, self._pressed = self._pressed, []
             self.add_forces(largest_top_forces(steps, len(self._max_top_force_n)))
@@ -99,13 +102,14 @@ class OracleMetrics:
         return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
-        """Whether the pallet falls for certain, so that the simulation of its world can end. It falls for certain if a
-        box has dropped. In worlds with errors, it also falls if one of the k placed boxes is tilted too far in these
-        poses. In a drive (motion of the carrier), it also falls if the culprit is tilted too far and has moved too far.
+        """Whether the pallet falls for certain, so that the simulation of its world can end. The pallet falls for
+        certain if a box has dropped. In worlds with errors, it also falls if one of the k placed boxes is tilted too
+        far in these poses. In a drive (motion of the carrier), it also falls if the culprit is tilted too far and has
+        moved too far.
 
         Args:
-            culprit: number of the box that crossed a threshold first, at an earlier check. It is -1 if no box did, or
-                if the culprit does not end a drive.
+            culprit: number of the box that crossed a threshold first, at an earlier check. The number is -1 if no box
+                has crossed a threshold, or if the culprit does not end a drive.
         """
         if self.any_dropped:
             return True
@@ -177,7 +181,9 @@ class OracleMetrics:
         return np.asarray(np.hypot(*(pos - origin)[:, :2].T))
 
     def add_rest(self, top_force_n: FloatArray) -> None:
-        """Add the forces in one step of the rest window, N. Their mean is the force at rest."""
+        """Add the forces in one step of the rest window, N. The force at rest is the mean over all steps of the
+        window.
+        """
         self._rest_sum_n[: len(top_force_n)] += top_force_n
         self._rest_steps += 1
 
@@ -201,10 +207,10 @@ class OracleMetrics:
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
         """Start a drive (motion of the carrier) with the k boxes in these poses. Sway is measured from these poses.
-        Rest is judged at the end of the drive.
+        Whether boxes are at rest is judged at the end of the drive.
 
         If no box is beyond a threshold now, signs of failure during the placement (such as a hard landing) are
-        forgotten. The first sign is then the first one during the drive.
+        forgotten. The first sign of failure is then the first during the drive.
         """
         k = len(pos)
         self._sway_origin = pos.copy()

@@ -14,15 +14,17 @@ from petmjx.world.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class SettledState:
-    """The state of a world at the end of its placement, when it has settled. Other worlds (*forks*) start from it."""
+    """The state of a world at the end of its placement, when it has settled. Other worlds (*forks*) start from this
+    state.
+    """
 
     step: int
     bodies: BodyState | SoftState | None
     metrics: OracleMetrics
     flags: Flag
     ended: Outcome | None
-    """The outcome of the world, if it ended before it settled. It is also the outcome of all forks. None if it
-    settled."""
+    """The outcome of the world, if it ended before it settled. All forks have the same outcome. If the world settled,
+    the value is None."""
 
     def ended_as(self, stream_number: int) -> Outcome | None:
         """The outcome of a fork, if the world ended before it settled; otherwise None."""

@@ -29,11 +29,11 @@ from petmjx.world.friction_pairs import USUAL
 LOOK_STEPS = 5
 """Number of steps between two checks whether bodies move. At rest, these steps are taken in one call of C, without
 Python's global interpreter lock. A body that begins to slip between two checks is at most 0.1 m/s fast at the second
-check. At this speed, a contact still stays within its soft onset."""
+check. Until then, its contacts keep their static friction."""
 
 SLOW_M_S = STICKS_M_S / 4
-"""While the norm of all velocities is below this, no contact slides, m/s and rad/s. All points of a body within 1.7 m
-of its centre are then slower than half of ``STICKS_M_S``."""
+"""While the norm of all velocities is below this, no contact slides, m/s and rad/s. Below this norm, all points within
+1.7 m of a body's centre are slower than half of ``STICKS_M_S``."""
 
 
 class SlipLaw:
@@ -55,20 +55,21 @@ class SlipLaw:
         self._of_pairs, self._surfaces = pair_kinetic, surfaces
         self._slows = self._share < 1 or pair_kinetic is not None
         self.acts = physics.cone is Cone.ELLIPTIC and (math.isfinite(self._slack) or self._slows)
-        """Whether the law has any effect with these options."""
+        """Whether the law of sliding contacts has any effect with the world's options."""
 
     def may_slide(self, velocity: FloatArray) -> bool:
         """Whether any contact may be sliding. ``velocity``: (nv,) velocities of all bodies, m/s and rad/s."""
         return self.acts and bool(velocity.dot(velocity) > SLOW_M_S**2)
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Take one step with this law."""
+        """Take one step with the law of sliding contacts."""
         mujoco.mj_step1(model, data)
         self.step2(model, data)
 
     def step2(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Do the same as ``mj_step2`` with Euler's integrator, and apply this law. All contacts must have three
-        constraint rows (``condim`` 3), which follow the rows of other constraints."""
+        """Take the second half of a step, as ``mj_step2`` with Euler's integrator, and apply the law of sliding
+        contacts. All contacts must have three constraint rows (``condim`` 3), which follow the rows of other
+        constraints."""
         first = data.ne + data.nf + data.nl
         if not self.acts or data.nefc == first:
             mujoco.mj_step2(model, data)
@@ -93,8 +94,8 @@ class SlipLaw:
         mujoco.mj_Euler(model, data)
 
     def _kinetic(self, data: mujoco.MjData, active: NDArray[np.integer]) -> FloatArray | float:
-        """Kinetic friction divided by static friction. If pairs of surfaces have their own values: (k,) one per
-        contact."""
+        """Kinetic friction divided by static friction. If pairs of surfaces have their own values, it is an array (k,),
+        with one value per contact."""
         if self._of_pairs is None or self._surfaces is None:
             return self._share
         of_pair: FloatArray = self._of_pairs[tuple(self._surfaces[np.asarray(data.contact.geom)[active]].T)]
@@ -106,7 +107,8 @@ class SlipLaw:
         """Find accelerations and forces of the bodies that agree with the law at the k sliding contacts.
 
         Args:
-            normal: (k,) number of the constraint row of each contact's normal. The two rows of the tangents follow it.
+            normal: (k,) number of the constraint row of each contact's normal. The rows of the two tangents follow the
+                row of the normal.
             reference: (k,) tangential reference acceleration of each contact, m/s².
         """
         one, two = normal + 1, normal + 2
@@ -116,7 +118,9 @@ class SlipLaw:
         before, aref_one, aref_two = aref[normal], aref[one], aref[two]
 
         def excess_at(qacc: FloatArray, dragged: FloatArray | float) -> FloatArray:
-            """(k,) excess of each contact at these accelerations, m/s². ``dragged``: R_t · |f_t|, m/s²."""
+            """(k,) excess of each contact at the given accelerations, m/s². ``dragged``: R_t · |f_t| of each contact
+            (regularisation times tangential force), m/s².
+            """
             mujoco.mj_mulJacVec(model, data, along, qacc)
             beyond = np.hypot(along[one] - aref_one, along[two] - aref_two)
             excess: FloatArray = np.maximum(beyond - dragged - self._slack, 0.0)

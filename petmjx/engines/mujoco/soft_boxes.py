@@ -1,8 +1,8 @@
 """A MuJoCo world with soft boxes (petmjx/world/soft_boxes.py), which are deformable bodies made of points.
 
 Shifts and tilts are measured on the rigid box that best fits the points of a soft box. This rigid box has the centre of
-mass, the momentum and the angular momentum of the points. Its rotation is the best fit by least squares (Kabsch, "A
-solution for the best rotation to relate two sets of vectors", 1976).
+mass, the momentum and the angular momentum of the points. The rotation of the rigid box is the best fit by least
+squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976).
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ class SoftWorld(LiveWorld):
         return middle, np.swapaxes(left @ right, 1, 2)
 
     def _poses_of(self, points: FloatArray) -> FloatArray:
-        """(s, 7) centres (m) and quaternions of the soft boxes whose points are at ``points``. NaN if a point is not
-        finite."""
+        """(s, 7) centres (m) and quaternions of the soft boxes whose points are at ``points``. The result is NaN for a
+        box with a point that is not finite."""
         poses = np.full((len(points), 7), np.nan)
         sound = np.isfinite(points).all(axis=(1, 2))
         if not sound.all():
@@ -178,7 +178,7 @@ class SoftWorld(LiveWorld):
         frame = np.asarray(data.contact.frame)[index].reshape(-1, 3, 3)
         bodies = self.contact_bodies()[index]
         # The heights of the boxes come first, then those of the floor and the carrier. The numbers of floor and carrier
-        # are negative, so they index from the end.
+        # are negative, so they select elements at the array's end.
         centre_z = np.zeros(self.capacity + 2)
         centre_z[FLOOR], centre_z[CARRIER] = -np.inf, data.xpos[self._carrier, 2]
         centre_z[self._soft] = (self._weight[..., 0] * data.xpos[self._point_bodies][..., 2]).sum(axis=1)

@@ -45,8 +45,8 @@ class Stepper:
 
         Args:
             first: number of the first step.
-            metrics: object that records the forces on tops. None if forces are not needed.
-            acts: whether a drive (motion of the carrier) acts. If so, any step may have the largest forces.
+            metrics: object that records the forces on tops; None if forces are not needed.
+            acts: whether a drive (motion of the carrier) acts. If a drive acts, any step may have the largest forces.
         """
         number, end, budget = first, first + count, self._budget
         while number < end:
@@ -54,8 +54,8 @@ class Stepper:
                 return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
-                # This does not depend on how many steps a call takes: a recorded world stops at each frame, but must
-                # give the same results.
+                # The choice of steps does not depend on how many steps a call takes: a recorded world stops at each
+                # frame, but must give the same results.
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None
@@ -76,8 +76,8 @@ class Stepper:
     def _look(
         self, live: LiveWorld | SoftWorld, number: int, rising: FloatArray, acts: bool, metrics: OracleMetrics
     ) -> None:
-        """Add the forces on tops in this step, if the rules require it. ``rising``: upward accelerations of bodies,
-        m/s²."""
+        """Add the forces on tops in this step, if the largest forces include this step. ``rising``: upward
+        accelerations of bodies, m/s²."""
         if isinstance(live, SoftWorld):
             metrics.add_forces(live.top_forces()[: live.n_free])
         elif acts or number % self._poll_steps == 0 or np.maximum.reduce(rising) > RISING_M_S2:

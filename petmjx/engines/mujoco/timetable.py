@@ -21,7 +21,7 @@ class Waits:
         settles: whether a drive follows the placement, or the settled state is kept.
         since: the step after which the wait begins.
         last_placement: the step after which the last box was placed.
-        drive_end: the last step of the drive, if boxes do not come to rest earlier. None before the drive begins.
+        drive_end: the last step of the drive, if boxes do not come to rest earlier; None before the drive begins.
     """
 
     def __init__(self, sim: Simulation, clock: Clock, settles: bool) -> None:
@@ -36,8 +36,8 @@ class Waits:
 
     @property
     def adapts(self) -> bool:
-        """Whether the next event comes as soon as the pallet is quiet. With the fixed schedule, this is so only if the
-        world was still moving at its end and got more time."""
+        """Whether the next event comes as soon as the pallet is quiet. With the fixed schedule, the result is True only
+        if the world was still moving at its end and got more time."""
         return self._adaptive or self.since > self.last_placement
 
     @property
@@ -47,7 +47,9 @@ class Waits:
 
     @property
     def _is_plain_static(self) -> bool:
-        """Whether this is a static check without a drive. The option ``duration_s`` is the length of such a check."""
+        """Whether this is a static check without a drive. The option ``duration_s`` is the length of a static check
+        without a drive.
+        """
         return self._static and not self.settles
 
     def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:
@@ -56,8 +58,8 @@ class Waits:
         Args:
             n_boxes: number of boxes of the plan.
             all_placed: whether all boxes are placed.
-            restless: whether an earlier wait ended while boxes were moving, and this is not the world's last wait. This
-                wait is then short.
+            restless: whether an earlier wait ended while boxes were moving, and this wait is not the world's last, so
+                that it is short.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
@@ -65,16 +67,16 @@ class Waits:
         self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether this wait would continue after ``step`` if it were the last wait of the world. (The last wait is
-        long. Other waits are short if an earlier wait ended while boxes were moving.)"""
+        """Whether this wait would continue after ``step`` if it were the last wait of the world. (The last wait of a
+        world is always long, but all other waits are short after a wait that ended while boxes were moving.)"""
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:
-        """The latest step for the next event. When a box has failed, a long wait is useless. It then becomes a short
-        wait that begins at the first sign of failure.
+        """The latest step for the next event. When a box has failed, a long wait is useless. The long wait then becomes
+        a short wait that begins at the first sign of failure.
 
         Args:
-            sign_step: step of the first sign of failure. None if no box has failed.
+            sign_step: step of the first sign of failure; None if no box has failed.
         """
         if self.in_drive:
             return NEVER
@@ -102,7 +104,9 @@ class Waits:
 
     @property
     def in_drive(self) -> bool:
-        """Whether this is the wait for quiet after the last sample of a drive. This wait ends before ``drive_end``."""
+        """Whether the world now waits for quiet after the last sample of a drive. Such a wait ends before
+        ``drive_end``.
+        """
         return self.drive_end is not None and self.since < self.drive_end
 
     def last_end(self, step: int) -> int:
@@ -121,7 +125,9 @@ class Waits:
         return step < (self.static_end if self._is_plain_static else self.longest_wait)
 
     def _later(self, since: int, wait_s: float) -> int:
-        """The step at which a wait is over. After a drive, waits are counted in steps, as the end of the drive is."""
+        """The step at which a wait is over. After a drive, the length of a wait is a number of steps, as the length of
+        the drive is.
+        """
         if self.drive_end is not None:
             return since + seconds_to_steps(wait_s, self._dt)
         return self._clock.first_after(since, wait_s)
@@ -132,7 +138,9 @@ class Waits:
         return seconds_to_steps(self._sim.duration_s, self._dt)
 
     def end_of_fixed(self, n_boxes: int) -> int:
-        """The last step with the fixed schedule and without a drive. ``NEVER`` if it is not known in advance."""
+        """The last step with the fixed schedule and without a drive. The value is ``NEVER`` if this step is not known
+        in advance.
+        """
         if self._adaptive or self.settles:
             return NEVER
         if self._static:

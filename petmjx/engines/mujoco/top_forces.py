@@ -23,9 +23,9 @@ def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[N
     """The forces at the contacts that have constraint rows.
 
     The four rows of a pyramidal friction cone are forces along the edges of the cone. The normal force is the sum of
-    the four forces. Each of the two tangential forces is the difference of two of them, times the friction. The three
-    rows of an elliptic cone are the components of the force. All contacts have condim 3. The source is given at
-    ``petmjx.engines.mjx.top_forces.contact_force_z``.
+    the four forces. Each of the two tangential forces is the difference of two of the four forces, times the friction.
+    The three rows of an elliptic cone are the components of the force. All contacts have condim 3. The source of these
+    formulas is named in ``petmjx.engines.mjx.top_forces.contact_force_z``.
 
     Returns:
         (k,) numbers of these contacts, and (k, 3) forces of geom 1 on geom 2 in the contact frame (normal and two
@@ -78,7 +78,7 @@ def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, p
     """(n_boxes,) force on top of each box, N (docs/metrics.md, "The force on a box's top").
 
     The force on a box is the sum of the z components at those contacts whose normal is within 45° of z, and in which
-    the centre of the box is lower than that of the other body. The floor is lower than all boxes.
+    the centre of the box is lower than that of the other body. The floor counts as lower than all boxes.
 
     Args:
         bodies: (ngeom,) the body to which each geom belongs (``petmjx.world.mujoco_model.geom_bodies``).
@@ -101,7 +101,8 @@ class TopForceInputs(NamedTuple):
     """The data of one step from which forces on tops are computed, copied from MuJoCo's data.
 
     Attributes:
-        address: (ncon,) number of the first constraint row of each contact. Negative: the contact has no row.
+        address: (ncon,) number of the first constraint row of each contact. The number is negative if the contact has
+            no row.
         geom: (ncon, 2) the two geoms of each contact.
         frame: (ncon, 9) normal and tangents of each contact.
         force: (nefc,) forces of all constraint rows, N.
@@ -129,7 +130,7 @@ def top_force_inputs(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: 
 def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatArray:
     """(n_boxes,) the largest force on top of each box in these steps, N. Friction cones must be elliptic, and all steps
     must have the same ``bodies``. Computing many steps together is several times as fast as calling ``top_forces`` for
-    each."""
+    each step."""
     address, geoms, frame, force, place = (np.concatenate(parts) for parts in list(zip(*steps, strict=True))[:5])
     contacts = [len(step.address) for step in steps]
     number = np.repeat(np.arange(len(steps)), contacts)

@@ -2,11 +2,12 @@
 
 Pyramidal cones are part of the physics preset ``reference``.
 
-Newton's method starts either from the accelerations of the last step or from the accelerations without constraints. It
-chooses the start with the lower cost (the function that it minimises) in the *whole* world. The method stops at a
-tolerance, so this choice influences the results: single sampled impacts change by up to 100 N. In the reference
+Newton's method starts either from the accelerations of the last step or from the accelerations without constraints. The
+method chooses the start at which its cost function has the lower value, summed over the *whole* world. The method stops
+at a tolerance, so this choice influences the results: single sampled impacts change by up to 100 N. In the reference
 implementation, the waiting boxes stand on the floor, and their cost is part of the sum. Here, a small body presses on a
-stop with a single constraint row. It adds exactly as much to the difference between the two costs.
+stop with a single constraint row. This body adds exactly as much as the waiting boxes to the difference between the
+costs of the two starts.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ divided by the box's mass."""
 
 
 def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
-    """Add the body that represents the waiting boxes. Its stop comes before all boxes in the model."""
+    """Add the body that represents the waiting boxes. The body's stop comes before all boxes in the model."""
     body = spec.worldbody.add_body(name=_NAME, pos=[0.0, 0.0, -_PARKING_M])
     body.mass = _MASS_KG
     body.inertia = np.ones(3)
@@ -43,8 +44,8 @@ def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
 def press_waiting(model: mujoco.MjModel, data: mujoco.MjData, waiting_kg: float, gravity_m_s2: float) -> None:
     """Press on the stop with the force that makes its cost equal to the cost of the waiting boxes on the floor.
 
-    A mass m is pulled by g and rests on constraints with the total weight D. Its cost with the acceleration g is higher
-    than its cost at rest, by (D + m)·g²/2. For the stop and for the boxes, D is proportional to m.
+    A mass m under the gravity g rests on constraints with the total weight D. The cost of the mass in free fall exceeds
+    its cost at rest by (D + m)·g²/2. For the stop and for the boxes, D is proportional to m.
     """
     share = (_FLOOR_STIFFNESS + 1.0) * waiting_kg / ((_STOP_STIFFNESS + 1.0) * _MASS_KG)
     data.xfrc_applied[model.body(_NAME).id, 2] = _MASS_KG * gravity_m_s2 * (1.0 - sqrt(share))

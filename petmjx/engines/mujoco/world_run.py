@@ -144,8 +144,8 @@ class WorldRun:
         return not self._flags & _FATAL
 
     def _go_to(self, target: int) -> None:
-        """Simulate up to the next event, and record the frames that are due before it. Stops earlier if the world's
-        time is up."""
+        """Simulate up to the next event, and record the frames that are due before it. The simulation stops earlier if
+        the world's time is up."""
         recorder = self._recorder
         while recorder is not None and (frame := recorder.next_after(self._step)) < target:
             count = frame - self._step
@@ -191,8 +191,8 @@ class WorldRun:
         return min(target, step + 1 if step >= window else window)
 
     def _observe(self) -> bool:
-        """After a step, measure what is due: a sample of all metrics, the force at rest, or only the poses. Returns
-        whether the world continues."""
+        """After a step, take the measurement that is due: a sample of all metrics, the force at rest, or only the
+        poses. Returns whether the world continues."""
         step, live = self._step, self._live
         sampled = step % self._sample_steps == 0
         polled = step % self._sim.quiet.poll_steps == 0
@@ -237,8 +237,8 @@ class WorldRun:
         quiet = self._look_for_quiet() and self._waits.adapts
         enough = self._sim.waits_for_rest or self._step - self._waits.since >= self._sim.quiet.landing_steps
         if self._waits.in_drive and self._step > self._end - 2 * self._rest_steps:
-            # It is too late for another rest window: such a window would not end before the step at which the last
-            # possible rest window must start.
+            # It is too late for another rest window, which would end after the step at which the last possible rest
+            # window must start.
             self._waiting = False
         elif (quiet and enough) or self._step >= self._waits.deadline(self._sign):
             self.paused = self._pauses and self._live.n_placed == self._scene.n_boxes

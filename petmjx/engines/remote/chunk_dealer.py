@@ -1,5 +1,5 @@
-"""Gives chunks (groups) of jobs to worker processes, and gives the jobs of dead workers out again. Does not need
-Ray."""
+"""Gives chunks (groups) of jobs to worker processes, and gives the jobs of dead workers out again. This module does not
+need Ray."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ MOST_JOBS = 64
 """Largest number of jobs of a chunk, so that little work is lost if a worker dies."""
 
 PLENTY = 4
-"""Workers hold chunks in reserve while at least this number of jobs per slot is waiting. Later, a job in reserve might
-wait behind a long job while another slot is idle."""
+"""Workers hold chunks in reserve while at least this number of jobs per slot is waiting. With fewer waiting jobs, a job
+in reserve might wait behind a long job while another slot is idle."""
 
 
 @dataclass(frozen=True)
@@ -39,17 +39,17 @@ class Deal:
     """Gives jobs to workers, the longest first, until each job has an outcome or is given up.
 
     If the engine simulates job after job, chunks get smaller towards the end, down to single jobs. If the engine
-    simulates worlds side by side, all chunks have the same size and a similar mix of jobs. There are then only as many
-    chunks as are needed to keep all workers busy, since a device is nearly idle at the end of each chunk.
+    simulates worlds side by side, all chunks have the same size and a similar mix of jobs. Since a device is nearly
+    idle at the end of each chunk, there are only as many of these chunks as keep all workers busy.
 
     The first death of a worker may have an outside cause, so its jobs are given out again like other jobs. Jobs whose
-    workers have died twice wait until no other jobs are left. n such jobs are then given out in chunks of √n jobs, and
-    after another death one by one. A job is given up if it was the only job in a worker that died.
+    workers have died twice wait until no other jobs are left. These jobs, n in number, are then given out in chunks of
+    √n jobs, and after another death one by one. A job is given up if it was the only job in a worker that died.
 
     Args:
         costs: (n,) expected time of each job, in any unit.
         slots: number of chunks that are simulated at the same time, over all workers.
-        group: largest number of jobs of a chunk, if the engine simulates worlds side by side. None if the engine
+        group: largest number of jobs of a chunk, if the engine simulates worlds side by side; None if the engine
             simulates job after job.
         least: used with ``group``: if there are fewer jobs than this, one worker gets all of them.
         deadly: numbers of the jobs that were the only job in a worker that died.
@@ -75,7 +75,7 @@ class Deal:
         return self._group is None and len(self._pending) > PLENTY * self._slots
 
     def take(self, idle: bool) -> Chunk | None:
-        """The next chunk for a worker. None if the worker gets no chunk now.
+        """The next chunk for a worker. The result is None if the worker gets no chunk now.
 
         Args:
             idle: whether the worker holds no other chunk.
@@ -110,8 +110,8 @@ class Deal:
         self.unanswered.remove(job)
 
     def died(self, held: Iterable[Chunk]) -> list[int]:
-        """Record that a worker died while it held these chunks. Their jobs without an outcome wait again, except for
-        jobs that are given up. Returns the numbers of the jobs that are given up."""
+        """Record that a worker died while it held these chunks. The jobs of these chunks that have no outcome wait
+        again, except for jobs that are given up. Returns the numbers of the jobs that are given up."""
         given_up = []
         requeued: list[int] = []
         twice: list[int] = []
@@ -132,7 +132,9 @@ class Deal:
         return given_up
 
     def put_back(self, held: Iterable[Chunk]) -> None:
-        """Record that a worker died before it started these chunks. All jobs of these chunks wait again."""
+        """Record that a worker died before it started these chunks. The jobs of these chunks are put back among the
+        waiting jobs.
+        """
         for chunk in held:
             left = self._left(chunk)
             if chunk.alone:

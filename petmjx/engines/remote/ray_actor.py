@@ -104,7 +104,9 @@ class Worker:
         return pickle.dumps(WorkerReady(os.getpid(), platform.node(), device, package_versions(), error))
 
     def _build(self) -> None:
-        """Create the engine, and start the other libraries for a GPU. If this fails, there is no fallback engine."""
+        """Create the engine, and start the other libraries for a GPU. If the engine cannot be created, the worker has
+        no fallback engine.
+        """
         name = self._recipe.name
         try:
             if name == "mjx-warp":
@@ -137,8 +139,8 @@ class Worker:
         runner.join()
 
     def _lookers_for(self, jobs: Sequence[Job]) -> CheckPool[None]:
-        """The pool of processes that check the outcomes of a chunk. For a large chunk, processes are started and kept
-        as long as the worker lives. For a small chunk, the worker checks outcomes itself."""
+        """The pool of processes that check the outcomes of a chunk. The first large chunk starts the processes, which
+        are kept as long as the worker lives. The outcomes of a small chunk are checked by the worker itself."""
         if self._most_lookers == 0 or len(jobs) < LARGE:
             return CheckPool(0)
         self._check_pool = self._check_pool or CheckPool(self._most_lookers)

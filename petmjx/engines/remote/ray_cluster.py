@@ -1,4 +1,4 @@
-"""Starts Ray on this machine or joins a cluster. Afterwards, restores the settings of this process that Ray changed."""
+"""Starts Ray on this machine or joins a cluster, and then restores the settings of this process that Ray changed."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ _SIGACTION_BYTES = 1024
 """A size that is at least that of C's ``struct sigaction`` on any system, bytes."""
 
 _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
-"""Ray's environment variable that suppresses lines of Ray's log. Ray reads it when the package is imported."""
+"""Ray's environment variable that suppresses lines of Ray's log. Ray reads the variable when the package is
+imported."""
 
 
 def import_ray() -> Any:
@@ -92,7 +93,7 @@ def _restored_process() -> Iterator[None]:
 def _restored_sigterm() -> Iterator[None]:
     """Restores the handler of SIGTERM. Ray's own handler prints a list of addresses when the process ends, or ends the
     process silently once Ray has ended. In Python, only the main thread may set handlers, and it may be busy reading
-    plans, so C's ``sigaction`` is called."""
+    plans. So this class calls C's ``sigaction``."""
     libc, saved_action = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
     libc.sigaction(int(signal.SIGTERM), None, saved_action)
     try:
@@ -102,7 +103,7 @@ def _restored_sigterm() -> Iterator[None]:
 
 
 class _LocalRay:
-    """A Ray that this process starts or joins, and the thread that starts it and ends it.
+    """An instance of Ray that this process starts or joins, and the thread that starts and ends this instance.
 
     Ray is not started in the main thread, where it would replace the handler of SIGTERM and turn exceptions of signal
     handlers into a bare KeyboardInterrupt. The thread lives as long as Ray, since Ray's processes end with this thread.
@@ -143,8 +144,8 @@ class _LocalRay:
         self._thread.join()
 
     def _live(self) -> None:
-        # If the process ends now, it must wait for Ray. Ray registered its own exit function earlier, so that runs
-        # later.
+        # If the process ends now, it must wait for Ray. Ray registered its exit function earlier, so Ray's function
+        # runs after this one.
         atexit.register(self._end_with_process)
         try:
             self._start()
@@ -201,12 +202,12 @@ class _LocalRay:
 def _end_monitor() -> None:
     """Kill Ray's monitor, if this process started it. (The monitor adds machines to a cluster.) Ray itself would ask
     the monitor to end, get no answer, and wait for a second."""
-    with suppress(Exception):  # this is not Ray's documented interface; if it fails, the end takes a second longer
+    with suppress(Exception):  # Ray does not document this interface; if it fails, the end of Ray takes a second longer
         importlib.import_module("ray._private.worker")._global_node.kill_monitor(check_alive=False)
 
 
 def _check_reachable(address: str) -> None:
-    """Raise InputError if no head of a cluster listens at the address. Ray itself would try again for ever, and no
+    """Raise InputError if no head of a cluster listens at the address. Ray itself would try to connect for ever, and no
     signal would stop it. A head uses HTTP/2 (RFC 9113), so it answers an empty settings frame with its own settings."""
     host, _, port = address.rpartition(":")
     if address == AUTO:
@@ -226,8 +227,8 @@ def _check_reachable(address: str) -> None:
 
 
 class Cluster:
-    """One user of the cluster of this process. Ray allows one cluster per process. The cluster ends when its last user
-    closes it.
+    """One user of the cluster that this process uses. Ray allows one cluster per process. The cluster ends when its
+    last user closes it.
 
     If the program that uses petmjx has already started Ray, this Ray is used and is not ended.
 
@@ -242,7 +243,7 @@ class Cluster:
 
     _lock = threading.Lock()
     _latest: _LocalRay | None = None
-    """The Ray that this process started or joined last. If it has no users, it is ending."""
+    """The instance of Ray that this process started or joined last. If it has no users, it is ending."""
 
     def __init__(self, address: str | None = None) -> None:
         cls = Cluster
@@ -269,7 +270,7 @@ class Cluster:
         return [Node(int(resource.get("CPU", 0)), int(resource.get("GPU", 0))) for resource in resources]
 
     def check(self) -> None:
-        """Raise PetmjxError if the Ray that this process started is dead, since nothing would start it again. A cluster
+        """Raise PetmjxError if this process started Ray and Ray is dead, since nothing would start Ray again. A cluster
         that this process joined is not checked, since its machines may return."""
         if self._uses and self._ours is not None and self._ours.address is None and not self.nodes:
             raise PetmjxError(

@@ -1,6 +1,6 @@
 """Chooses and starts the worker processes of a run: it joins the cluster, chooses the engine, and starts the workers.
 
-If possible, all this happens while plans are read.
+If possible, the workers start while plans are read.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ Begun = tuple[Cluster, WorkerPool | None]
 
 
 class WorkerStartup:
-    """Starts workers in a thread while plans are read. It starts or joins the cluster, and starts the pool of workers
-    if the engine is known early.
+    """Starts workers in a thread while plans are read. This thread starts or joins the cluster, and starts the pool of
+    workers if the engine is known early.
 
     The caller must call ``take`` or ``give_up``.
 
@@ -74,7 +74,7 @@ class WorkerStartup:
         self._decided.wait()
         if not self._taken:
             cluster, pool = self._begun.result()
-            with suppress(Exception):  # there is nobody to report the error to
+            with suppress(Exception):  # nobody waits for the result, so the error is not reported
                 (pool or cluster).close()
 
     def _end_with_process(self) -> None:
@@ -151,7 +151,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
         return _why_no_gpu(options, nodes)
 
     def why_no_kernel() -> str | None:
-        return "not chosen for workers"  # each worker would have to compile the kernels
+        return "not chosen for workers"  # with ``mjx-warp-cpu``, each worker would have to compile the kernels
 
     name, reason = engine, "as asked for"
     if engine == AUTO:
@@ -160,7 +160,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
 
 
 def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
-    """The reason why ``auto`` cannot give each worker a GPU or a share of a GPU. None if it can."""
+    """The reason why ``auto`` cannot give each worker a GPU or a share of a GPU; None if it can."""
     assert options.asked_workers is not None
     return why_no_gpus(nodes, options.asked_workers)
 

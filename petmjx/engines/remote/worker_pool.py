@@ -1,5 +1,5 @@
-"""An engine whose jobs run in worker processes of a Ray cluster. It sends chunks (groups) of jobs to workers, collects
-outcomes, and replaces dead workers."""
+"""An engine whose jobs run in worker processes of a Ray cluster. The engine sends chunks (groups) of jobs to workers,
+collects outcomes, and replaces dead workers."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ LOOK_S = 0.25
 """Longest wait for messages from workers, s. After each wait, signals are handled and progress is updated."""
 
 START_S = 30.0
-"""Longest wait for the first worker when the pool is created, s. The wait shows before a run begins whether the engine
-can run in a worker. A busy cluster may need longer. The run then begins without a worker, and waits for the first."""
+"""Longest wait for the first worker when the pool is created, s. So an engine that cannot run in a worker is reported
+before a run begins. A busy cluster may need longer. If no worker is ready after this time, the run begins without a
+worker, and waits for the first."""
 
 FALSE_STARTS = 3
 """If this number of workers in a row fail to start, the run ends, or dead workers are no longer replaced."""
@@ -42,8 +43,8 @@ LEAST = {"mjx-warp": 512, "mjx-jax": 16}
 device takes as long for a few worlds as for many."""
 
 _HIGHEST = (" lanes", " contacts")
-"""Endings of names in ``Progress.extra``. For these, the largest value of all workers is reported; for others, the
-sum."""
+"""Endings of names in ``Progress.extra``. If a name has one of these endings, the largest value of all workers is
+reported; for other names, the sum."""
 
 
 @dataclass(eq=False)
@@ -56,10 +57,10 @@ class _Stream:
 
 @dataclass(eq=False)
 class _Hand:
-    """A worker, as the pool knows it.
+    """The pool's record of a worker.
 
     Attributes:
-        hello: Ray's reference to the worker's first message. None when this message has arrived.
+        hello: Ray's reference to the worker's first message; None when this message has arrived.
         working: whether the worker's engine certainly exists: it was created before the first message, or the worker
             has reported about a chunk.
         streams: Ray's streams of reports, one for each chunk of the worker.
@@ -102,7 +103,7 @@ class WorkerPool(Engine):
         self.name = recipe.name
         self._recipe, self._cluster, self._ray, self._check_pool = recipe, cluster, cluster.ray, check_pool
         self._running = RunLock(self.name)
-        # As in `_LocalRay`: if the main thread waited for Ray, exceptions of signal handlers would be lost.
+        # A thread waits for Ray: if the main thread did, exceptions of signal handlers would be lost.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="petmjx-workers")
         self._hands: list[_Hand] = []
         self._devices: dict[str, None] = {}
@@ -185,7 +186,7 @@ class WorkerPool(Engine):
         self._hands += [self._start(place) for place in lacking.elements()]
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
-        # users' own engines in workers are treated as MJX engines, since such engines should inherit from these
+        # a user's engine in workers is treated as an MJX engine, since it should inherit from one
         group = None if self.name == "mujoco" else GROUP_WORLDS.get(self.name, GROUP_WORLDS["mjx-jax"])
         least = LEAST.get(self.name, 1)
         deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
@@ -224,7 +225,7 @@ class WorkerPool(Engine):
                         yield from self._bury(hand, deal, jobs, sim, progress)
             progress.message = before
         finally:
-            for hand in [hand for hand in self._hands if hand.streams]:  # their remaining chunks are no longer needed
+            for hand in [hand for hand in self._hands if hand.streams]:  # nobody needs their other chunks
                 self._hands.remove(hand)
                 self._kill(hand)
 
@@ -244,7 +245,9 @@ class WorkerPool(Engine):
         self._ray.kill(hand.actor)
 
     def _news(self) -> list[tuple[_Hand, Any]]:
-        """Workers that have sent something. Each comes with the source: its first message, or the stream of a chunk."""
+        """Workers that have sent something. Each worker comes with the source of its message: the first message, or the
+        stream of a chunk.
+        """
         owner = {ref: hand for hand in self._hands for ref in (hand.hello, *hand.streams) if ref is not None}
 
         def wait() -> list[Any]:
@@ -275,8 +278,8 @@ class WorkerPool(Engine):
         self._devices[hello.device] = None
 
     def _start_again(self, hand: _Hand, error: BaseException, most: int) -> None:
-        """Handle a worker that failed to start. If it was to replace a dead worker, whose device may be broken, up to
-        three starts are tried. If all of them fail, the run continues with the remaining workers.
+        """Handle a worker that failed to start. A worker that replaces a dead worker, whose device may be broken, is
+        started up to three times. If all starts fail, the run continues with the remaining workers.
 
         Args:
             error: error that is raised after ``most`` failed starts, if no worker has died before or no other is left.
@@ -326,7 +329,7 @@ class WorkerPool(Engine):
                 waiting.append(hand)
 
     def _next_report(self, ref: Any) -> Report | Exception | None:
-        """The next report about a chunk. None after the last report; the error if the worker is dead."""
+        """The next report about a chunk; None after the last report; an error if the worker is dead."""
         try:
             item = self._thread.submit(lambda: self._ray.get(ref_of) if (ref_of := next(ref, None)) else None).result()
             report: Report | None = pickle.loads(item) if item is not None else None

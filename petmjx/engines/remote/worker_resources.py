@@ -1,4 +1,4 @@
-"""The number of workers on a cluster, and the number of CPUs and GPUs of each worker. Does not need Ray."""
+"""The number of workers on a cluster, and the number of CPUs and GPUs of each worker. This module does not need Ray."""
 
 from __future__ import annotations
 
@@ -79,7 +79,8 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
 
 
 def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
-    """The reason why the GPUs cannot be divided among this number of workers, in a few words. None if they can.
+    """The reason why the GPUs cannot be divided among this number of workers, in a few words; None if the GPUs can be
+    divided.
 
     A worker gets a whole GPU, or the same share of a GPU as all other workers. With shares of two sizes, Ray might
     leave no room for the last worker. If the shares of a GPU did not add up to a whole GPU, Ray might put too many
@@ -113,7 +114,9 @@ def _sharing(gpus: int, workers: int) -> int:
 
 
 def _share(nodes: Sequence[Node], workers: int) -> int:
-    """The largest number of CPUs per worker with which all workers find room, each on one machine. At least 1."""
+    """The largest number of CPUs per worker with which there is room for all workers, each worker on one machine. At
+    least 1.
+    """
     most = max(sum(node.cpus for node in nodes) // workers, 1)
     return next((share for share in range(most, 1, -1) if sum(node.cpus // share for node in nodes) >= workers), 1)
 

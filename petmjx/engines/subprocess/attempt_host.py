@@ -89,8 +89,8 @@ class SubprocessSimulator:
 
 
 _IDLE: Final[dict[int, list[Child]]] = {}
-"""Process id of a process → the idle processes that it started. A fork of this process must not use them, since a fork
-has no threads."""
+"""Process id of a process → the idle processes that it started. A fork of this process must not use these processes,
+since a fork has no threads that write tasks and read answers."""
 
 
 def _idle_child() -> Child:

@@ -1,7 +1,7 @@
 """The code of the process that simulates single worlds beside a run, on engines with one thread each.
 
-The process reads tasks from a pipe. It has no GPU, so JAX and Warp use the CPU here, even if they use a GPU in the
-run's process. The process ends when the pipe ends, and so also when the process that started it ends.
+The process reads tasks from a pipe. The process sees no GPU, so its JAX and Warp use the CPU, even if those of the
+run's process use a GPU. The process ends when the pipe ends, and so also when the process that started it ends.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def main() -> None:
     pool = ThreadPoolExecutor(max(cpu_threads() - 1, 1), thread_name_prefix="petmjx-beside")
     while (task := next_of(tasks)) is not None:
         pool.submit(answer, task)
-    os._exit(0)  # running tasks are no longer needed
+    os._exit(0)  # the outcomes of running tasks are no longer needed
 
 
 def answer_to(
@@ -100,7 +100,7 @@ def answer_to(
             engines[task.engine] = engine
         with closing(engines[task.engine].run([task.job], task.sim, progress)) as answers:  # type: ignore[type-var]  # a generator
             for outcome in answers:
-                if outcome is not None or stops():  # None is a pause
+                if outcome is not None or stops():  # None is not an outcome: the engine pauses
                     break
     except EngineUnavailable as error:
         return Answer(task.number, None, str(error))

@@ -25,7 +25,7 @@ LARGE: Final = 1000
 """Smallest number of worlds of a run for which check processes save time."""
 
 MOST: Final = 3
-"""Largest number of check processes. With three, the run's own process is busier than each of them."""
+"""Largest number of check processes. With three check processes, the run's own process is busier than each of them."""
 
 THREADS_EACH: Final = 4
 """Number of CPU threads of a machine for each check process."""
@@ -37,7 +37,8 @@ LOOK_S: Final = 0.005
 """Longest uninterrupted wait for an answer, s. Signals and other work are handled after each wait."""
 
 INTERRUPTED_S: Final = 2.0
-"""Longest wait for all processes together after Ctrl-C, s. This process then makes the remaining checks itself."""
+"""Longest wait for all processes together after Ctrl-C, s. After this wait, the run's own process makes the remaining
+checks."""
 
 HANGS_S: Final = 60.0
 """A process counts as hanging if an answer takes longer than this, s. A process normally starts within a few seconds,
@@ -64,8 +65,8 @@ class _CheckProcess(Generic[Key]):
 
 
 class CheckPool(Generic[Key]):
-    """Processes that check outcomes (``outcome_checks``). If a process gives no answer, this process checks the
-    outcomes.
+    """Processes that check outcomes (``outcome_checks``). If a process gives no answer, the run's own process checks
+    the outcomes.
 
     Each outcome has a key, by which the run identifies the outcome.
     """
@@ -86,7 +87,7 @@ class CheckPool(Generic[Key]):
             self._until_s = time.monotonic() + INTERRUPTED_S
 
     def _hangs(self, waits: int) -> bool:
-        """Whether a process counts as hanging after this number of waits for its answer."""
+        """Whether a check process hangs, judged by the number of waits for its answer."""
         return waits * LOOK_S >= HANGS_S if self._until_s is None else time.monotonic() >= self._until_s
 
     @property
@@ -109,8 +110,8 @@ class CheckPool(Generic[Key]):
         Args:
             jobs: the job of each outcome.
             wait: whether to wait until all outcomes are checked.
-            until: function that returns whether the caller has other work. If it does, the wait ends, and later calls
-                return the remaining outcomes.
+            until: function that returns whether the caller has other work. If the caller has other work, the wait ends,
+                and later calls return the remaining outcomes.
         """
         if keyed_outcomes:
             self._begin([key for key, _ in keyed_outcomes], ([outcome for _, outcome in keyed_outcomes], jobs, sim))
@@ -122,9 +123,10 @@ class CheckPool(Generic[Key]):
         return finished
 
     def _begin(self, keys: list[Key], look: Look) -> None:
-        """Start a check. Waits if too many checks are unfinished."""
+        """Start a check. The call waits if too many checks are unfinished."""
         outcomes, jobs, sim = look
-        # Checks need no histories, samples of drives, or states. For states, a process would have to import JAX.
+        # Checks need no histories, samples of drives, or states. To unpickle states, a check process would have to
+        # import JAX.
         light = [replace(outcome, state=None, history=None) for outcome in outcomes]
         sent = [replace(job, start=None, drive=_ANY_DRIVE if job.drive is not None else None) for job in jobs]
         while self._check_pool:

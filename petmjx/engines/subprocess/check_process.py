@@ -34,7 +34,7 @@ def main() -> None:
             outcomes = outcome_checks(*look)
             edges = [(outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m) for outcome in outcomes]
             for outcome in outcomes:
-                del outcome.boxes  # the run has the boxes, and would spend most of its time unpickling them
+                del outcome.boxes  # the run still has these data, and unpickling them takes long
             answer = outcomes, edges
         except Exception as error:
             answer = one_line(error)

@@ -18,12 +18,12 @@ NICE: Final = 0
 
 @dataclass(frozen=True)
 class GpuLimits:
-    """What determines the kernels for a GPU.
+    """The properties of a GPU from which its kernels follow.
 
     Attributes:
         arch: compute capability times ten: 90 is an H100.
         max_shared_memory_per_block: largest shared memory of a thread block, bytes.
-        sm_count: number of multiprocessors. Kernels do not depend on it.
+        sm_count: number of multiprocessors. Kernels do not depend on this number.
     """
 
     arch: int
@@ -51,7 +51,7 @@ class BuildAnswer(NamedTuple):
     """A kernel that was compiled.
 
     Attributes:
-        seconds: time that it took; nearly 0 for a kernel that was kept from earlier.
+        seconds: time that compiling took, s; nearly 0 for a kernel that was in the cache.
         fault: why the kernel could not be compiled; "" if it was.
     """
 

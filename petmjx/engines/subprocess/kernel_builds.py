@@ -1,7 +1,7 @@
 """Compiles kernels of mjx-warp before they are needed, each in a process of its own.
 
-NVRTC compiles a kernel in some 15 s. In the process of a run, this work would begin only when JAX and Warp have
-started, and it would share the interpreter's lock with the reading of plans. Processes begin at once.
+NVRTC compiles a kernel in some 15 s. In the process of a run, compiling would begin only when JAX and Warp have
+started, and would share the interpreter's lock with the reading of plans. Separate processes begin to compile at once.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ SHARED_KB: Final = {75: 64, 80: 163, 86: 99, 87: 163, 89: 99, 90: 227, 100: 227,
 Specifications per Compute Capability")."""
 
 MOST_PROCESSES: Final = 8
-"""Largest number of kernels that are compiled at the same time. Each takes up to 1 GB of memory."""
+"""Largest number of kernels that are compiled at the same time. Each compilation takes up to 1 GB of memory."""
 
 LOOK_S: Final = 0.25
-"""Longest wait for an answer, s. After each wait, the end of the program is noticed."""
+"""Longest wait for an answer, s. If the program ends during a wait, this is noticed after the wait."""
 
 
 def gpu_here() -> GpuLimits | None:
@@ -83,8 +83,8 @@ class KernelBuilds:
             self._begin_next(None)
 
     def answers(self) -> Iterator[BuildAnswer]:
-        """Yield each kernel when it is compiled, or has failed. Ends early, without the missing kernels, if the
-        program ends. Closing the iterator ends the processes."""
+        """Yield each kernel when it is compiled, or has failed. The iterator ends early, without the missing kernels,
+        if the program ends. Closing the iterator ends the processes."""
         try:
             while self._children and threading.main_thread().is_alive():
                 first = next(iter(self._children))
@@ -114,8 +114,8 @@ class KernelBuilds:
 
 
 def builds_if_missing(sim: Simulation) -> KernelBuilds | None:
-    """Begin to compile the usual kernels for this machine's GPU. None if an earlier run left a note that they are kept,
-    or if there is no GPU."""
+    """Begin to compile the usual kernels for this machine's GPU. None if there is no GPU, or if an earlier run left a
+    note that these kernels are in the cache."""
     gpu = gpu_here()
     if gpu is None or are_noted(_name_of(sim, gpu)):
         return None

@@ -1,4 +1,6 @@
-"""The pipes of a process beside a run. Its standard input has pickled tasks, its standard output pickled answers."""
+"""The pipes of a process beside a run: the process reads pickled tasks from its standard input, and writes pickled
+answers to its standard output.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ class Child:
         module: the module whose function ``main`` the process runs.
 
     Attributes:
-        tasks: queue of pickled tasks. None ends the queue.
-        answers: queue of answers. None is the last entry.
+        tasks: queue of pickled tasks; the entry None ends the queue.
+        answers: queue of answers; the last entry is None.
     """
 
     def __init__(self, module: str) -> None:
@@ -43,7 +45,7 @@ class Child:
             )
             for target in (self._write, self._read):
                 threading.Thread(target=target, args=(self._popen,), name="petmjx-beside", daemon=True).start()
-        except (OSError, RuntimeError):  # no memory for the process or a thread, or the interpreter is embedded
+        except (OSError, RuntimeError):  # too little memory, or an interpreter inside another program
             self.answers.put(None)
 
     @property
@@ -90,8 +92,8 @@ def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
 
 
 def next_of(pipe: IO[bytes]) -> Any:
-    """The next object from a pipe. None at the end of the pipe. Also None if the object cannot be read, because the
-    pipe ends within the object, memory is short, or its class cannot be imported."""
+    """The next object from a pipe. The result is None at the end of the pipe, and also if the object cannot be read,
+    because the pipe ends within the object, memory is short, or its class cannot be imported."""
     try:
         return pickle.load(pipe)
     except Exception:  # if this thread ended silently, the run would wait for ever

@@ -3,12 +3,13 @@
 On a GPU, the hardware's scheduler runs the blocks. On a CPU, each block runs in its own thread.
 
 The number of boxes of a world determines its block. In a step of forty boxes, threads mostly wait for one another's
-results (latency), so another world should share the multiprocessor. A step of two hundred boxes is work for many
-threads. So there are blocks of two sizes, and each size has its own kernel.
+results (latency), so a multiprocessor should simulate a second world meanwhile. A step of two hundred boxes is work for
+many threads. So there are blocks of two sizes, and each size has its own kernel.
 
-A step of a few boxes is latency only, so many such worlds must be stepped together. A third kernel has sixteen worlds
-in a block, one per warp (32 threads). Pallets of all sizes begin in these blocks. A run ends with its longest worlds. A
-world is faster if it has a multiprocessor to itself, so a fourth kernel simulates the last worlds of a run.
+In a step of a few boxes, threads do little but wait, so a multiprocessor must step many of these worlds together. A
+third kernel has sixteen worlds in a block, one per warp (32 threads). Pallets of all sizes begin in these blocks. A run
+ends with its longest worlds. The simulation of a world is faster if the world has a multiprocessor to itself, so a
+fourth kernel simulates the last worlds of a run.
 
 All kernels add numbers in the same order. So a world may move to another kernel after any step, with bit-identical
 results.
@@ -67,7 +68,7 @@ class Call:
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """For use within a call from JAX to Python: allows other threads to make such calls at the same time.
+    """Within a call from JAX to Python, lets other threads make their calls from JAX at the same time.
 
     Warp (1.18) holds a lock during a call from JAX. So engines in several CPU threads would run one after another, one
     time slice at a time. Warp has read the data that the lock protects before it calls petmjx's function, so the lock
@@ -155,8 +156,8 @@ def own_kernels(count: int) -> list[wp.Kernel]:
 
 @contextmanager
 def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
-    """CUDA streams for kernels that run at the same time. They start after earlier work on the current stream. Later
-    work on the current stream waits for them.
+    """CUDA streams for kernels that run at the same time. The kernels start after earlier work on the current stream,
+    and later work on the current stream waits for the kernels.
 
     Launch the kernels in the order of the streams.
     """
@@ -185,10 +186,10 @@ class Size:
         most_boxes: largest number of boxes of a world.
         threads: number of threads of a block, from 64 to 512. The number of threads of a world is a power of two, from
             32 to 256 (ORDER in block.cuh).
-        per_sm: number of blocks that a multiprocessor of a GPU runs at the same time. It limits the number of registers
-            of a thread.
+        per_sm: number of blocks that a multiprocessor of a GPU runs at the same time. This number limits the number of
+            registers of a thread.
         shared_bytes: shared memory of a block for rows of the factor of the Hessian, and for the Hessian if it fits,
-            bytes. A multiprocessor has 256 kB for all its blocks. The remaining memory serves as cache.
+            bytes. A multiprocessor has 256 kB for all its blocks. The part of it that no block uses serves as cache.
         worlds: number of worlds of a block: one for all its threads, or one for each warp (32 threads).
         pause_after: number of iterations after which the solver of a world pauses, so that the other worlds of the
             block need not wait for this world. If 0, the solver never pauses.
@@ -211,7 +212,8 @@ FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
 matrix."""
 
 LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
-"""Blocks for the last worlds of a run, if these worlds have the smaller size. Each block fills a multiprocessor."""
+"""Blocks for the last worlds of a run, if these worlds have the smaller size. Each of these blocks fills a
+multiprocessor."""
 
 
 USUAL: Final = (SIZES[0], FEW_BOXES, LAST)
@@ -224,7 +226,7 @@ def size_for(n_boxes: int) -> Size:
 
 
 class DeviceLimits(Protocol):
-    """The properties of a device that decide about launches. Warp's devices have them.
+    """The properties of a device on which launches depend. Warp's device objects have these properties.
 
     Attributes:
         is_cuda: whether the device is a GPU.
@@ -280,8 +282,7 @@ class Launch:
 
     @property
     def tile_words(self) -> int:
-        """Size of the tile (an array in shared memory) of a block, in units of four bytes. It is 0 if there is no
-        tile."""
+        """Size of the tile (an array in shared memory) of a block, in units of four bytes; 0 if there is no tile."""
         newton_words = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
         return self.worlds * (self.shared_words + newton_words)
 
@@ -330,7 +331,7 @@ class Launch:
 
 @functools.cache
 def kernel(launch: Launch) -> Any:
-    """The kernel of a launch. Its threads call ``kernels.world_loop.run_worlds``."""
+    """The kernel of a launch. The kernel's threads call ``kernels.world_loop.run_worlds``."""
     shared_words, of_block = launch.shared_words, launch.worlds
     tile_words, threads = launch.tile_words, launch.threads // launch.worlds
     hands, gives, wraps, lands = (int(flag) for flag in (launch.hands, launch.gives, launch.wraps, launch.lands))

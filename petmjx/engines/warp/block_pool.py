@@ -16,9 +16,9 @@ from petmjx.world.contact_laws import is_stiff
 
 
 def most_room(size: int) -> int:
-    """Number of boxes for whose contacts and pairs the buffers of a world of this size may have room at most.
+    """Largest number of boxes for whose contacts and pairs the buffers of a world of this size may grow.
 
-    The limit is the same in all runs. So which worlds are given up does not depend on the largest plan of a run."""
+    The limit is the same in all runs, so the largest plan of a run has no influence on whether a world is given up."""
     return MAX_GROWTH * (size + MORE_BOXES)
 
 
@@ -37,15 +37,15 @@ class BlockPools:
         """(Friction cone, size of worlds) → factor by which buffers are larger than the default."""
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
-        """The block pools of a table. If there are pools for the last worlds and for small worlds, they come first.
-        They are followed by one pool for each size, the largest size first. ``Programs._advance`` makes the queues in
-        the same order."""
+        """The block pools of a table. Pools for the last worlds and for small worlds, if there are any, come first.
+        Then comes one pool for each size, the largest size first. ``Programs._advance`` makes the queues in the same
+        order."""
         run = table.run
         pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
         # There is no pool for small worlds if buffers are enlarged: each of the pool's many lanes would need an
-        # enlarged buffer. There is none with stiff contacts either. A step then takes five times as many iterations,
-        # and in some worlds many more; the other worlds of a block would wait for such a world.
+        # enlarged buffer. There is no pool for small worlds with stiff contacts either. With these, a step takes five
+        # times as many iterations, and in some worlds many more, for which the other worlds of the block would wait.
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(table.table.placed)[: len(table.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = small_world_pool(pools[-1], worlds, self._lanes)
@@ -55,7 +55,7 @@ class BlockPools:
 
     def grow(self, run: Run, size: int) -> int | None:
         """Double the buffers for worlds of a size. Returns the factor by which the buffers are now larger than the
-        default. Returns None if they already have their largest size."""
+        default, or None if they already have their largest size."""
         if self._boxes_of_room(run, size) == most_room(size):
             return None
         growth = 2 * self._growth_of(run, size)

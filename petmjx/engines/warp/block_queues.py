@@ -20,8 +20,8 @@ class Queues:
     short worlds.
 
     Worlds that have completed a leg of a chain (a part of a journey) come before all others. Among them, the world that
-    was queued last comes first. So chains are completed all the time, and the CPU writes their results during the
-    simulation. If length alone decided, the short last legs of all chains would come at the end of the run.
+    was queued last comes first. So chains end one after another during the whole run, and the CPU writes their results
+    during the simulation. If length alone decided, the short last legs of all chains would come at the end of the run.
 
     Args:
         sizes: largest number of boxes of each size, in the order of the queues.
@@ -36,8 +36,8 @@ class Queues:
         self._sizes, self._size_of, self._depth_first = sizes, size_of, depth_first
         self._size, self._cost = np.zeros(rows, np.int64), np.zeros(rows)
         self._turn = np.zeros(rows, np.int64)
-        """Order of the rows' worlds: a smaller number comes first. 0 for most worlds; a negative number for worlds that
-        come before all of these."""
+        """Rank of the world in each row: smaller ranks come first. Most worlds have the rank 0; worlds that come before
+        these have negative ranks."""
         self._n_added = 0
         self.order: Int[jax.Array, "queue world"]
 
@@ -63,5 +63,5 @@ class Queues:
         self.order = device_array(order)
 
     def _is_ahead(self, job: Job) -> bool:
-        """Whether a world comes before the worlds that begin with their placement."""
+        """Whether the world of a job comes before all worlds that begin with their placement."""
         return job.poses is not None or (self._depth_first and job.start is not None)

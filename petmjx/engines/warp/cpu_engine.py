@@ -32,13 +32,13 @@ class MjxWarpCpuEngine(MjxWarpEngine):
             may use.
 
     Raises:
-        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process. The message says which.
+        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process. The message names the reason.
     """
 
     name = "mjx-warp-cpu"
     depth_first = True
     """On a CPU, few worlds run at once, so few threads are idle at the end of a run even if the last worlds are long.
-    Finishing worlds early is then better: an interrupted run keeps more finished worlds."""
+    So worlds are finished as early as possible, and an interrupted run keeps more finished worlds."""
 
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and threads < 1:

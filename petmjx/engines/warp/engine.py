@@ -39,8 +39,8 @@ GPU_SLICE_NS = 100_000_000
 shorter slices, the GPU waits for calls."""
 
 MIN_BLOCKS = 16
-"""If memory is short, the number of thread blocks is halved, but not below this. Fewer blocks would save hardly any
-more memory."""
+"""If memory is short, the number of thread blocks is halved, but not below this number, since still fewer blocks would
+save hardly any memory."""
 
 
 def _half_pool(pool: BlockPool) -> BlockPool:
@@ -52,29 +52,29 @@ class MjxWarpEngine(Engine):
     """Simulates worlds in Warp's kernels, each world at its own pace in a thread block
     (petmjx/engines/warp/kernel_launcher.py).
 
-    This engine has only Newton's method. C MuJoCo makes the attempts that need another solver
+    The only solver of this engine is Newton's method. C MuJoCo makes the attempts that need another solver
     (petmjx/engines/attempts.py).
 
     Args:
         lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
-        allow_cpu: whether to run Warp's kernels on the CPU if there is no CUDA device. This is slow, and meant for
-            tests.
-        most_rows: largest number of worlds whose states are on the device at the same time. It limits the memory,
-            whatever the number of jobs.
+        allow_cpu: whether to run Warp's kernels on the CPU if there is no CUDA device. Running on the CPU is slow, and
+            meant for tests.
+        most_rows: largest number of worlds whose states are on the device at the same time. This number limits the
+            memory, whatever the number of jobs.
         slice_ns: length of a time slice (one call of the kernels), ns. After each slice, the CPU reads which worlds
             have ended.
 
     Attributes:
         granule: the number of box columns of tables is a multiple of this.
         least_rows: smallest number of rows of a table. Programs are compiled for each number of rows and of columns. So
-            a larger value helps long runs that begin with few jobs, and a series of runs with different numbers of
-            jobs.
-        depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU it is
-            False, so that the longest of all worlds come first, since many blocks would be idle if long worlds came
-            last.
+            a larger ``least_rows`` saves compilations in long runs that begin with few jobs, and in series of runs with
+            different numbers of jobs.
+        depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU, the
+            value is False, so that the longest of all worlds come first: if long worlds came last, many blocks would be
+            idle.
 
     Raises:
-        EngineUnavailable: there is no CUDA device, or Warp is not installed. The message says which.
+        EngineUnavailable: there is no CUDA device, or Warp is not installed. The message names the reason.
     """
 
     name = "mjx-warp"
@@ -140,9 +140,9 @@ class MjxWarpEngine(Engine):
             waits = source.recorded
             try:
                 for outcome in outcomes_of(self._slices(source, sim, progress, waits), sim, progress, waits=waits):
-                    stream_number = outcome.job if outcome is not None else None  # None is a pause
+                    stream_number = outcome.job if outcome is not None else None  # None means that the engine pauses
                     yield outcome
-                    if stream_number is not None:  # the caller has put the jobs that follow from this outcome
+                    if stream_number is not None:  # the caller has now put the jobs that follow from this outcome
                         source.answered(stream_number)
             except Exception as error:
                 if not is_out_of_memory(error):
@@ -150,13 +150,14 @@ class MjxWarpEngine(Engine):
             else:
                 continue
             self._drop()
-            # This is outside the ``except`` block, since the traceback would keep the tables in memory.
+            # The following call is outside the ``except`` block, in which the traceback would keep the tables in
+            # memory.
             yield from self._again(source, sim, progress)
 
     def _again(self, source: TableJobs, sim: Simulation, progress: Progress) -> Iterator[Outcome]:
         """After memory ran out and the states of all worlds were lost, simulate the jobs without an outcome again. The
-        jobs of one block size are simulated at a time; if all have the same size, half of them. A world that was alone
-        is given up."""
+        jobs are divided by block size, or in half if all have the same size, and the parts are simulated one after
+        another. A job that already had the device to itself is given up."""
         lost = source.lose()
         if source.alone and lost:
             needs = KernelFeatures.of([*lost.values()], self.granule)
@@ -178,8 +179,8 @@ class MjxWarpEngine(Engine):
                     yield outcome
 
     def _slices(self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool) -> Generator[SliceResult]:
-        """The ended worlds of one table after another. Stops before a table for which ``waits`` is wrong. ``waits``:
-        whether each time slice waits for the CPU, which is necessary if worlds are recorded.
+        """The ended worlds of one table after another. The iteration stops before a table for which ``waits`` is wrong.
+        ``waits``: whether each time slice waits for the CPU, which is necessary if worlds are recorded.
         """
         while not source.ended and source.recorded == waits:
             jobs, stream_numbers, rows = source.begin()
@@ -188,7 +189,7 @@ class MjxWarpEngine(Engine):
             table = self._load(Run.of(source.needs, sim, progress), jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
-                running = None  # this frees their memory for the simulation
+                running = None  # deleting these arrays frees their memory for the simulation
             yield from self._slices_of(table, source, waits=waits)
             del table  # the next table needs this memory
 
@@ -214,11 +215,11 @@ class MjxWarpEngine(Engine):
         try:
             yield from slices.results(simulate=simulate)
         except BaseException:
-            self._drop()  # the memory of a call that did not return is lost
+            self._drop()  # a call that did not return has lost its memory
             raise
 
     def _rollout(self, table: WorldTable) -> Rollout | None:
-        """The buffers for the simulation of a table, with fewer blocks if memory is short. None if not even
+        """The buffers for the simulation of a table, with fewer blocks if memory is short; None if not even
         ``MIN_BLOCKS`` blocks fit in memory. If the table has blocks of two sizes, the memory error is raised
         instead."""
         run = table.run
@@ -241,7 +242,7 @@ class MjxWarpEngine(Engine):
                     more, pools = pools, tuple(_half_pool(pool) for pool in pools)
                     if pools == more:
                         if len(pools) > 1:
-                            raise  # the caller tries each size alone, since one size may fit
+                            raise  # the caller tries each size alone, since one may fit in memory
                         return None
                 self._drop()  # rollouts of other sizes may hold the memory: try again without them
                 lanes = sum(pool.lanes for pool in pools)

@@ -16,12 +16,13 @@ from petmjx.engines.warp.world_arrays import FrameBuffer
 from petmjx.engines.warp.world_table import WorldTable
 
 MOST_BYTES: Final = 64 << 20
-"""Size of the largest frame buffer, bytes. If the largest plan of a run has 45 boxes, it has room for 40,000 frames.
-For worlds of this size, an H200 has 264 thread blocks. If all worlds are recorded, these blocks write about 10,000
-frames in a slice of 250 ms. A block that finds no room waits for the next slice."""
+"""Size of the largest frame buffer, bytes. If the largest plan of a run has 45 boxes, a buffer of this size has room
+for 40,000 frames. For worlds of this size, an H200 has 264 thread blocks. If all worlds are recorded, these blocks
+write about 10,000 frames in 250 ms, which is longer than a time slice on a GPU. A block that finds no room waits for
+the next slice."""
 
 FRAMES_PER_WORLD: Final = 512
-"""Number of frames for which the buffer has room, per recorded world. Even the fastest worlds write fewer in a
+"""Number of frames for which the buffer has room, per recorded world. Even the fastest worlds write fewer frames in a
 slice."""
 
 FRAMES_PER_BLOCK: Final = 4
@@ -29,8 +30,9 @@ FRAMES_PER_BLOCK: Final = 4
 may be about to write a frame."""
 
 FEWEST: Final = 1024
-"""Smallest number of frames that are transferred together. If a slice has more, eight times this number is transferred,
-then 64 times, and so on, since a program is compiled for each of these numbers."""
+"""Smallest number of frames that are transferred together. If a slice has more frames, eight times this number is
+transferred, or 64 times, and so on: each number of frames needs its own compiled program, so few different numbers are
+used."""
 
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arrays.array_types(FrameBuffer).items()}
 
@@ -40,7 +42,7 @@ PickedFrames = tuple[dict[str, jax.Array], int]
 
 
 def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
-    """Empty frame buffers. If no world of the table is recorded, they have room for a single frame."""
+    """Empty frame buffers. If no world of the table is recorded, the buffers have room for a single frame."""
     n_worlds, n_boxes = table.table.qpos.shape[:2]
     words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
     n_recorded = int(np.count_nonzero(table.recorder.every))
@@ -53,8 +55,8 @@ def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
 
 
 def pick_frames(frames: dict[str, jax.Array]) -> PickedFrames:
-    """The frames of an ended slice, still on the device, and their number. Call this before the next slice begins,
-    since the device would otherwise finish the next slice first."""
+    """The frames of an ended slice, still on the device, and their number. Call this method before the next slice
+    begins: after that, the device would finish the next slice first."""
     used, room = int(np.asarray(frames["used"])[0]), len(frames["of"])
     some = FEWEST
     while some < used:

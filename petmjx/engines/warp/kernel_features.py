@@ -28,7 +28,7 @@ def is_wrapped(job: Job) -> bool:
 
 
 def size_of(job: Job) -> int:
-    """The block size of a job's world, named by the largest number of boxes for which a block of this size has room."""
+    """The block size of a job's world. A block size is named by the largest number of boxes for which it has room."""
     return size_for(job.scene.n_boxes).most_boxes
 
 

@@ -2,9 +2,9 @@
 
 The thread blocks for worlds of one size form a block pool, which has its own kernel
 (petmjx/engines/warp/block_launch.py). All pools run at the same time on the same tables of worlds. A block takes a
-world from the queue of its pool. It simulates this world until the world ends, the world's drive (motion of the
-carrier) begins, or the time slice is over. Then it takes the next world. No world waits for another: each step takes
-only the time for the world's own boxes and its own solver. States are in the tables of
+world from the queue of its pool. The block simulates this world until the world ends, the world's drive (motion of the
+carrier) begins, or the time slice is over. Then the block takes the next world. No world waits for another: a step
+takes only the time that the boxes and the solver of its own world need. States are in the tables of
 petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next call. So results do not depend on the
 blocks, on the order of worlds, or on the length of a slice.
 """
@@ -38,7 +38,8 @@ from petmjx.engines.warp.world_arrays import (
 )
 
 SLICE_NS = 250_000_000
-"""Length of a time slice (one call of the kernels), ns: short enough for a progress bar and for an interruption."""
+"""Length of a time slice (one call of the kernels), ns, if an engine sets no other length: short enough for a progress
+bar and for an interruption."""
 
 PAIRS_PER_BOX = 10
 """Number of pairs of near geoms for which memory is reserved, per box and per board of a carrier."""
@@ -131,7 +132,7 @@ class KernelLauncher:
         _LAUNCHERS[self.id] = self
 
     def workspace(self) -> jax.Array:
-        """A new workspace (memory for use within a step) for all blocks. It is an argument of each call."""
+        """A new workspace (memory for use within a step) for all blocks. The workspace is an argument of each call."""
         rows = sum(world_arrays.buffer_rows(pool.sizes) for pool in self.pools)
         return jnp.zeros((rows, world_arrays.BUFFER_WORDS), jnp.float32)
 
@@ -184,8 +185,8 @@ def _with_block(before: tuple[Any, ...], after: tuple[Any, ...], first_block: in
 
 
 def _of_frames(name: str) -> str:
-    """The name of an array of ``FrameBuffer`` among all arrays that JAX passes. It has a prefix, since ``State`` uses
-    some of the same names."""
+    """The name of an array of ``FrameBuffer`` among all arrays that JAX passes. The name has a prefix, since ``State``
+    uses some of the same names."""
     return f"frame_{name}"
 
 
@@ -200,8 +201,8 @@ _CHANGED = (
 
 _IDS = itertools.count()
 _LAUNCHERS: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
-"""Number of a launcher → the launcher. JAX never frees a function that it calls. If such a function belonged to a
-launcher, the memory of the run would never be freed. So the function ``_launch`` gets only the number of the
+"""Number of a launcher → the launcher. JAX never frees a function that it calls. If a function that JAX calls belonged
+to a launcher, the memory of the run would never be freed. So the function ``_launch`` gets only the number of the
 launcher."""
 
 

@@ -1,4 +1,6 @@
-"""Arrays of the next boxes of many open worlds, and the states of these worlds. No scene is built for a tried place."""
+"""Arrays of the next boxes of many open worlds, and the states of these worlds. Trying a place for a box needs only
+these arrays; no scene is built.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ class NewBox(NamedTuple):
 
 
 def new_box(before: Stacks, boxes: NextBoxes, blank: EmptyCarrier, sim: Simulation, rows: int) -> NewBox:
-    """The constants of boxes that appear at their places, one box on each of these stacks.
+    """The constants of boxes that appear at their places, one box on each of the given stacks.
 
     Args:
         rows: number of rows of the arrays, at least one per box. Additional rows repeat the first box, and are not

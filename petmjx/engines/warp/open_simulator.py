@@ -34,7 +34,7 @@ from petmjx.world.scene import Scene
 
 
 class Traits(NamedTuple):
-    """Features of worlds for which a kernel must be compiled. They are the same as in ``Launch``."""
+    """Features of worlds for which a kernel must be compiled: the fields of the same names in ``Launch``."""
 
     hands: bool
     gives: bool
@@ -47,7 +47,7 @@ class Traits(NamedTuple):
         return cls(not scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
 
     def __or__(self, other: tuple[object, ...]) -> Traits:
-        """The features that at least one of the two has."""
+        """The features that are in this set or in ``other``."""
         return Traits(*(bool(mine or its) for mine, its in zip(self, other, strict=True)))
 
 
@@ -122,12 +122,12 @@ class Simulator:
         return OpenState(after, state._replace(status=jnp.where(goes, Status.RUNNING, state.status)))
 
     def put_next(self, open_: OpenState, rows: Int[Array, " row"], box: NewBox) -> OpenState:
-        """Do the same as ``put`` for one box per world, which appears at its place."""
+        """Add one box, which appears at its place, to each of these worlds. Apart from that, the same as ``put``."""
         return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
 
     def finish(self, open_: OpenState) -> State:
         """Let each paused world begin its rest window or its drive, as its constants say. A world may have paused
-        because its boxes did not come to rest in time. If such a world still moves, it first continues to wait, since
+        because its boxes did not come to rest in time. A paused world that still moves first continues to wait, since
         the last wait of a world may be longer than the earlier waits."""
         state, worlds = open_.state, open_.worlds
         paused = state.status == Status.PAUSED
@@ -179,7 +179,7 @@ class Simulator:
         return ~state.metrics.has_failed(self._sim.thresholds) & (state.quiet_steps < self._sim.quiet.steps)
 
     def _lasts_longer(self, state: State) -> Bool[Array, " world"]:
-        """Whether each paused world would wait longer if this were its last wait."""
+        """Whether each paused world would wait longer if the wait that has just ended were its last."""
         patient = self._sim.waits_for_rest and self._sim.check is Check.ONE_BY_ONE
         return patient & (state.step < jnp.asarray(self._timetable.longest)[state.last_placed_at])
 

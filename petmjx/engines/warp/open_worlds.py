@@ -1,4 +1,5 @@
-"""Open worlds (to which boxes can be added) on the engine mjx-warp. Their states stay on the device between calls.
+"""Open worlds (to which boxes can be added) on the engine mjx-warp. The states of open worlds stay on the device
+between calls.
 
 petmjx/engines/warp/open_simulator.py has the pure functions that change these worlds. ``WarpWorlds`` offers the same
 operations to ordinary Python code.
@@ -55,7 +56,7 @@ class WarpWorlds(OpenWorlds):
 
     Attributes:
         open: the worlds, on the device.
-        simulator: the pure functions that change these worlds. Jitted programs can call them, too.
+        simulator: the pure functions that change these worlds. Jitted programs can call these functions, too.
         width: number of boxes for which each world has room.
         boards: number of shapes for which the carrier of each world has room.
     """
@@ -137,7 +138,7 @@ class WarpWorlds(OpenWorlds):
         padded = padded_rows(count)
         batch = load(jobs, padded, self.width, self._sim, self._timetable)
         forks = _take(self.open, self._rows(worlds, padded), count)
-        more = self._constants(scenes, padded)  # without drives: a drive begins only when the boxes rest
+        more = self._constants(scenes, padded)  # have no drives yet: a drive begins when the boxes rest
         rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
         settled = self._to_the_end(self._jitted_put(forks, rows, more), jnp.zeros((1, 1, 3)))
         return self._ended_outcomes(settled.state, jobs, batch)
@@ -226,8 +227,8 @@ class WarpWorlds(OpenWorlds):
         )
 
     def roomier(self, times: int) -> Simulator:
-        """The pure functions with buffers that are ``times`` as large as the default. Jitted programs need large
-        buffers from the beginning, since they cannot enlarge them."""
+        """The pure functions with buffers that are ``times`` as large as the default. Jitted programs cannot enlarge
+        buffers, so they need large buffers from the beginning."""
         return Simulator(self._sim, self._timetable, self.width, self.boards, times, self._threads, self._traits)
 
     def _know(self, scenes: Sequence[Scene]) -> None:

@@ -32,20 +32,20 @@ from petmjx.world.contact_laws import MOST_IMPEDANCE, kinetic_share, lasts_steps
 from petmjx.world.film import spring_rate_1_s
 
 TOLERANCE = 1e-8
-"""Tolerance of the solver: MuJoCo's default. The solver can reach it, since forces and residuals have double
-precision."""
+"""Tolerance of the solver: MuJoCo's default. The solver can reach this tolerance, since forces and residuals have
+double precision."""
 
 READ_COUNTS = ("steps", "iterations", "contacts")
 """The counts that the CPU reads after each time slice (one call of the kernels). Fetching an array may require a wait
-for Python's global interpreter lock. So these counts are in the same array as the statuses of all worlds, behind
-them."""
+for Python's global interpreter lock. So the CPU fetches a single array: the statuses of all worlds, followed by these
+counts."""
 
 DRIVEN_ITERATIONS = 7
 """Largest number of solver iterations per step of a drive (motion of the carrier). While a whole pallet slides and
-collapses, the last digits of accelerations would take 20 or more iterations. Of 1,600 worlds of EUMOS's grid, 1,598
-have the same verdict as on ``mujoco``, which has no such limit. benchmarks/notebook/performance.md, "Sliding contacts",
-has the costs and gains of the limit. The limit does not apply to carriers with walls, which throw piles back. With the
-limit, the verdict differed for 9 of 240 driven worlds in roll containers with four walls."""
+collapses, the solver would need 20 or more iterations to compute the last digits of accelerations. Of 1,600 worlds of
+EUMOS's grid, 1,598 have the same verdict as on ``mujoco``, which has no such limit. benchmarks/notebook/performance.md,
+"Sliding contacts", has the costs and gains of the limit. The limit does not apply to carriers with walls, which throw
+piles back. With the limit, the verdict differed for 9 of 240 driven worlds in roll containers with four walls."""
 
 
 def friction_damping(physics: Physics) -> float:
@@ -74,7 +74,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "kinetic_share": kinetic_share(physics),
         "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world with many iterations delays no other world
+        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # worlds with many iterations delay no other
         "driven_iterations": sim.solver_iterations or (MAX_ITERATIONS if has_walls(sim) else DRIVEN_ITERATIONS),
         "ls_iterations": LINE_SEARCH_ITERATIONS,
         "fixed": int(sim.schedule is Schedule.FIXED),
@@ -142,7 +142,7 @@ class Programs:
         if sizes in self._compiled:
             return self._compiled[sizes]
         begin, progress.message = time.perf_counter(), "compiling"
-        with _COMPILING:  # wait here until another thread has compiled kernels in advance
+        with _COMPILING:  # if another thread is compiling kernels in advance, this waits for it
             if sizes not in self._compiled:
                 self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()
@@ -179,8 +179,8 @@ once."""
 
 
 def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> None:
-    """Compile the kernels that most runs with these options need, or load them from Warp's cache, before the plans are
-    known. Plans with compliant boxes, stretch film, or many boxes need other kernels. Without a GPU, nothing is
+    """Before the plans are known, compile the kernels that most runs with these options need, or load them from Warp's
+    cache. Plans with compliant boxes, stretch film, or many boxes need other kernels. Without a GPU, nothing is
     compiled.
 
     Args:
@@ -193,13 +193,13 @@ def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> N
         for _ in builds.answers() if builds is not None else ():
             pass
         if not threading.main_thread().is_alive():
-            return  # the program ends, and needs no kernels any more
+            return  # the process is ending, and needs no kernels any more
         load_kernels([Launch.of(size, hands, lands=lands) for size in USUAL])
 
 
 MOST_KEPT = 16
-"""Number of ``Programs`` objects that are kept. A score with further attempts needs up to four. The largest takes 16
-MB."""
+"""Number of ``Programs`` objects that are kept. A score with further attempts needs up to four. The largest of these
+objects takes 16 MB."""
 
 
 @functools.lru_cache(MOST_KEPT)

@@ -19,7 +19,7 @@ from petmjx.world.job import Job
 MOST_AHEAD: Final = 40
 """Largest number of slices whose ended worlds may wait for the CPU: 4 s of a GPU's work. Each slice holds copies of the
 rows of its ended worlds, padded to hundreds of rows. All slices together take 200 MB for plans of up to 76 boxes and
-700 MB for 250 boxes. They take more if slices hold several batches of ended worlds."""
+700 MB for 250 boxes. If slices hold several batches of ended worlds, these numbers are larger."""
 
 
 class SliceResult(NamedTuple):
@@ -44,8 +44,8 @@ def outcomes_of(
     """The outcomes of the worlds that end in these slices, with the stream numbers of their jobs.
 
     Args:
-        waits: whether each slice waits for the outcomes of the previous slice. If not, a thread runs the slices, since
-            for small worlds the CPU may be slower than the device.
+        waits: whether each slice waits for the outcomes of the previous slice. If slices do not wait, a thread runs
+            them, since for small worlds the CPU may be slower than the device.
     """
     counting, at_hand = Lock(), 0
     progress.at_hand = 0
@@ -59,7 +59,7 @@ def outcomes_of(
     def counted() -> Generator[SliceResult]:
         with closing(slices):
             for next_slice in slices:
-                count(sum(len(batch.rows) for batch in next_slice.picked))  # the sum may be 0 if slices wait
+                count(sum(len(batch.rows) for batch in next_slice.picked))  # may be 0 if slices wait for the CPU
                 yield next_slice
 
     try:

@@ -1,8 +1,9 @@
 """Thread blocks for small worlds, which are worlds that have few boxes so far.
 
-A block for small worlds has several of them, one per warp, which is a group of 32 threads (``block_launch.FEW_BOXES``).
-The steps of a small world are bit-identical to those in a block of its own. A world moves to a block of its own when it
-has more boxes, or when too few small worlds are left. So the choice of blocks affects only the speed.
+A block for small worlds simulates several worlds, each with one warp (a group of 32 threads)
+(``block_launch.FEW_BOXES``). The steps of a small world are bit-identical to the steps in a block that simulates only
+this world. A world moves to a block that simulates only this world when it has more boxes, or when too few small worlds
+are left. So the choice of blocks affects only the speed.
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ from petmjx.engines.warp.kernel_launcher import BlockPool
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
 """Limits for the use of blocks for small worlds, as shares of their lanes (places for a world). The blocks come into
 use if small worlds fill at least the first share of the lanes. The blocks go out of use if small worlds fill less than
-the second share of the lanes. For fewer worlds, blocks of one world are faster."""
+the second share of the lanes. If small worlds fill less than this share, blocks that simulate one world each are
+faster."""
 
 
 def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:
-    """The block pool for small worlds. None if this device has no such blocks, or if there are too few small worlds.
+    """The block pool for small worlds; None if this device has no such blocks, or if there are too few small worlds.
 
     Args:
         pool: the pool from which these worlds come.
@@ -45,7 +47,7 @@ def small_world_queues(
     """The queues, preceded by a new queue of small worlds. The worlds that have few boxes now move from the last queue
     to the new queue, if there are enough of them.
 
-    Worlds keep their order. Jitted programs can call this function.
+    Worlds keep their order. This function can be called in jitted programs.
 
     Args:
         placed: number of placed boxes of each world.
@@ -58,6 +60,6 @@ def small_world_queues(
 
 
 def compacted_queue(queue: Int[Array, " world"], chosen: Bool[Array, " world"]) -> Int[Array, " world"]:
-    """The chosen worlds of a queue without gaps, followed by negative numbers."""
+    """The numbers of the chosen worlds of a queue, in order, followed by negative numbers."""
     place = jnp.where(chosen, jnp.cumsum(chosen) - 1, len(queue))
     return jnp.full_like(queue, -1).at[place].set(queue, mode="drop")

@@ -15,8 +15,8 @@ from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 from petmjx.world.job import Job
 
 SPARE_ROWS: Final = 4
-"""Number of rows of a table, divided by the number of jobs at the beginning, if more jobs may follow. With more waiting
-worlds, thread blocks can begin with longer worlds."""
+"""Number of rows of a table, divided by the number of jobs at the beginning, if more jobs may follow. The more worlds
+wait in the table, the longer are the worlds with which thread blocks can begin."""
 
 MOST_FOLLOWING_ROWS: Final = 2048
 """Smallest number of rows of a table that further jobs may join later, such as the many drives that follow a single
@@ -28,13 +28,13 @@ REFILL_SHARE: Final = 2
 many jobs join together. Jobs that follow from outcomes join at once."""
 
 MOST_JOINING: Final = 512
-"""Largest number of jobs that join between two time slices (calls of the kernels). Joining takes about 50 ms. Meanwhile
-the device works on slices that have already been started.
+"""Largest number of jobs that join a table between two time slices (calls of the kernels). Joining takes about 50 ms.
+Meanwhile the device works on slices that have already been started.
 """
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
-"""Number of jobs that are written into a table at a time: ``JOIN_ROWS`` in general, ``FEEDBACK_ROWS`` for jobs that
-follow from outcomes."""
+"""Number of jobs that one call of a compiled program writes into a table: ``JOIN_ROWS`` in general, ``FEEDBACK_ROWS``
+for jobs that follow from outcomes."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
 """Largest memory for the profiles (motions of the carrier) of jobs that follow, bytes. This memory has room for 7,000
@@ -43,7 +43,7 @@ different profiles of 20 s. Further worlds wait until the row of a profile is fr
 _SAMPLE_BYTES: Final = 3 * 4
 
 LARGE_GRANULE: Final = 64
-"""If larger plans may follow, the number of box columns for worlds above the smaller size is a multiple of this."""
+"""If larger plans may follow, the number of box columns for worlds of the larger size is a multiple of this number."""
 
 
 class TableJobs:
@@ -80,8 +80,8 @@ class TableJobs:
 
     @property
     def ended(self) -> bool:
-        """Whether no job waits, none will come, and no world is about to move to another table. Waits for the thread
-        that makes worlds.
+        """Whether no job waits, no further jobs come, and no world is about to move to another table. The call waits
+        for the thread that makes worlds.
         """
         return self.running is None and not self._stream.peek(1, wait=True)
 
@@ -105,7 +105,8 @@ class TableJobs:
         further = self._stream.peek(room, least=least, wait=not jobs)
         every = [*jobs, *further]
         grows = self.feedback or not self._stream.closed or self._stream.ready > len(further)
-        # A table that further jobs may join has columns for their boxes. Programs are compiled once for each width.
+        # If further jobs may join a table, it has columns for their boxes from the beginning, since programs are
+        # compiled for each width.
         needs = KernelFeatures.of(every, self._granule)
         if grows and self._stream.bounds is not None:
             counts = [count for count in self._stream.bounds.box_counts if count <= MAX_BOXES]
@@ -133,8 +134,8 @@ class TableJobs:
         return spare * len({id(job.drive.excitation) for job in jobs if job.drive}), 0
 
     def join(self, table: WorldTable, *, wait: bool = False) -> list[int]:
-        """Put waiting jobs into free rows of a table, in order, until a job does not fit. Returns the numbers of the
-        rows.
+        """Put waiting jobs into free rows of a table, in order, up to the first job that does not fit. Returns the
+        numbers of the rows.
 
         Args:
             wait: whether to wait for a job if further jobs may come.
@@ -193,7 +194,7 @@ class TableJobs:
 
 
 def _roomy(needs: KernelFeatures) -> KernelFeatures:
-    """The same features, with columns for larger plans of each size."""
+    """The same features and block sizes, with columns for larger plans of each size."""
     small = SIZES[0].most_boxes
     widths = {
         size: size if size == small else min(round_up(width, LARGE_GRANULE), size)

@@ -1,9 +1,10 @@
-"""Thread blocks for the last worlds of a run. Each such block has a GPU multiprocessor to itself, and more threads.
+"""Thread blocks for the last worlds of a run. A block for last worlds has a GPU multiprocessor to itself, and more
+threads than a usual block.
 
 A run ends with its longest worlds. Two blocks that share a multiprocessor are slower than one block alone, so sharing
 delays the end of the run. Worlds that are expected to be among the last ones therefore get blocks that fill a
 multiprocessor (``block_launch.LAST``). When no more worlds are left than there are multiprocessors, all worlds of the
-smaller size get such blocks. The steps of a world are bit-identical to those in other blocks; only the speed differs.
+smaller size get such blocks. In all blocks, the steps of a world are bit-identical; only the speed differs.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from petmjx.engines.warp.small_world_blocks import compacted_queue
 
 MOST_EXPECTED: Final = 16
 """Largest number of worlds that get blocks for last worlds while other worlds still wait: the worlds that are expected
-to end last because they have the largest numbers of steps so far. Each of their blocks takes the room of two usual
+to end last because they have the largest numbers of steps so far. A block for last worlds takes the room of two usual
 blocks."""
 
 LONG: Final = 2.0
@@ -32,7 +33,7 @@ GOES_ON: Final = 8.0
 
 
 def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
-    """The block pool for the last worlds. None if it would be the same as the usual pool, as on a CPU.
+    """The block pool for the last worlds; None if this pool would be the same as the usual pool, as on a CPU.
 
     Args:
         pool: the pool from which these worlds come.
@@ -52,14 +53,14 @@ def tail_queues(
     running: Bool[Array, " world"],
     lanes: int,
 ) -> Int[Array, "queue+1 world"]:
-    """The queues, preceded by a new queue of the last worlds of the run. These worlds are removed from the last of the
-    queues. Worlds keep their order. Jitted programs can call this function.
+    """The queues, preceded by a new queue of the last worlds of the run. The last worlds are removed from the last of
+    the old queues. Worlds keep their order. Jitted programs can call this function.
 
     Args:
         order: the queues. Each row lists the numbers of worlds, followed by negative numbers.
         steps, running, lanes: see ``expected_tail``.
     """
-    few = ((order >= 0) & running[order]).sum() <= last.lanes  # rows outside the queues may be in any state
+    few = ((order >= 0) & running[order]).sum() <= last.lanes  # rows of worlds that are in no queue may have any state
     chosen = (running & few) | expected_tail(order, steps, running, lanes)
     queue = order[-1]
     mine = (queue >= 0) & chosen[queue]
@@ -84,7 +85,7 @@ def expected_tail(
     queued = jnp.zeros_like(running).at[jnp.where(order >= 0, order, len(running))].set(True, mode="drop")
     # the sum of the steps of thousands of worlds may exceed an int32
     mean = jnp.where(ended, steps, 0).sum(dtype=jnp.float32) / jnp.maximum(ended.sum(), 1)
-    rest = (queued & running & ~begun).sum() * mean / lanes  # steps that a lane takes until no world waits
+    rest = (queued & running & ~begun).sum() * mean / lanes  # steps of each lane until no world waits
     long = running & ended.any() & (steps > LONG * mean) & (GOES_ON * steps > rest)
     most, rows = jax.lax.top_k(jnp.where(long, steps, 0), min(MOST_EXPECTED, len(steps)))
     return jnp.zeros_like(long).at[rows].set(most > 0)

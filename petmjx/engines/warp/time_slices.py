@@ -28,8 +28,8 @@ from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.world_table import Run, WorldTable
 
 UNDER_WAY = 2
-"""Number of slices that have been started and not yet read, so that the device is never idle. The CPU reads the worlds
-that end in a slice when the next slice has ended."""
+"""Number of slices that have been started and not yet read, so that the device is never idle. While a slice runs, the
+CPU reads the worlds that ended in earlier slices."""
 
 
 class Slice(NamedTuple):
@@ -93,7 +93,7 @@ class Rollout:
     def close(self) -> None:
         """Wait for all started slices, and free the workspace."""
         while self._slices:
-            with suppress(jax.errors.JaxRuntimeError):  # the rollout may be closed because of this error
+            with suppress(jax.errors.JaxRuntimeError):  # the rollout may be closed because of an error in a slice
                 self._slices.popleft().readback.block_until_ready()
         if not self.workspace.is_deleted():
             with suppress(jax.errors.JaxRuntimeError):
@@ -120,12 +120,12 @@ class Rollout:
 
 
 class TableSlices:
-    """The time slices of a table, until all its worlds have ended or continue in another table. While the device
-    computes a slice, the CPU makes outcomes of ended worlds, and puts further jobs into their rows.
+    """The time slices of a table, up to the slice after which all its worlds have ended or continue in another table.
+    While the device computes a slice, the CPU makes outcomes of ended worlds, and puts further jobs into their rows.
 
     Args:
-        waits: whether each slice waits for the outcomes of the previous slice. This is necessary if worlds are
-            recorded, since the CPU must fetch their frames.
+        waits: whether each slice waits for the outcomes of the previous slice. Slices must wait if worlds are recorded,
+            since the CPU must fetch the frames.
         pools: object that enlarges buffers.
         rollout_for: function that returns the buffers (``Rollout``) for the table, or None if memory has run out.
     """
@@ -178,9 +178,11 @@ class TableSlices:
                 return
 
     def _keep_under_way(self, rollout: Rollout) -> None:
-        """Start as many slices as are useful now."""
-        # A job that follows from an outcome joins only after the started slices. So while blocks are idle, only one
-        # slice is started at a time.
+        """Start slices until ``UNDER_WAY`` are started and not yet read, or only one if the CPU must read it before the
+        next.
+        """
+        # A job that follows from an outcome joins only after the started slices. So while blocks are idle, slices are
+        # started one by one, so that jobs can join soon.
         blocks_idle = int(self._table.live.sum()) <= rollout.launcher.blocks
         single = self._waits or (self._source.feedback and blocks_idle)
         rollout.keep_under_way(1 if single else UNDER_WAY, self._table, self._queues.order)
@@ -238,7 +240,7 @@ class TableSlices:
         if self._table.live.any():
             self._keep_under_way(rollout)
         else:
-            rollout.finish(self._table)  # no world runs in the started slices
+            rollout.finish(self._table)  # the started slices have no running world
 
     def _join(self, *, wait: bool = False) -> bool:
         """Put waiting jobs into free rows. Returns whether a job was added."""

@@ -58,7 +58,8 @@ def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) 
     """A Warp struct whose arrays declare their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number.
 
     Args:
-        tables: records of JAX arrays. The struct also gets their fields, except the fields named in ``without``.
+        tables: records of JAX arrays. The struct also gets the fields of these records, except the fields named in
+            ``without``.
     """
     annotations, axes = inspect.get_annotations(cls, eval_str=True), {}
     for name, kind in annotations.items():
@@ -339,8 +340,8 @@ def buffer_rows(sizes: Mapping[str, int]) -> int:
 
 
 def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict[str, Any]:
-    """The arrays of a workspace, as views of a buffer of 32-bit words (row, ``BUFFER_WORDS``). The first array begins
-    at ``first_row``.
+    """The arrays of a workspace, as views of a buffer of 32-bit words (row, ``BUFFER_WORDS``). The workspace begins at
+    row ``first_row`` of the buffer.
     """
     views: dict[str, Any] = {}
     pointer = buffer.ptr + 4 * BUFFER_WORDS * first_row

@@ -23,8 +23,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Excitation, Job
 
 MAX_GROWTH = 8
-"""Largest factor by which buffers grow. Buffers are doubled at each overflow. A world that needs larger buffers becomes
-invalid."""
+"""Largest factor by which buffers grow. Buffers are doubled at each overflow. A world for which buffers of this size
+are still too small becomes invalid."""
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
@@ -48,7 +48,7 @@ def _put_into(table: Table, rows: NDArray[np.intp], values: Table, put: Callable
         put: function that works like ``put_rows``.
     """
     length, end = len(jax.tree.leaves(values)[0]), len(jax.tree.leaves(table)[0])
-    padded = np.full(length, end, np.int32)  # rows beyond the end are dropped
+    padded = np.full(length, end, np.int32)  # rows beyond the end of the table are dropped
     padded[: len(rows)] = rows
     return put(table, device_array(padded), values)
 
@@ -70,7 +70,7 @@ class Run:
 
     @classmethod
     def of(cls, needs: KernelFeatures, sim: Simulation, progress: Progress) -> Run:
-        """The options of a run whose worlds have these needs."""
+        """The options of a run whose kernels need the features and sizes ``needs``."""
         return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress, progress.message)
 
 
@@ -117,7 +117,7 @@ class WorldTable(Batch):
         return len(self.table.status)
 
     def status(self) -> NDArray[np.int32]:
-        """(row,) statuses of the worlds after all slices that have begun, in the CPU's memory. Waits for these
+        """(row,) statuses of the worlds after all slices that have begun, in the CPU's memory. The call waits for these
         slices."""
         return np.asarray(self.table.status)
 
@@ -204,7 +204,7 @@ class WorldTable(Batch):
         self.live[rows] = False
 
     def take_running(self) -> RunningWorlds | None:
-        """The worlds that have not ended, for another table. None if there are none."""
+        """The worlds that have not ended, for another table; None if all worlds have ended."""
         rows = np.flatnonzero(self.live)
         if not len(rows):
             return None
@@ -214,13 +214,13 @@ class WorldTable(Batch):
 
     def put_running(self, running: RunningWorlds) -> None:
         """Let worlds of another table continue in the first rows, which already have their jobs. The two tables may
-        have different numbers of box columns, but both have enough for these worlds."""
+        have different numbers of box columns, but both have enough columns for these worlds."""
         rows = np.arange(len(running.jobs))
         self.table = _put_into(self.table, rows, running.states, _put_resized)
 
     def retry(self, rows: NDArray[np.int64]) -> None:
-        """Prepare worlds to continue with larger buffers, with which their results are valid: replace the flags of
-        overflow by ``Flag.RERUN_AFTER_OVERFLOW``."""
+        """Prepare worlds that overflowed their buffers to continue with larger buffers. Each flag of overflow is
+        replaced by ``Flag.RERUN_AFTER_OVERFLOW``, since the results with larger buffers are valid."""
         flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
         self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
 

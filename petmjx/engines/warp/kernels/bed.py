@@ -12,10 +12,11 @@ EDGE = wp.constant(EDGE_SHARE)
 SHARE = wp.constant(LEAST_SHARE)
 OUT = wp.constant(OUTWARD)
 LEVEL = wp.constant(1e-9)
-"""If the second moment of an area is smaller than this, m², the area counts as a line."""
+"""If the second moment per area is smaller than this value, m², the area counts as a line."""
 
 STEEP = wp.constant(1e-14)
-"""If the square of the slope of the depth is smaller than this, the depth counts as the same everywhere."""
+"""If the square of the slope of the depth is smaller than this value, the depth counts as the same at all points of the
+area."""
 
 MOST = wp.constant(10)
 Polygon = wp.types.matrix(shape=(10, 2), dtype=wp.float32)

@@ -3,8 +3,8 @@
 Bodies are ordered by their distance, counted in contacts, from the body that is farthest from the carrier. Bodies that
 touch should be near one another in this order, so that the Hessian's envelope is narrow (Cuthill and McKee, "Reducing
 the bandwidth of sparse symmetric matrices", 1969). In packing order the factor takes twice the operations
-(benchmarks/notebook/performance.md). The order is part of a world's state, and is renewed at fixed steps. So it does
-not depend on the thread blocks that a world has had.
+(benchmarks/notebook/performance.md). The order is part of a world's state, and is renewed at fixed steps. So the order
+does not depend on the thread blocks that have simulated the world.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The hand that carries a box to its place (docs/rules.md, section 4). Twin of petmjx/engines/mujoco/hand.py.
 
-The carried box is always the last placed one. Between two steps, one thread takes boxes up and releases them. The first
-thread computes the hand's forces in a step.
+The carried box is always the box that was placed last. Between two steps, one thread takes boxes up and releases them.
+The first thread computes the hand's forces in a step.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The loop of a lane's threads: they take one world after another from the queue and step each to its end.
 
 A lane is a thread block, or a warp of a block. The warps of a block go through the parts of a step together, even warps
-that have no more worlds. If the solver of one warp takes longer than the solvers of the others, it pauses. The others
-take their next step, and the paused solver continues when they reach their solver again
+that have no more worlds. If the solver of one warp takes longer than the solvers of the others, it pauses. The other
+warps take their next step, and the paused solver continues when they call their solvers again
 (benchmarks/notebook/performance.md, "Small worlds").
 """
 

@@ -11,9 +11,10 @@ Five things make this solver fast:
   come to rest, accelerations change smoothly, so the error of the start comes only from the curvature of this change.
 - A contact touches two bodies. So J is stored as 27 numbers per contact, and a product with J is cheap.
 - H is sparse, and bodies are ordered by their contacts (kernels/elimination_order.py), so that H has a narrow envelope.
-  Each column of H belongs to a body. Among this body and the bodies that it touches, take the first one in the order.
-  Above the rows of this first body, the column is zero in H and in the Cholesky factor. The factorisation computes only
-  the rest, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply tiles.
+  Each column of H belongs to a body. Let the first body be the one that comes first in the order among this body and
+  the bodies that it touches. Above the rows of the first body, the column is zero in H and in the Cholesky factor. The
+  factorisation computes only the other rows, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply
+  tiles.
 - Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g, where g is the gradient.
   This bound shows before each factorisation whether another iteration can help.
 - The direction of friction in sliding contacts is an unknown of its own. Let j be the part of J·a − r along the
@@ -28,8 +29,8 @@ Five things make this solver fast:
   quarter of the evaluations.
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
-the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a
-world's result depends neither on other blocks nor on their number nor on the run.
+the factor slows the convergence a little; rounding in the gradient would stop the convergence. Every sum has a fixed
+order, so a world's result depends neither on other blocks nor on their number nor on the run.
 
 The method itself is written in CUDA C++: petmjx/engines/warp/solver/newton.cu and the files that it includes.
 """
@@ -49,8 +50,8 @@ room for this system.
 """
 
 FEW_PANELS = 40
-"""A kernel whose largest system has at most this many panels factors one panel at a time (by_one.cuh), other kernels
-two (by_two.cuh)."""
+"""A kernel whose largest system has at most this many panels factors one panel at a time (by_one.cuh); all other
+kernels factor two panels at a time (by_two.cuh)."""
 
 SLIP_ROUNDS = 12
 """Number of iterations after the first that may change the excess of sliding contacts (petmjx/world/contact_laws.py).
@@ -73,8 +74,9 @@ DRIVER_BYTES = 1 << 10
 
 
 def own_bytes(panels: int, worlds: int = 1) -> int:
-    """Shared memory, in bytes, that the threads of one world need besides strip and Hessian, for systems of up to
-    ``panels`` panels, in blocks of ``worlds`` worlds. newton.cu checks that this memory is enough."""
+    """Shared memory, in bytes, that the threads of one world need in addition to the strip (rows of the factor) and the
+    Hessian, for systems of up to ``panels`` panels, in blocks of ``worlds`` worlds. newton.cu checks that this memory
+    is enough."""
     parts = 4 if worlds > 1 else 8 if panels <= FEW_PANELS else 17
     return 4 * (PANEL + 4) * panels + (parts << 10)
 
@@ -107,11 +109,12 @@ def defines(numbers: Mapping[str, float]) -> str:
 def source(name: str, included: set[str] | None = None) -> str:
     """A C++ file of this package as one text, with the files that it includes.
 
-    Warp compiles a text, and compiles again when the text has changed. It would not notice a change in an included
+    Warp compiles a text, and compiles again when the text has changed. Warp would not notice a change in an included
     file. ``#line`` directives let compiler errors name the right file and line.
 
     Args:
-        included: files that the text already contains, which are not included again. This call adds its own files.
+        included: files that the text already contains, which are not included again. This call adds the files that it
+            includes.
     """
     included = included if included is not None else set()
     included.add(name)
