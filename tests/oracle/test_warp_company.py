@@ -271,6 +271,22 @@ def test_blocks_take_the_longest_worlds_of_their_size_first() -> None:
     assert np.asarray(queues.order).tolist() == [[5, 3] + [-1] * 6, [4, 0, 2] + [-1] * 5]
 
 
+def test_worlds_in_which_a_box_tips_over_come_before_longer_worlds() -> None:
+    beyond = make_scene([((100, 100, 50), (0, 0, 0), 1.0), ((100, 100, 50), (60, 0, 50), 1.0)])
+    longer = Job(make_scene(12))
+    jobs = [Job(make_scene(9)), Job(beyond), Job(make_scene(4)), Job(beyond, has_errors=True)]
+    queues = Queues(["12"], lambda job: "12", rows=4)
+    live = np.ones(4, bool)
+    queues.add(jobs, np.arange(4), live, SHORT)
+    assert np.asarray(queues.order).tolist() == [[0, 2, 3, 1]]
+    queues.examine(jobs, live)
+    assert np.asarray(queues.order).tolist() == [[1, 0, 2, 3]]
+    jobs[2] = longer
+    queues.add([longer], np.array([2]), live, SHORT)
+    queues.examine(jobs, live)
+    assert np.asarray(queues.order).tolist() == [[1, 2, 0, 3]]
+
+
 def test_worlds_on_their_way_come_first_on_a_cpu_all_that_have_been_placed() -> None:
     queues = Queues(["12"], lambda job: "12", rows=4, depth_first=MjxWarpCpuEngine.depth_first)
     push = Drive(Excitation("push", "force", np.zeros((1, 3))))

@@ -24,7 +24,9 @@ from petmjx.engines.outcome_checks import edges_again, note_edges, outcome_check
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.show.run_tables import worlds_table
+from petmjx.world.edge_distances import edges_of, has_loads_beyond_edges
 from petmjx.world.job import Job
+from petmjx.world.supports import bearings_of
 
 MM = 1e-3
 
@@ -41,6 +43,24 @@ def test_a_load_within_half_a_millimetre_of_an_edge_is_on_a_knife_s_edge(overhan
         assert worlds.rest_edge_m[0] == pytest.approx(worlds.plan_edge_m[0], abs=2e-4)
     else:
         assert worlds.isna().rest_edge_m[0]
+
+
+def test_a_quick_look_finds_the_scenes_with_a_load_beyond_an_edge() -> None:
+    """A plan whose load is inside its edges by less than half a millimetre is found, too. Where no load is near an
+    edge, the quick look agrees with the search for shares that keep all loads inside."""
+    overhangs_mm = (199.4, 199.6, 200.6)
+    base: Box = ((400, 300, 200), (0, 0, 0), 5.0)
+    columns = [
+        make_scene([base, ((400, 300, 200), (over, 0, 200), 5.0)], Simulation(size_reduction_mm=0.0))
+        for over in overhangs_mm
+    ]
+    assert has_loads_beyond_edges(columns).tolist() == [False, True, True]
+    rng = np.random.default_rng(33329)
+    heaps = [make_scene(random_heap(rng, 12)) for _ in range(40)]
+    quick = has_loads_beyond_edges(heaps)
+    slow = np.array([np.nanmin(edges.least) < 0 for edges in edges_of(bearings_of(heaps, (), (), ()), [12] * 40)])
+    assert quick[slow].all(), "it may find more, since it looks for no other shares"
+    assert 0 < quick.sum() < 40
 
 
 def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Final
 
 import jax
 import numpy as np
@@ -12,12 +13,22 @@ from numpy.typing import NDArray
 from petmjx.engines.cost_model import MEASURED
 from petmjx.engines.mjx.world_constants import device_array
 from petmjx.options.simulation import Simulation
+from petmjx.world.edge_distances import has_loads_beyond_edges
 from petmjx.world.job import Job
+
+
+MOST_EXAMINED: Final = 256
+"""Largest number of worlds that are examined between two time slices. It takes 0.1 to 0.2 ms per world."""
 
 
 class Queues:
     """A queue for each size of worlds. The worlds with the longest expected time come first, so that a run ends with
     short worlds.
+
+    Worlds in which a box probably tips over come before these. The time of a collapse cannot be predicted: of 10,003
+    generated plans, 40 of the 42 worlds with more than 5,000 steps were among the 4,279 with a load beyond an edge.
+    And only such worlds are simulated again in stiffer contacts, which takes seconds on a CPU thread. So they begin
+    early, and a run ends with worlds that stand.
 
     Worlds that have completed a leg of a chain (a part of a journey) come before all others. Among them, the world that
     was queued last comes first. So chains end one after another during the whole run, and the CPU writes their results
@@ -38,6 +49,9 @@ class Queues:
         self._turn = np.zeros(rows, np.int64)
         """Rank of the world in each row: smaller ranks come first. Most worlds have the rank 0; worlds that come before
         these have negative ranks."""
+        self._tips = np.zeros(rows, bool)
+        self._unexamined = np.zeros(rows, bool)
+        """Whether each row's world begins with its placement, and ``_tips`` is not known yet."""
         self._n_added = 0
         self.order: Int[jax.Array, "queue world"]
 
@@ -54,7 +68,28 @@ class Queues:
             -number if self._is_ahead(job) else 0 for number, job in enumerate(jobs, start=self._n_added + 1)
         ]
         self._n_added += len(jobs)
-        ranked = np.lexsort((-self._cost, self._turn))
+        self._tips[rows] = False
+        self._unexamined[rows] = [job.start is None and not job.has_errors for job in jobs]
+        self._rank(live)
+
+    def examine(self, jobs: Sequence[Job], live: NDArray[np.bool_]) -> None:
+        """Find out in which worlds a box probably tips over, for up to ``MOST_EXAMINED`` worlds, and let these begin
+        earlier.
+
+        Args:
+            jobs: the job of each row.
+            live: (row,) whether the world in each row has not ended.
+        """
+        rows = np.flatnonzero(self._unexamined & live)[:MOST_EXAMINED]
+        if not len(rows):
+            return
+        self._unexamined[rows] = False
+        self._tips[rows] = has_loads_beyond_edges([jobs[row].scene for row in rows.tolist()])
+        self._rank(live)
+
+    def _rank(self, live: NDArray[np.bool_]) -> None:
+        """Write the queues of the live worlds."""
+        ranked = np.lexsort((-self._cost, ~self._tips, self._turn))
         ranked = ranked[live[ranked]]
         order = np.full((len(self._sizes), len(live)), -1, np.int32)
         for queue in range(len(self._sizes)):

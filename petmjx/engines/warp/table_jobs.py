@@ -15,22 +15,27 @@ from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 from petmjx.world.job import Job
 
 SPARE_ROWS: Final = 4
-"""Number of rows of a table, divided by the number of jobs at the beginning, if more jobs may follow. The more worlds
-wait in the table, the longer are the worlds with which thread blocks can begin."""
+"""Number of rows of a table, divided by the number of jobs at the beginning, if jobs may follow from outcomes."""
+
+WAITING_ROWS: Final = 8
+"""Number of rows of a table, divided by the number of jobs at the beginning, if more jobs may follow, but none from
+outcomes. Thread blocks begin with the longest worlds of the table. So the more worlds wait in the table, the shorter
+are the worlds with which a run ends. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in the
+table after some slices."""
 
 MOST_FOLLOWING_ROWS: Final = 2048
 """Smallest number of rows of a table that further jobs may join later, such as the many drives that follow a single
 placement. (A drive is a motion of the carrier.) If the stream has fewer jobs in all, the table has only as many rows as
 jobs. A GPU has fewer thread blocks than half of this number."""
 
-REFILL_SHARE: Final = 2
-"""New jobs join a table only while fewer than one in ``REFILL_SHARE`` rows holds a world that has not ended, so that
-many jobs join together. Jobs that follow from outcomes join at once."""
-
 MOST_JOINING: Final = 512
 """Largest number of jobs that join a table between two time slices (calls of the kernels). Joining takes about 50 ms.
 Meanwhile the device works on slices that have already been started.
 """
+
+REFILL_SHARE: Final = 2
+"""New jobs join a table only while ``MOST_JOINING`` rows are free, or one in ``REFILL_SHARE`` rows of a smaller table,
+so that many jobs join together. Jobs that follow from outcomes join at once."""
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
 """Number of jobs that one call of a compiled program writes into a table: ``JOIN_ROWS`` in general, ``FEEDBACK_ROWS``
@@ -116,7 +121,7 @@ class TableJobs:
             needs = _roomy(needs | self.needs)
         self.needs, self._begun = needs, True
         taken = self._take(further)
-        rows = SPARE_ROWS * len(every) if grows else 0
+        rows = (SPARE_ROWS if self.feedback else WAITING_ROWS) * len(every) if grows else 0
         if grows and (bounds := self._stream.bounds) is not None:
             rows = min(max(rows, MOST_FOLLOWING_ROWS), bounds.jobs)
         rows = min(max(rows, self._least_rows), self._size)
@@ -140,11 +145,10 @@ class TableJobs:
         Args:
             wait: whether to wait for a job if further jobs may come.
         """
-        live = int(table.live.sum())
-        limit = table.rows if self.feedback else table.rows // REFILL_SHARE
-        most = min(min(table.rows, self._size) - live, self._size if self.feedback else MOST_JOINING)
-        if live >= limit or most <= 0:
+        free = min(table.rows, self._size) - int(table.live.sum())
+        if free < (1 if self.feedback else min(MOST_JOINING, table.rows // REFILL_SHARE)):
             return []
+        most = free if self.feedback else min(free, MOST_JOINING)
         fitting = list(takewhile(table.fits, self._stream.peek(most, wait=wait)))
         if not fitting:
             return []

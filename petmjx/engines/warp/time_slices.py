@@ -237,10 +237,13 @@ class TableSlices:
     def _refill(self, rollout: Rollout) -> None:
         """Put waiting jobs into free rows, and start the next slices."""
         self._join()
-        if self._table.live.any():
-            self._keep_under_way(rollout)
-        else:
+        live = self._table.live
+        if not live.any():
             rollout.finish(self._table)  # the started slices have no running world
+            return
+        self._keep_under_way(rollout)
+        if live.sum() > rollout.launcher.blocks:  # meanwhile, the device works on the started slices
+            self._queues.examine(self._table.jobs, live)
 
     def _join(self, *, wait: bool = False) -> bool:
         """Put waiting jobs into free rows. Returns whether a job was added."""
