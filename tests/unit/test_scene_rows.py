@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from support.plans import heap, make_plan, make_scene, stack
 
-from petmjx.engines.mjx import scene_rows
+from petmjx.engines.mjx import scene_rows, world_constants
 from petmjx.engines.mjx.scene_rows import rows_of
+from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.options.simulation import Simulation
+from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.stackable_scenes import AT_A_TIME, stackable_groups
 from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply_all
@@ -69,3 +71,13 @@ def test_groups_have_each_scene_once_and_only_those_alike() -> None:
     assert sorted(number for numbers, _ in scene_groups for number in numbers) == [*range(len(scenes))]
     assert sorted(len(numbers) for numbers, _ in scene_groups) == [2, 5, AT_A_TIME]
     assert all(len({scenes[number].n_boxes for number in numbers}) == 1 for numbers, _ in scene_groups)
+
+
+def test_spare_rows_made_on_the_device_are_those_made_on_the_host(monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs = [Job(make_scene(n)) for n in (3, 1, 4)]
+    on_host = upload_worlds(jobs, 8, 4, {}, Simulation())
+    monkeypatch.setattr(world_constants, "MANY_SPARE", 5)
+    on_device = upload_worlds(jobs, 8, 4, {}, Simulation())
+    for name, rows, expected in zip(on_host._fields, on_device, on_host, strict=True):
+        assert rows.dtype == expected.dtype, name
+        assert np.array_equal(rows, expected), name

@@ -12,12 +12,11 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.free_body_states import let_go
-from petmjx.engines.mjx.host_to_device import padded_rows
 from petmjx.engines.mjx.jax_setup import compiler_options
 from petmjx.engines.mjx.rollout import BatchRollout
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_constants import Worlds, padded_rows
 from petmjx.engines.mjx.world_state import State
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from petmjx.engines.mjx.frame_recorder import Recorder
 from petmjx.engines.mjx.outcomes import started_states
 from petmjx.engines.mjx.timetable import Timetable
-from petmjx.engines.mjx.world_constants import Worlds, device_array, upload_worlds
+from petmjx.engines.mjx.world_constants import Worlds, device_array, padded_rows, upload_worlds
 from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Check, Schedule, Simulation
@@ -109,11 +109,6 @@ def tables(
 def round_up(n: int, granule: int = GRANULE) -> int:
     """The smallest multiple of ``granule`` that is at least n."""
     return -(-n // granule) * granule
-
-
-def padded_rows(count: int) -> int:
-    """Number of rows for ``count`` worlds: a power of two, so that few programs are compiled."""
-    return 1 << (count - 1).bit_length()
 
 
 def is_out_of_memory(error: Exception) -> bool:

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
@@ -113,6 +115,16 @@ def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
     return uploads
 
 
+MANY_SPARE: Final = 4096
+"""Number of spare rows from which on the device repeats the first row. To fill in and upload 10,000 spare rows of 24 kB
+each would delay a run's first step."""
+
+
+def padded_rows(count: int) -> int:
+    """Number of rows for ``count`` worlds: a power of two, so that few programs are compiled."""
+    return 1 << (count - 1).bit_length()
+
+
 def upload_worlds(
     jobs: Sequence[Job],
     rows: int,
@@ -130,12 +142,25 @@ def upload_worlds(
         profiles: ``id`` of an excitation → its row in the table of profiles.
         boards: number of columns for the shapes of a carrier; increased if a carrier has more shapes.
     """
-    spare = rows - len(jobs)
+    on_host = rows if rows - len(jobs) < MANY_SPARE else padded_rows(len(jobs))
+    spare = on_host - len(jobs)
     of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare)
     of_jobs = _rows_of_jobs(jobs, profiles, sim.physics.timestep_s)
     of_jobs = {name: with_spare_rows(values, spare) for name, values in of_jobs.items()}
-    columns = of_scenes | of_jobs | {name: np.zeros(rows, np.bool_) for name in ("pauses", "ends_when_gone")}
-    return Worlds(**dict(zip(columns, device_arrays(columns.values()), strict=True)))
+    columns = of_scenes | of_jobs | {name: np.zeros(on_host, np.bool_) for name in ("pauses", "ends_when_gone")}
+    worlds = Worlds(**dict(zip(columns, device_arrays(columns.values()), strict=True)))
+    return worlds if on_host == rows else _with_spare_rows(worlds, rows)
+
+
+@partial(jax.jit, static_argnames="rows")
+def _with_spare_rows(worlds: Worlds, rows: int) -> Worlds:
+    """The rows of worlds, followed by spare rows that repeat the first row."""
+
+    def extended(values: jax.Array) -> jax.Array:
+        return jnp.concatenate([values, jnp.broadcast_to(values[:1], (rows - len(values), *values.shape[1:]))])
+
+    extended_worlds: Worlds = jax.tree.map(extended, worlds)
+    return extended_worlds
 
 
 _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0, rest_s=0.0)

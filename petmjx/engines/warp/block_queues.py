@@ -16,7 +16,6 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.edge_distances import has_loads_beyond_edges
 from petmjx.world.job import Job
 
-
 MOST_EXAMINED: Final = 256
 """Largest number of worlds that are examined between two time slices. It takes 0.1 to 0.2 ms per world."""
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.free_body_states import let_go
-from petmjx.engines.mjx.host_to_device import padded_rows, round_up
+from petmjx.engines.mjx.host_to_device import round_up
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_constants import Worlds, padded_rows
 from petmjx.engines.mjx.world_state import NEVER, State, Status, of_flat
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import FEW_BOXES, Launch
