@@ -200,7 +200,7 @@ gets under them."""
 
 
 def has_walls(sim: Simulation) -> bool:
-    """Whether the carrier has walls, even if all of them are open."""
+    """Whether the carrier has walls; open walls count, too."""
     return bool(walls_of(sim.carrier, sim.walls).sides)
 
 

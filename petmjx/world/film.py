@@ -39,7 +39,8 @@ RATE_1_S: Final = 100.0
 the box by 1 mm."""
 
 MOST_RATE_PER_STEP: Final = 0.2
-"""Largest product of the natural frequency and the timestep. With a larger product, the spring would be unstable."""
+"""Largest product of the natural frequency of a box that film holds and the timestep. With a larger product, the spring
+would be unstable."""
 
 SIDES: Final = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
 """Axis and sign of the outward normal of each side of the load."""

@@ -76,8 +76,8 @@ class OpenScenes:
             table[np.asarray(into, np.intp)] = table[np.asarray(sources, np.intp)]
 
     def stacks(self, worlds: Sequence[int]) -> Stacks:
-        """The boxes of the given worlds, in arrays with as many columns as the fullest world has boxes. A world may be
-        named several times."""
+        """The boxes of the given worlds, in arrays with as many columns as the fullest world has boxes. ``worlds`` may
+        contain a world several times."""
         rows = np.asarray(worlds, np.intp)
         width = int(self._count[rows].max(initial=0))
         half_size, target, mass = (table[rows, :width] for table in self._columns)

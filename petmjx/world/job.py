@@ -114,7 +114,7 @@ class Job:
             are where the placement left them.
         keep_state: whether the outcome must have the state in which the placement has settled. A job with
             ``keep_state`` and no drive may end once the placement has settled, without the time to come to rest.
-        record: which history of the world to record; no other result changes.
+        record: what to record as the world's history; recording changes no other result.
         has_errors: whether the boxes' places differ from the planned places, so that a box may stand on a neighbour
             that is a little higher (``petmjx.engines.contact_tilt``).
     """

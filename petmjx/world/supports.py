@@ -53,8 +53,8 @@ class Boxes:
         mass: (n,) masses of the boxes, kg.
         mass_center: (n, 3) vector from each box's middle to its centre of mass, m.
         carrier_mass: (n,) mass of the carrier in each box's scene, kg.
-        held: (n, 2, 2) largest distance of a box's load beyond its supports at which a wall still keeps the box from
-            tipping, m. Axis 1 is the low and the high end, axis 2 is x and y.
+        held: (n, 2, 2) how far beyond a box's supports its load may act while a wall still keeps the box from tipping,
+            m. Axis 1 is the low and the high end, axis 2 is x and y.
     """
 
     first: IntArray
@@ -115,7 +115,7 @@ class Boxes:
 
 
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
-    """(n, 2, 2) largest distance of a box's load beyond its supports at which a wall keeps the box from tipping, m
+    """(n, 2, 2) how far beyond a box's supports its load may act while a wall keeps the box from tipping, m
     (``Boxes.held``), in a scene with walls. ``target`` has the (n, 3) middles of the boxes, m.
 
     If the load W of a box acts at a distance e beyond an edge of the supports, the box tips until it touches the wall
@@ -274,8 +274,8 @@ class Bearing:
     def rectangles(self) -> tuple[FloatArray, FloatArray]:
         """(n, 2) lowest and (n, 2) highest corner (x, y) of the rectangle in which the load of a box must act, m.
 
-        Within the rectangle, the support or a wall keeps the box from tipping. Boxes with no support or several
-        supports have NaN.
+        While the load acts inside the rectangle, the support or a wall keeps the box from tipping. The corners of boxes
+        with no support or several supports are NaN.
         """
         low, high = np.full((len(self.boxes.mass), 2), np.nan), np.full((len(self.boxes.mass), 2), np.nan)
         alone = np.flatnonzero(self.n_supports == 1)
@@ -513,7 +513,7 @@ def find_bearings(
     boxes, most_gap_m = Boxes.of(scenes, targets), np.broadcast_to(most_gap_m, len(scenes))
     first, counts = boxes.first, np.diff(boxes.first)
     plain = np.array([is_plain(scene) for scene in scenes], bool)
-    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # empty, since scenes may lack contacts
+    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # an empty part, since scenes may have no contacts
     for k in np.flatnonzero(~plain).tolist():
         one = find_bearing(replace(scenes[k], target=targets[k]), float(most_gap_m[k]))
         lower = np.where(one.lower == CARRIER, CARRIER, one.lower + first[k])

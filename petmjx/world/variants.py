@@ -500,7 +500,7 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     centre_z = planned_bottom + half_z
     bears: NDArray[np.bool_] = np.any(below, axis=0)
     left: NDArray[np.bool_] = np.any(bears, axis=1)
-    while left.any():  # each pass sets down all boxes whose boxes below are in place
+    while left.any():  # each pass sets down every box below which all boxes are in place
         boxes = np.flatnonzero(left & ~np.any(bears & left, axis=1))
         left[boxes] = False
         actual_top = np.where(below[:, boxes], (centre_z + half_z)[:, None], -math.inf).max(axis=2)
