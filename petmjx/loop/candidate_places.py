@@ -40,7 +40,7 @@ class Places(NamedTuple):
         corner_mm: (c, 3) position of the box's front-left-bottom corner at the place.
         support: (c,) share of the box's base that would rest on the carrier or on the tops of other boxes.
         centred: (c,) whether the centre of the box's base lies over the convex hull of the areas on which the box would
-            rest, as in the criterion ``centre``. None if ``centred`` was not requested.
+            rest, as in the criterion ``centre``. If it was not requested, ``centred`` is None.
     """
 
     row: NDArray[np.intp]

@@ -26,7 +26,7 @@ class Points:
     box placed earlier.
 
     Args:
-        gap_mm: free space behind each box along x and y, by which boxes count as larger.
+        gap_mm: free space behind each box along x and y; boxes are treated as larger by this space.
 
     Attributes:
         boxes: (n,) for each pallet, the number of boxes whose points are included.

@@ -89,7 +89,7 @@ def write_labels(
     Args:
         source: the file of the orders, or ``endless``, as stated on the card.
         resume: whether to continue with the unfinished labels in the folder, if there are any. ``count`` may be larger
-            than before.
+            than in the command that began the labels.
         progress: function that is called with the number of labels made so far, including those of unfinished episodes
             and of earlier commands.
 

@@ -44,9 +44,9 @@ STANDS: Final = 1
 FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
-"""Required distance inside a bearing for loads that a placement does not change, as a fraction of the required distance
-for loads that the placement changes. If a load acts nearer to the edge than required, the box may seem to rest while it
-already begins to turn."""
+"""Loads that a placement does not change need not act as far inside the edges of their bearings as loads that the
+placement changes, but only this fraction of that distance. If a load acts nearer to the edge than required, the box may
+seem to rest while it already begins to turn."""
 
 MOST_LOAD: Final = 100.0
 """Largest load on a box that carries the new box, as a multiple of the carrying box's own mass. Contacts are soft: a
@@ -57,12 +57,13 @@ MOST_SLENDER: Final = 8.0
 is, the more soft contacts let it lean."""
 
 HANGING_SHARE: Final = 0.05
-"""Smallest distance outside the bearing at which the weight of a falling box must act, as a share of the box's shorter
-side. At this distance, the box turns within a second, so the simulation does not take it for a box at rest."""
+"""The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
+this share of the box's shorter side. At this distance, the box turns within a second, so the simulation does not take
+it for a box at rest."""
 
 HANGING_MM: Final = 10.0
-"""Smallest distance outside the bearing at which the weight of a falling box must act, mm. Of this distance and the one
-from ``HANGING_SHARE``, the larger is required."""
+"""The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
+this length, mm. The larger of this length and of the distance that ``HANGING_SHARE`` gives is required."""
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
@@ -124,8 +125,8 @@ def decidable(sim: Simulation) -> bool:
 
 def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
     """(m, k) upper bound for the distance of any corner of each box from its planned position, mm. The distance is 0 if
-    the box rests at its planned place: its shift is below the smallest shift that counts, and its tilt was always below
-    ``CALM_DEG``."""
+    the box rests at its planned place, that is, if its shift is below the smallest shift that counts and its tilt was
+    always below ``CALM_DEG``."""
     with np.errstate(invalid="ignore"):  # values after the last box of a pallet are NaN
         m, k = readings.max_tilt_deg.shape
         tilted = np.fmax(readings.max_tilt_deg, tilt_deg(readings.quat.reshape(-1, 4)).reshape(m, k))
@@ -154,7 +155,8 @@ class Bounds:
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
         self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests.
-        self._least: FloatArray = np.zeros((n, 1))  # (n, k) required distance of each box's load inside its bearing, mm
+        # (n, k) how far inside the edges of its bearing the load of each box must act, mm
+        self._least: FloatArray = np.zeros((n, 1))
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         """Keep only the first ``count`` boxes of each of these pallets."""
@@ -245,7 +247,8 @@ class Bounds:
 
 
 def _least_margin(boxes: Placements) -> FloatArray:
-    """(m,) smallest distance inside the bearing that is required of the load of each box, mm."""
+    """(m,) how far inside the edges of its bearing (the hull of its contacts) the load of each box must at least act,
+    mm."""
     return np.asarray(np.minimum(MARGIN_M * MM_PER_M, MARGIN_SHARE * boxes.size_mm[:, :2].min(axis=1)))
 
 
@@ -283,8 +286,7 @@ class _Turns(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Rests:
-    """How m new boxes rest on the bodies below them. The pallet of each new box is considered with a given number of
-    its first boxes.
+    """How m new boxes rest on the bodies below them. Of each pallet, only a given number of first boxes is considered.
 
     Attributes:
         low, high: (m, k, 3) lowest and highest corners of the boxes on the pallets, mm; ``here``: (m, k) whether each
@@ -379,8 +381,8 @@ class _Rests:
 
     def _turn_straight(self, turns: _Turns, least: FloatArray) -> NDArray[np.bool_]:
         """(r,) whether each box turns about a single edge along x or y, without turning sideways at the same time. For
-        such a turn, the edge must extend on both sides of the weight by more than ``least`` (r,), so that the box is
-        balanced along the edge."""
+        a turn about a single edge, the edge must extend on both sides of the weight by more than ``least`` (r,), so
+        that the box is balanced along the edge."""
         middle = (self.start[turns.rows, :2] + self.end[turns.rows, :2]) / 2
         foot = middle - turns.outside[:, None] * turns.towards
         edges = self.edges[turns.rows]

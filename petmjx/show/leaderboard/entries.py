@@ -1,5 +1,5 @@
-"""The entries of a leaderboard (board). An entry is given as a run, or as a file of plans. Such plans are simulated for
-the board."""
+"""The entries of a leaderboard (board). An entry is given as a run, or as a file of plans. The plans of a file are
+simulated for the board."""
 
 from __future__ import annotations
 
@@ -108,7 +108,8 @@ def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str,
         paths: name of each packer → its run or plans.
 
     Raises:
-        InputError: there is no packer with one of these names, or a packer has the name of such an entry.
+        InputError: there is no packer with one of these names, or a packer already has the name of an entry with
+            repaired plans.
     """
     entries = {}
     for name in dict.fromkeys(names):
@@ -153,8 +154,8 @@ def repair_entries(
 def enter(
     name: str, path: Path, folder: Path, watch: Watch | None, options: Mapping[str, Any], *, ours: bool = False
 ) -> Entry:
-    """Make an entry. A run is used unchanged. Plans are simulated, with results in the board's folder; if the folder
-    already has results, this run is resumed.
+    """Make an entry. If ``path`` has a run, the run is used unchanged. If ``path`` has plans, they are simulated, with
+    results in the board's folder; if this folder already has results, their run is resumed.
 
     Args:
         name: name of the packer.

@@ -69,9 +69,9 @@ def leaderboard(
     (stories). The folder also contains all that is needed to make the board again: the folder ``plans``,
     ``orders.json``, and the command, which ``index.html`` shows.
 
-    Plans are simulated, with results in the folder ``runs``. Existing runs are used unchanged, but ``replays`` of their
-    plans are simulated again. If these simulations contradict the run of an entry, the entry is not rated, and a
-    ``PlanWarning`` states this.
+    Plans are simulated, with results in the folder ``runs``. Existing runs are used unchanged, but some of their plans
+    (number ``replays``) are simulated again. If these simulations contradict the run of an entry, the entry is not
+    rated, and a ``PlanWarning`` states this.
 
     Args:
         packers: name of a packer → folder of a run, or plans. If no names are given, packers get the names of these
