@@ -247,7 +247,7 @@ class AttemptRunner(Generic[AnyWorld]):
         return (self.engines.progress.at_hand or 0) > 0
 
     def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
-        """The outcome of a world after the attempt with half the timestep. It is the previous outcome, with
+        """The outcome of a world after the attempt with half the timestep. The outcome is the previous one, with
         ``Flag.TIMESTEP`` if half the timestep gives another verdict."""
         if checked.verdict is before.verdict:
             return before

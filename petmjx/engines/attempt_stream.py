@@ -39,8 +39,8 @@ PENDING_BOXES: Final = 1 << 20
 130 MB."""
 
 FIRST_WORLDS: Final = 1600
-"""Number of worlds with which a GPU begins. These worlds keep all thread blocks for worlds of few boxes busy
-(``small_world_blocks``). The other worlds start on the GPU later."""
+"""Number of worlds with which a GPU begins. This number of worlds is enough to keep all thread blocks for worlds of few
+boxes busy (``small_world_blocks``). The other worlds start on the GPU later."""
 
 PAUSE_S: Final = 0.02
 """Interval at which the paused thread checks whether it may make worlds again, s."""
@@ -79,15 +79,15 @@ def score_worlds(
     once.
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
-    a settled pallet. This function is called after each outcome, and returns each of these worlds exactly once. An
-    engine that reads a stream simulates the returned worlds together with the other worlds; any other engine simulates
-    the returned worlds last.
+    a settled pallet. ``following`` is called after each outcome, and returns each world exactly once. An engine that
+    reads a stream simulates the returned worlds together with the other worlds; any other engine simulates the returned
+    worlds last.
 
     ``begin_with``: number of worlds with which a GPU begins. ``bounds``: limits that hold for all jobs, including the
     jobs that follow from results.
 
-    ``check_pool``: a pool of processes that several calls use one after another. If None, a call with many worlds
-    starts a pool of its own.
+    ``check_pool``: a pool of processes that several calls use one after another. If ``check_pool`` is None, a call with
+    many worlds starts a pool of its own.
 
     If an engine raises an error and has a fallback engine, the run continues: the fallback engine simulates the worlds
     without an outcome. The run also continues after an error at a second or later attempt. Without a fallback engine,
@@ -240,8 +240,8 @@ class _AttemptRun(Generic[AnyWorld]):
                 yield from self._finish_or_retry(self.attempts[0], pending)
 
     def _finish_or_retry(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """After an attempt at a world, yield the world's result if it is final. If it is not, begin the next attempt as
-        a side task, or put the world into ``retry_queue``.
+        """After an attempt at a world, yield the world's result if it is final. If the result is not final, begin the
+        next attempt as a side task, or put the world into ``retry_queue``.
 
         Args:
             pending: the world, with the outcome of the attempt.
@@ -262,10 +262,10 @@ class WorldSource(Generic[AnyWorld]):
     """A thread that makes worlds before the engine needs them.
 
     Args:
-        deliver: function that puts a world's job into the stream. The function waits while the stream is full, and
+        deliver: function that puts a world's job into the stream. ``deliver`` waits while the stream is full, and
             returns False if the stream is closed.
         has_room: function that returns False while too many worlds wait for further attempts or for the fallback
-            engine. While the function returns False, the thread pauses.
+            engine. While ``has_room`` returns False, the thread pauses.
     """
 
     def __init__(

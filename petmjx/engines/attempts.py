@@ -10,14 +10,14 @@ of the paper, the second attempt only repeats the first, deterministic simulatio
 solver up to ``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``. These settings help if the
 solver stopped too early.
 
-The MJX engines compute in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is their *fallback*
-(``FALLBACKS``). C MuJoCo makes the attempts that need double precision. C MuJoCo also simulates worlds with soft boxes,
-attempts with conjugate gradients, and worlds for which an engine returned no outcome because of an error. ``mujoco``
-itself and engines that users wrote have no fallback.
+The MJX engines compute in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is the *fallback* of
+the MJX engines (``FALLBACKS``). C MuJoCo makes the attempts that need double precision. C MuJoCo also simulates worlds
+with soft boxes, attempts with conjugate gradients, and worlds for which an engine returned no outcome because of an
+error. ``mujoco`` itself and engines that users wrote have no fallback.
 
 A GPU needs the same time for one world as for many worlds. So in a run on ``mjx-warp``, CPU threads make the attempts
-that few worlds need, while the GPU continues (petmjx/engines/subprocess). These are the attempts on C MuJoCo, and the
-attempts with stiffer contacts, which ``mjx-warp-cpu`` makes with the same kernels as the GPU. In a run on
+that few worlds need, while the GPU continues (petmjx/engines/subprocess). The attempts that few worlds need are those
+on C MuJoCo, and those with stiffer contacts, which ``mjx-warp-cpu`` makes with the same kernels as the GPU. In a run on
 ``mjx-warp-cpu``, additional threads make the attempts with stiffer contacts (petmjx/engines/attempt_threads.py). Which
 engine makes an attempt depends only on the world and the options.
 """
@@ -51,8 +51,8 @@ CAREFUL_TOLERANCE = 1e-10
 larger tolerance."""
 
 NEAR = 0.5
-"""If the option ``check_timestep`` is set, worlds whose margin has a magnitude below this are simulated again with half
-the timestep. Invalid worlds have the margin NaN, so they are not simulated again for this reason."""
+"""If the option ``check_timestep`` is set, worlds whose margin has a magnitude below this value are simulated again
+with half the timestep. Invalid worlds have the margin NaN, so they are not simulated again for this reason."""
 
 STIFF_QUIET_STEPS = 25
 """Smallest ``Quiet.steps`` of attempts with stiff contacts. The verdicts of these attempts depend on movements of less
@@ -239,8 +239,8 @@ class Engines:
         return self.fallback
 
     def beside(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool, few: bool) -> str | None:
-        """Name of the engine that makes a further attempt at a job beside the engine of the run. If None, the engine of
-        the run makes the attempt.
+        """Name of the engine that makes a further attempt at a job beside the engine of the run. If the result is None,
+        the engine of the run makes the attempt.
 
         Args:
             few: whether few worlds need the attempt. A job with a drive (a motion of the carrier), or a job whose

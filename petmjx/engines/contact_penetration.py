@@ -32,8 +32,8 @@ exploded."""
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:
-    """The physics ``physics``, but with stiffer contacts. With these, light boxes can carry heavy boxes, and slender
-    boxes stay upright.
+    """The physics ``physics``, but with stiffer contacts. With stiffer contacts, light boxes can carry heavy boxes, and
+    slender boxes stay upright.
 
     The stiffer contacts have a constant impedance (MuJoCo's ``solimp``), the largest that MuJoCo accepts, instead of an
     impedance that rises with the depth. The contacts' time constants are multiplied by ``share``. With a share of 0.5,
@@ -182,14 +182,14 @@ _MOST_PAIRS = 1 << 17
 CPU caches."""
 
 ON_CARRIER_M = 0.001
-"""A box whose planned bottom is lower than this height above the carrier's top stands on the carrier, m."""
+"""A box stands on the carrier if its planned bottom is less than this height, m, above the carrier's top."""
 
 
 def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
     """The outcomes, with ``Flag.SINKING`` if boxes sank so far that the depth of contacts may have decided the verdict.
 
-    Such a world becomes invalid. With pyramidal friction cones, as in the preset ``reference``, all worlds keep their
-    verdict.
+    A world in which boxes sank so far becomes invalid. With pyramidal friction cones, as in the preset ``reference``,
+    all worlds keep their verdict.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     scenes = [job.scene for job in jobs]

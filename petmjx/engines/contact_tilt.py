@@ -39,9 +39,9 @@ SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.
 """The shares r (defined above) for which e(r) is computed."""
 
 SAFETY: Final = 10.0
-"""A load may tip over if its distance from the edge is at most this multiple of the loss, since a box rocks when the
-next box is placed on it. Some stacks are stable by statics, but fall because contacts are soft. In these stacks, the
-distance of a load from its edge was at most 8 times the load's loss."""
+"""A load may tip over if its distance from the edge is at most this multiple of its loss (see the module's docstring),
+since a box rocks when the next box is placed on it. Some stacks are stable by statics, but fall because contacts are
+soft. In these stacks, the distance of a load from its edge was at most 8 times the load's loss."""
 
 STIFF_SAFETY: Final = 40.0
 """The same multiple as ``SAFETY``, for a further attempt with stiffer contacts, which make the loss 40 times smaller.
@@ -49,8 +49,8 @@ In stacks that fell, the distance of a load from its edge was at most 28 times t
 
 SURE: Final = 1.0
 """The same multiple as ``SAFETY``, for a stack in which a load acts beyond an edge in the plan. Such a stack would also
-fall on hard contacts. So soft contacts may be the cause only if another load is nearer to its edge than the loss of
-this load."""
+fall on hard contacts. So soft contacts may be the cause only if some other load is nearer to its edge than that other
+load's loss."""
 
 KNIFE_EDGE_M: Final = 0.0004
 """A load that is farther than this distance beyond an edge surely acts beyond it, m. The distance is half a millimetre
@@ -149,8 +149,9 @@ def contact_tilt_suspects(
     load: FloatArray,
     edge: FloatArray,
 ) -> list[bool]:
-    """For each world, whether it may be unstable because contacts are soft. Either its boxes lean too far, or a load
-    that acts inside the edge in the plan may have moved beyond it. ``outcomes`` must not be empty.
+    """For each world, whether it may be unstable because contacts are soft. A world may be unstable for this reason if
+    its boxes lean too far, or if a load that acts inside an edge in the plan may have moved beyond this edge.
+    ``outcomes`` must not be empty.
 
     Args:
         bearing: the supports of the boxes in all these worlds; worlds with errors have the places of

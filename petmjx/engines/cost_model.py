@@ -2,7 +2,7 @@
 
 On a CPU thread, a step of a pallet at rest takes one iteration of Newton's method. The cost of a step grows somewhat
 faster than the number of boxes. While boxes land or slide, a step takes more iterations. An iteration is expensive if
-boxes stand on several others, since such boxes tie the columns of a pallet into one system of equations. So the
+boxes stand on several other boxes, since this ties the columns of a pallet into one system of equations. So the
 additional cost of a landing grows with the square of the number of standing boxes, and with the number of these ties.
 If each box stands on only one other, as in a block of columns, landings cost next to nothing.
 
@@ -61,9 +61,9 @@ unknown. This mean is 0.24 to 1.3 in 62 third-party plans of 45 to 241 boxes. In
 less, since their boxes have many different heights."""
 
 SHAKEN_STEPS = 700
-"""In a drive, boxes are expected to slide or fall in at most this many steps. EUMOS's profile has fewer steps. A
-profile that tilts the carrier has 2,970 steps, and boxes are at rest in most of them. A drive that shakes boxes for
-many seconds takes up to ten times as long as expected."""
+"""A drive is expected to have at most this number of steps in which boxes slide or fall. EUMOS's profile has fewer
+steps. A profile that tilts the carrier has 2,970 steps, and boxes are at rest in most of them. A drive that shakes
+boxes for many seconds takes up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
 """A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker
@@ -104,9 +104,9 @@ REFERENCE_STEPS = 2.8
 """Number of placing steps with physics ``reference``, relative to ``pallet``, with schedule ``adaptive``."""
 
 WAY_STEPS = {Way.DROP: 3.1, Way.HAND: 4.0, Way.TINES: 7.0}
-"""Number of steps of a placement whose boxes fall or are carried to their places, relative to boxes that appear there.
-Measurements with plans of 14 and of 40 boxes agree within a tenth. Boxes carried by hand take a share of 0.285 of the
-fixed schedule's steps; the share is 0.45 with few boxes, and 0.24 with many."""
+"""Number of steps of a placement whose boxes fall or are carried to their places, relative to a placement whose boxes
+appear at their places. Measurements with plans of 14 and of 40 boxes agree within a tenth. Boxes carried by hand take a
+share of 0.285 of the fixed schedule's steps; the share is 0.45 with few boxes, and 0.24 with many."""
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 """The same ratio as ``WAY_STEPS``, for boxes whose places or sizes have errors. These boxes are moved apart and then
@@ -191,8 +191,8 @@ class Work:
         ties: for each plan, the number of supports beyond a box's first, as a mean over its boxes
             (petmjx.plans.loose_boxes); empty: ``TYPICAL_TIES``.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
-            (petmjx.plans.loose_boxes); 1 without such a box. Empty: the share is unknown, and no box is expected to tip
-            over.
+            (petmjx.plans.loose_boxes); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and no
+            box is expected to tip over.
     """
 
     sim: Simulation

@@ -23,8 +23,8 @@ class JobBounds(NamedTuple):
         jobs: largest number of jobs that are ready at the same time.
         box_counts: all numbers of boxes that occur in the jobs' scenes.
         drive_steps: number of samples of the longest drive (motion of the carrier).
-        excitations: number of different excitations (motions as arrays). If None, each world may have its own
-            excitation.
+        excitations: number of different excitations (motions as arrays). If ``excitations`` is None, each world may
+            have its own excitation.
         wraps: whether stretch film is around the boxes in some drives.
     """
 

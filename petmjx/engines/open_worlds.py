@@ -182,8 +182,8 @@ class OpenWorlds(ABC):
 
     A world follows the rules of placement (docs/rules.md): a box is placed when all boxes before it are at rest. When
     the last box is at rest, the world pauses, and more boxes can be added. What happens in a world depends only on its
-    scene. Neither the other worlds nor the number of calls that added its boxes have an influence. A world whose last
-    boxes do not come to rest pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
+    scene. Neither other worlds nor the number of calls that added the world's boxes have an influence. A world whose
+    last boxes do not come to rest pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
 
     This class checks the arguments for all engines; each engine implements the abstract methods.
 
@@ -249,8 +249,8 @@ class OpenWorlds(ABC):
 
         Args:
             until_lost: if True, a fork ends as soon as the pallet certainly does not stand: a box is tilted too far at
-                a sample, or a box is gone (``petmjx.engines.metrics.GONE_TILT``). Such a fork does not show how it
-                would have ended.
+                a sample, or a box is gone (``petmjx.engines.metrics.GONE_TILT``). A fork that ends so early does not
+                show how it would have continued.
 
         Raises:
             ValueError: a world has ended.

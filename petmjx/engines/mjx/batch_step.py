@@ -106,8 +106,8 @@ class PaddedModel:
     ) -> StepResult:
         """Simulate one step of all worlds.
 
-        Between stiff contacts, accelerations may become NaN in float32. In this case, the step uses the accelerations
-        from which the solver started, and the forces of the previous step.
+        Between stiff contacts, accelerations may become NaN in float32. If accelerations are NaN, the step uses the
+        accelerations from which the solver started, and the forces of the previous step.
 
         Args:
             fields: model fields that differ between worlds.

@@ -158,8 +158,8 @@ class BatchRollout:
 
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
         """Whether the largest forces include the step after ``before`` although no sample is due. While a drive acts,
-        the largest forces include every step. Without a drive, two conditions must hold: a box is fast, and a box rises
-        or a look for quiet is due. ``rising``: the largest upward acceleration, m/s²."""
+        the largest forces include every step. Without a drive, two conditions must hold: a box is fast, and either a
+        box rises or a check whether the pallet is quiet is due. ``rising``: the largest upward acceleration, m/s²."""
         rules, step = self.rules, before.step + 1
         if not rules.sim.waits_for_rest:
             return jnp.zeros_like(before.running)

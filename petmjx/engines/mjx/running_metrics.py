@@ -19,13 +19,13 @@ from petmjx.options.simulation import Thresholds
 
 
 class Sample(NamedTuple):
-    """Values of boxes at a sample or a look: centres, m; tilts, degrees; accelerations, m/s² and rad/s²; forces on
+    """Values of boxes at a sample or a check: centres, m; tilts, degrees; accelerations, m/s² and rad/s²; forces on
     tops, N.
 
     Attributes:
         sampled: whether the box has a sample in this step.
         presses: whether the largest force on the box's top includes this step.
-        tilts: whether the largest tilt of the box includes this step, at a sample or at a look in a drive.
+        tilts: whether the largest tilt of the box includes this step, at a sample or at a check during a drive.
         looked: whether the box is checked. Boxes are also checked at the end of their world.
         rested: whether the mean force on the box's top at rest includes this step. ``rests``: whether each world is in
             its rest window.
@@ -48,7 +48,7 @@ class Sample(NamedTuple):
 
 class Metrics(NamedTuple):
     """Running statistics of boxes over all samples since each box was placed, and the first sign of failure. Tilt and
-    sway also include looks in a drive."""
+    sway also include checks during a drive."""
 
     max_tilt: Float[Array, "world box"]
     max_lin_acc: Float[Array, "world box"]
@@ -88,8 +88,8 @@ class Metrics(NamedTuple):
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
-        """Whether a box of each world has failed for good: it has dropped, or was tilted too far at a look. A large
-        shift is not a final failure: the shift is judged at rest, and may decrease until then."""
+        """Whether a box of each world has failed for good: the box has dropped, or was tilted too far at a check. A
+        large shift is not a final failure: the shift is judged at rest, and may decrease until then."""
         failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
         return (self.culprit >= 0) & failed.any(-1)
 

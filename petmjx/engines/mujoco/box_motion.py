@@ -14,8 +14,8 @@ def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArr
     ``floor_m`` become 0.
 
     Args:
-        sinks_m: (n,) expected descent of each box, m, which does not count as displacement. If None, no box is expected
-            to descend.
+        sinks_m: (n,) expected descent of each box, m, which does not count as displacement. If ``sinks_m`` is None, no
+            box is expected to descend.
     """
     delta = pos - target
     if sinks_m is not None:

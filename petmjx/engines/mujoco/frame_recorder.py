@@ -1,4 +1,4 @@
-"""Records the frames of one world on C MuJoCo: the poses after a step, and the forces and accelerations during it."""
+"""Records the frames of one world on C MuJoCo: poses after a step, and forces and accelerations during the step."""
 
 from __future__ import annotations
 

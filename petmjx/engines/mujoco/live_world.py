@@ -69,9 +69,9 @@ class LiveWorld:
     order.
 
     Args:
-        templates: compiled models of open worlds, which are filled in instead of compiling a model. If None, models are
-            compiled.
-        held: pose in which the carrier is clamped from the beginning. If None, the carrier is free.
+        templates: compiled models of open worlds, which are filled in instead of compiling a model. If ``templates`` is
+            None, models are compiled.
+        held: pose in which the carrier is clamped from the beginning. If ``held`` is None, the carrier is free.
 
     Attributes:
         order: (capacity,) numbers of the boxes in the order of their bodies.
@@ -100,7 +100,7 @@ class LiveWorld:
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
         self._slip = SlipLaw(sim.physics)
-        self._slides, self._looked = False, 0  # slid at the last check; steps since it
+        self._slides, self._looked = False, 0  # whether boxes slid at the last check; number of steps since this check
         lands = sim.physics.has_landings and scene.soft is None
         self._landings = Landings(scene, sim) if lands else None
         self._build(n_boxes)
@@ -158,7 +158,7 @@ class LiveWorld:
 
     @cached_property
     def approach_path(self) -> ApproachPath | None:
-        """The paths along which boxes approach their places. If None, boxes appear at their places."""
+        """The paths along which boxes approach their places. The result is None if boxes appear at their places."""
         return approach_path_of(self.scene, self._sim)
 
     @property

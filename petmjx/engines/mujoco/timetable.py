@@ -104,8 +104,8 @@ class Waits:
 
     @property
     def in_drive(self) -> bool:
-        """Whether the world now waits for quiet after the last sample of a drive. Such a wait ends before
-        ``drive_end``.
+        """Whether the world now waits for quiet after the last sample of a drive. A wait for quiet after a drive ends
+        before ``drive_end``.
         """
         return self.drive_end is not None and self.since < self.drive_end
 

@@ -225,7 +225,7 @@ class WorkerPool(Engine):
                         yield from self._bury(hand, deal, jobs, sim, progress)
             progress.message = before
         finally:
-            for hand in [hand for hand in self._hands if hand.streams]:  # nobody needs their other chunks
+            for hand in [hand for hand in self._hands if hand.streams]:  # nobody needs these workers' other chunks
                 self._hands.remove(hand)
                 self._kill(hand)
 

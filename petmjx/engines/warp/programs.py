@@ -1,4 +1,4 @@
-"""The compiled programs of mjx-warp, kept for the process. A later call with the same options compiles nothing."""
+"""The compiled programs of mjx-warp, which the process keeps. A later call with the same options compiles nothing."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class Programs:
         if sizes in self._compiled:
             return self._compiled[sizes]
         begin, progress.message = time.perf_counter(), "compiling"
-        with _COMPILING:  # if another thread is compiling kernels in advance, this waits for it
+        with _COMPILING:  # if another thread is compiling kernels in advance, this call waits for that thread
             if sizes not in self._compiled:
                 self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()
