@@ -70,8 +70,8 @@ class AttemptRunner(Generic[AnyWorld]):
 
     Attributes:
         sim: the run's options with the changes of this attempt.
-        put_following: function that is called after each outcome. This function puts the jobs that follow from results,
-            such as the drives of a settled pallet, into the stream.
+        put_following: function that is called after each outcome. ``put_following`` puts the jobs that follow from
+            results, such as the drives of a settled pallet, into the stream.
         check_pool: pool of processes that check outcomes; None if this process checks them.
         most: largest number of jobs in a list, for engines that cannot read a stream.
     """

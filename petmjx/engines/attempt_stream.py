@@ -333,8 +333,8 @@ class _SideTasks(Generic[AnyWorld]):
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a large run, start two kinds of processes: those that check outcomes, and one that makes
-        the attempts that few worlds need. The process for attempts first simulates one box. So its kernel is compiled
-        early: compiling takes as long as simulating many worlds."""
+        the attempts that few worlds need. The process for attempts first simulates one box. So the kernel of this
+        process is compiled early: compiling takes as long as simulating many worlds."""
         self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
@@ -374,7 +374,7 @@ class _SideTasks(Generic[AnyWorld]):
         """
         if self._in_flight:
             for answer in self.engines.helper.ended(wait=wait):
-                if answer.number not in self._in_flight:  # answer to the task READY of this run or an earlier run
+                if answer.number not in self._in_flight:  # an answer to the task READY of this or an earlier run
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):

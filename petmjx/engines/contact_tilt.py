@@ -44,17 +44,17 @@ since a box rocks when the next box is placed on it. Some stacks are stable by s
 soft. In these stacks, the distance of a load from its edge was at most 8 times the load's loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""The same multiple as ``SAFETY``, for a further attempt with stiffer contacts, which make the loss 40 times smaller.
-In stacks that fell, the distance of a load from its edge was at most 28 times the load's loss."""
+"""Multiple of the loss that replaces ``SAFETY`` in a further attempt with stiffer contacts, which make the loss 40
+times smaller. In stacks that fell, the distance of a load from its edge was at most 28 times the load's loss."""
 
 SURE: Final = 1.0
-"""The same multiple as ``SAFETY``, for a stack in which a load acts beyond an edge in the plan. Such a stack would also
-fall on hard contacts. So soft contacts may be the cause only if some other load is nearer to its edge than that other
-load's loss."""
+"""Multiple of the loss that replaces ``SAFETY`` for a stack in which a load acts beyond an edge in the plan. A stack
+with a load beyond an edge would also fall on hard contacts. So soft contacts may be the cause only if some other load
+is nearer to its edge than that other load's loss."""
 
 KNIFE_EDGE_M: Final = 0.0004
-"""A load that is farther than this distance beyond an edge surely acts beyond it, m. The distance is half a millimetre
-in the plan, minus the amount by which simulated boxes are smaller than planned."""
+"""A load that is farther beyond an edge than this distance, m, surely acts beyond the edge. The distance is half a
+millimetre in the plan, minus the amount by which simulated boxes are smaller than planned."""
 
 NEAR_M: Final = 0.001
 """A load that acts less than this distance (m) inside the edge may have tipped over because of soft contacts, even if

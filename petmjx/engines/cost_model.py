@@ -30,8 +30,8 @@ generated plans and of 63 third-party plans of 16 to 241 boxes. Physics ``refere
 steps."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
-"""Number of steps of the soft starts, which come before the first box of a placement. These steps are not part of the
-schedule."""
+"""Number of steps of the soft starts, which come before the first box of a placement. The steps of soft starts are not
+part of the schedule."""
 
 QUIET_STEPS = 220
 """Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. Static checks of 45 to
@@ -57,8 +57,8 @@ REST_POWER = 1.25
 
 TYPICAL_TIES = 0.5
 """Assumed number of supports of a box beyond its first support, as a mean over the boxes of a plan, if the plan is
-unknown. This mean is 0.24 to 1.3 in 62 third-party plans of 45 to 241 boxes. In most generated plans, it is 0.1 or
-less, since their boxes have many different heights."""
+unknown. The mean is 0.24 to 1.3 in 62 third-party plans of 45 to 241 boxes. In most generated plans, it is 0.1 or less,
+since their boxes have many different heights."""
 
 SHAKEN_STEPS = 700
 """A drive is expected to have at most this number of steps in which boxes slide or fall. EUMOS's profile has fewer
@@ -109,12 +109,13 @@ appear at their places. Measurements with plans of 14 and of 40 boxes agree with
 share of 0.285 of the fixed schedule's steps; the share is 0.45 with few boxes, and 0.24 with many."""
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
-"""The same ratio as ``WAY_STEPS``, for boxes whose places or sizes have errors. These boxes are moved apart and then
-appear, or are carried to their places and get stuck at their neighbours."""
+"""Number of steps of a placement with errors of places or sizes, relative to a placement whose boxes appear exactly at
+their places. Boxes with errors are moved apart and then appear, or are carried to their places and get stuck at their
+neighbours."""
 
 GIVING_STEPS = 1.4
-"""The same ratio as ``WAY_STEPS``, for plans with compliant boxes. A pile of boxes so soft that it does not come to
-rest takes up to fifteen times as many steps."""
+"""Number of steps of a placement with compliant boxes, relative to the same placement with rigid boxes. A pile of boxes
+so soft that it does not come to rest takes up to fifteen times as many steps."""
 
 
 @dataclass(frozen=True)
@@ -238,8 +239,8 @@ class Work:
 
     @property
     def coupling(self) -> FloatArray:
-        """(n,) how strongly the boxes of each plan are tied together, about 0 to 1. The cost of landings grows with
-        this number. Of the powers of ``ties`` that were tried, the square root fits best."""
+        """(n,) how strongly the boxes of each plan are tied together, about 0 to 1. The more strongly boxes are tied
+        together, the more landings cost. Of the powers of ``ties`` that were tried, the square root fits best."""
         return np.sqrt(self.ties if len(self.ties) else np.full(len(self.boxes), TYPICAL_TIES))
 
     @property
@@ -332,9 +333,9 @@ class ThreadCosts:
         landing_s: additional time until a box has landed, s per box² of the standing boxes, at ``Work.coupling`` 1.
         static_s: additional time until all boxes of a static check have landed, s per box², at ``Work.coupling`` 1.
         shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, s per box².
-        fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. This time
-            hardly depends on the number of boxes. The time of a single fall varies from a tenth of this value to ten
-            times this value.
+        fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. The time of a
+            fall hardly depends on the number of boxes. The time of a single fall varies from a tenth of this value to
+            ten times this value.
         jammed: cost of a placement by hand with errors, relative to one without errors.
         hand_s: additional time of a step of a placement by hand, s.
         film_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive in film, s per box.

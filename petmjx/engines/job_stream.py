@@ -188,7 +188,7 @@ class JobStream(Generic[Tag]):
 
         Args:
             in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes
-                outcomes calls ``wake`` after each change of this collection.
+                outcomes calls ``wake`` after each change of ``in_flight``.
 
         Returns:
             Whether to wait again: no job is ready, and jobs may still follow from outcomes.

@@ -90,8 +90,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
     Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
     places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
-    In a chain, a world that still stands after a later leg (part of the journey) is left out. Such a world keeps the
-    distances and the flag of the previous leg.
+    In a chain, a world that still stands after a later leg (part of the journey) is left out. The world that is left
+    out keeps the distances and the flag of the previous leg.
     """
     scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
     valid = [

@@ -32,7 +32,7 @@ class Progress:
     Attributes:
         thread_s: CPU time that the threads of the engine ``mujoco`` spent on finished worlds, s.
         message: what the engine does at the moment, such as "compiling".
-        work_share: share of the run's work that is done, from 0 to 1. The run, not the engine, sets this share. If
+        work_share: share of the run's work that is done, from 0 to 1. The run, not the engine, sets ``work_share``. If
             ``work_share`` is None, the share of finished worlds is used.
         at_hand: at least this number of outcomes will follow the last outcome without delay; None if the engine does
             not report this number. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
@@ -170,7 +170,7 @@ class Engine(MinimalEngine, Protocol):
 
     Attributes:
         devices: number of GPUs that simulate at the same time. The largest number of worlds that the engine gets at
-            once is multiplied by this number.
+            once is multiplied by ``devices``.
     """
 
     devices: int = 1

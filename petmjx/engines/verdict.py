@@ -85,8 +85,8 @@ class Outcome:
     culprit."""
 
     job: int
-    """The stream number of the job (``JobStream``). If the jobs are a list, this number is the index of the job in the
-    list."""
+    """The stream number of the job (``JobStream``). If the jobs are a list, the stream number is the index of the job
+    in the list."""
     verdict: Verdict
     reason: Reason
     culprit: int

@@ -22,7 +22,7 @@ LARGEST_GAP_MM: Final = 1_000.0
 """Largest allowed free space between boxes. A larger space would leave no room for boxes on a pallet."""
 
 _AT_ONCE: Final = 100_000
-"""Number of pairs of a point and a box that are compared at a time. The tables of this number of pairs fit into the
+"""Number of pairs of a point and a box that are compared at a time. For this number of pairs, the tables fit into the
 cache of a CPU core."""
 
 _WORTH_A_THREAD: Final = 50_000

@@ -10,12 +10,14 @@ two conditions. First, the weight of the new box, and the loads of all boxes tha
 boxes' bearings. Second, no other load on the pallet may be near the edge of a bearing.
 
 A box falls beyond doubt if its weight acts well outside its bearing, and no body is near enough to catch the box before
-it has turned too far. Neighbours could hold the falling box only by friction. This friction is limited, because the
-only force that presses the box against its neighbours is the friction under the box. If boxes of the pallet have moved,
-they are treated as larger by the distance that they have moved. All other placements are undecided.
+it has turned too far. Neighbours could hold the falling box only by friction. The friction at the neighbours is
+limited, because the only force that presses the box against its neighbours is the friction under the box. If boxes of
+the pallet have moved, they are treated as larger by the distance that they have moved. All other placements are
+undecided.
 
-These decisions are valid for rigid boxes and for usual thresholds of verdicts (see ``decidable``). The required
-distances are chosen so that simulations agree with the decisions; ``python -m benchmarks loop bounds`` compares both.
+Decisions without a simulation are valid for rigid boxes and for usual thresholds of verdicts (see ``decidable``). The
+required distances are chosen so that simulations agree with the decisions; ``python -m benchmarks loop bounds``
+compares both.
 """
 
 from __future__ import annotations
@@ -68,8 +70,9 @@ this length, mm. The larger of this length and of the distance that ``HANGING_SH
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
 """A box is lost if, before a body catches it, it turns by ``TURN_DEG``, or its middle moves down and sideways by
-``GONE_MM``. The weight of a lost box is farther beyond the edge than at first, so the box does not come back. These
-values exceed the largest allowed thresholds of verdicts by a quarter and by a half."""
+``GONE_MM``. The weight of a lost box is farther beyond the edge than at first, so the box does not come back.
+``TURN_DEG`` exceeds the largest allowed tilt threshold by a quarter, and ``GONE_MM`` exceeds the largest allowed shift
+threshold by a half."""
 
 NEAR_MM: Final = 2.0
 """Two boxes with a planned gap of up to this width may touch, because boxes of a pallet at rest can be up to 1 mm off
@@ -96,8 +99,8 @@ ROUNDING_MM2: Final = 1e-4
 this value, the corner counts as being on the edge."""
 
 _AT_ONCE: Final = 512
-"""Number of placements that are decided at a time. The tables of this number of placements fit into the cache of a CPU
-core."""
+"""Number of placements that are decided at a time. For this number of placements, the tables fit into the cache of a
+CPU core."""
 
 _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 """Carriers that are simulated as one piece. Carriers of boards are excluded, because single boards can tip."""
@@ -433,10 +436,10 @@ class _Rests:
         the turning box by friction.
 
         The force between a wall and the box is at most the friction under the box, which is μ times the box's weight.
-        The friction at the wall is at most μ times this force. The lever arm of the friction at the wall is at most the
-        distance from the edge to the farthest point at which the box and the wall touch. A wall behind the box and a
-        wall at its side share the friction under the box, so the two walls together hold at most √2 times as much as
-        one wall. If there are walls on both sides, the box may be jammed.
+        The friction at the wall is at most μ times the force between the wall and the box. The lever arm of the
+        friction at the wall is at most the distance from the edge to the farthest point at which the box and the wall
+        touch. A wall behind the box and a wall at its side share the friction under the box, so the two walls together
+        hold at most √2 times as much as one wall. If there are walls on both sides, the box may be jammed.
 
         Args:
             wall: (r, k) whether each box of the pallet may touch the turning box.

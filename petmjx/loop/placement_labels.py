@@ -60,7 +60,7 @@ GROUPS_ON_GPU: Final = 2
 results of the other group and chooses its next places."""
 
 PALLETS_ON_GPU: Final = 4096
-"""Default number of pallets that are packed at the same time on a GPU. Half of this number keeps the GPU busy, and the
+"""Default number of pallets that are packed at the same time on a GPU. Half of these pallets keep the GPU busy, and the
 two groups take turns."""
 
 PALLETS_ON_CPU: Final = 64
@@ -149,8 +149,8 @@ class Labeller:
 
     Args:
         orders: source of the orders (lists of boxes to pack).
-        pallets: number of pallets that are packed at the same time. Labels do not depend on this number. The default is
-            ``PALLETS_ON_GPU`` or ``PALLETS_ON_CPU``.
+        pallets: number of pallets that are packed at the same time. Labels do not depend on the number of pallets. The
+            default is ``PALLETS_ON_GPU`` or ``PALLETS_ON_CPU``.
         groups: number of groups into which the pallets are divided. Each group has a thread of its own. The default is
             ``GROUPS_ON_GPU`` on a GPU, else 1.
         explore: share of boxes that are tried at a random place first.

@@ -63,7 +63,7 @@ fast that it does not count as quiet (at rest)."""
 
 FREE_M: Final = 0.0003
 """Largest overlap of two boxes that is ignored, m. The value is twice the distance by which soft contacts may move
-neighbours that stand flush. An overlap of this size does not visibly push neighbours apart."""
+neighbours that stand flush. Such a small overlap does not visibly push neighbours apart."""
 
 MOST_TILTED: Final = 0.5
 """Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. With this

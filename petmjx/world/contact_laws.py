@@ -128,9 +128,9 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 SLACK_M_S2: Final = 5.0
 """Part of the excess e of a sliding contact (see the module's docstring) that is not corrected, m/s²: the excess of a
-slip of 1 cm/s if the time constant of friction is 4 ms. This excess raises a contact by less than a hundredth of a
-millimetre, a depth at which contacts are soft. Since this part (the slack) is left out, pallets at rest are
-bit-identical with and without the correction. Stiff contacts are soft at no depth, so their whole excess is
+slip of 1 cm/s if the time constant of friction is 4 ms. An excess of ``SLACK_M_S2`` raises a contact by less than a
+hundredth of a millimetre, a depth at which contacts are soft. Since this part (the slack) is left out, pallets at rest
+are bit-identical with and without the correction. Stiff contacts are soft at no depth, so their whole excess is
 corrected."""
 
 STICKS_M_S: Final = 0.01
@@ -141,8 +141,9 @@ at rest are far slower (``petmjx.Quiet``)."""
 RELAXATION: Final = 0.8
 """Share of the change of an excess e (see the module's docstring) that one iteration applies. Let p be μ² × (inverse
 mass along the tangent) / (inverse mass along the normal). If the whole change were applied, the iteration would
-converge only if p is below 1. Tall boxes with friction above 0.5 have a larger p. With this share, the iteration also
-converges for p up to 1.5, and otherwise takes hardly more rounds than with the whole change."""
+converge only if p is below 1. For tall boxes with friction above 0.5, p is larger than 1. With the share
+``RELAXATION``, the iteration also converges for p up to 1.5, and otherwise takes hardly more rounds than with the whole
+change."""
 
 ENOUGH_M_S2: Final = 0.1
 """The iteration ends when no reference acceleration along a normal changes by more than this value, m/s²: a hundredth

@@ -51,7 +51,7 @@ class Drive:
     """Time that the boxes have to come to rest after the last sample of the excitation, s."""
     allowed_sway_m: float = 0.0
     """Distance, m, by which a culprit (the box that failed first) must have swayed before it counts as lost because it
-    tilts too far. While the culprit has swayed less, the pallet may still pass the test."""
+    tilts too far. While the culprit has swayed less than this distance, the pallet may still pass the test."""
 
     def unit(self, total_mass: float) -> float:
         """Factor that converts the excitation's samples to N (forces) or to m/s² (accelerations; the factor is 1).

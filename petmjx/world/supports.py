@@ -119,10 +119,10 @@ def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     (``Boxes.held``), in a scene with walls. ``target`` has the (n, 3) middles of the boxes, m.
 
     If the load W of a box acts at a distance e beyond an edge of the supports, the box tips until it touches the wall
-    on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. This point is a
-    height h above the box's bottom. The wall then presses on the box with the force W·e/h, which friction at the edge
-    must balance. So the wall holds the box up to e = µ·h. This formula assumes a smooth wall and a support that does
-    not move.
+    on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. The point at which
+    the box touches the wall is a height h above the box's bottom. The wall then presses on the box with the force
+    W·e/h, which friction at the edge must balance. So the wall holds the box up to e = µ·h. The formula e = µ·h assumes
+    a smooth wall and a support that does not move.
     """
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
@@ -191,7 +191,7 @@ class Bearing:
 
         Args:
             load: (n, 3 or 4) loads of all boxes, as in ``loads``.
-            together: (k,) all contacts of some boxes, in order. Each of these boxes has several supports.
+            together: (k,) all contacts of some boxes that have several supports, in order.
         """
         upper, low, high = self.upper[together], self.low.take(together, axis=0), self.high.take(together, axis=0)
         under = load.take(upper, axis=0)[:, :3]
@@ -421,8 +421,8 @@ class Bearing:
         """(k, 3, 3) a matrix for each of the k contacts ``together``. The matrix maps the load of the upper box (mass
         and first moments) to the part of the load that the contact carries."""
         boxes, upper = self.boxes, self.upper[self.together]
-        # Places are relative to the upper box's middle, in units of its half extents. Such coordinates keep the 3 × 3
-        # systems well conditioned.
+        # Places are relative to the upper box's middle, in units of its half extents. Relative coordinates keep the 3 ×
+        # 3 systems well conditioned.
         origin, scale = boxes.target.take(upper, axis=0)[:, :2], boxes.half_size.take(upper, axis=0)[:, :2]
         low = (self.low.take(self.together, axis=0) - origin) / scale
         high = (self.high.take(self.together, axis=0) - origin) / scale

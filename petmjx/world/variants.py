@@ -2,8 +2,8 @@
 
 A variant has two halves. The *placement* of a variant is the changes that act while boxes are placed, or before
 (friction, mass, sizes, placement errors). The *drive* of a variant is what shakes the finished pallet (profile,
-strength, direction). Worlds of a plan with the same ``placement_key`` have the same placement. This placement is
-simulated once, and each of these worlds starts from the settled state.
+strength, direction). Worlds of a plan with the same ``placement_key`` have the same placement. The placement that
+several worlds have in common is simulated once, and each of these worlds starts from the settled state.
 
 The scenes of many variants of a plan are made together (``apply_all``). Making scenes together takes 0.05 ms per scene.
 Making them one by one would take ten times as long: as long as a GPU needs to simulate a small world.
@@ -271,8 +271,8 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: 
         plan_id: id of the plan, which the random numbers depend on.
         variant: the variant.
         seed: seed of the random numbers.
-        standing: number of boxes, from the first on, that already stand. These boxes keep their sizes, places and
-            masses.
+        standing: number of boxes, from the first on, that already stand. Boxes that already stand keep their sizes,
+            places and masses.
 
     Returns:
         The changed scene, or ``scene`` itself if nothing changes.
@@ -482,9 +482,9 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
 
     Boxes are set down from the bottom up. Box A is below box B if A's planned top is not above B's planned bottom (with
     a tolerance of ``STEP_TOLERANCE_M``), and the two overlap seen from above, at their planned or actual places. The
-    planned gap between a box and the highest box below is kept. This gap is 0.1 mm because of the reduction of sizes,
-    or more for a box that floats in the plan. If the two boxes overlap vertically in the plan, they do not overlap
-    afterwards.
+    planned gap between a box and the highest box below is kept. The planned gap is 0.1 mm because of the reduction of
+    sizes, or more for a box that floats in the plan. If the two boxes overlap vertically in the plan, they do not
+    overlap afterwards.
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]

@@ -23,9 +23,9 @@ from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30
 """Largest number of line search iterations. Under ``vmap``, MJX's own solver (used with pyramidal cones) always takes
-this number of iterations. With 10 iterations, the force on a box differed from that in C MuJoCo by more than 50 N in
-2.2 % of the steps of small piles: the solver had given up while boxes landed. With 30 iterations, this happened in 0.2
-% of the steps."""
+the largest number of iterations. With 10 iterations, the force on a box differed from that in C MuJoCo by more than 50
+N in 2.2 % of the steps of small piles: the solver had given up while boxes landed. With 30 iterations, this happened in
+0.2 % of the steps."""
 
 
 class StepResult(NamedTuple):

@@ -95,7 +95,8 @@ class Recorder:
         return Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
 
     def history(self, row: int, world: State, time_s: Callable[[int], float]) -> History | None:
-        """The history of a world that has ended; None if it was not recorded. The call drops the world's frames.
+        """The history of a world that has ended; None if it was not recorded. The recorder then forgets the world's
+        frames.
 
         Args:
             world: the last state of the world: one row, on the host.

@@ -64,7 +64,8 @@ class Metrics(NamedTuple):
     sign_placed: Int[Array, " world"]
 
     def with_sample(self, sample: Sample, worlds: Worlds, *, driven: bool) -> Metrics:
-        """The metrics after one more sample. ``driven``: whether worlds are shaken. The first sign is not changed."""
+        """The metrics after one more sample. ``driven``: whether worlds are shaken. The first sign of failure is not
+        changed."""
 
         def largest(old: Array, new: Array, where: Array) -> Array:
             return jnp.where(where, jnp.maximum(old, new), old)
@@ -101,7 +102,7 @@ class Metrics(NamedTuple):
         )
 
     def without_sign(self, where: Bool[Array, " world"]) -> Metrics:
-        """The metrics without the first sign."""
+        """The metrics without the first sign of failure."""
         return self._replace(
             culprit=jnp.where(where, -1, self.culprit),
             sign_step=jnp.where(where, -1, self.sign_step),

@@ -1,7 +1,7 @@
 """Constants of worlds on the device: tables made from jobs, with one row per world.
 
-All worlds of a table have the same number of box columns; columns beyond a world's boxes are padding. Axes are named in
-``petmjx.engines.mjx``.
+All worlds of a table have the same number of box columns; columns beyond a world's boxes are padding. The docstring of
+``petmjx.engines.mjx`` explains the names of axes.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ MOST_TIMES: Final = 32.0
 their expected time."""
 
 MOST_TIMES_CARRIED: Final = 70.0
-"""The same multiple as ``MOST_TIMES``, for worlds in which a hand or tines carry boxes: a carried box may be pressed
-into a pile that collapses."""
+"""Largest CPU time of a world in which a hand or tines carry boxes, as a multiple of its expected time. The multiple is
+larger than ``MOST_TIMES``, since a carried box may be pressed into a pile that collapses."""
 
 LONG_S: Final = 5.0
 """Wall-clock time after which the user sees the progress of a single world, s."""

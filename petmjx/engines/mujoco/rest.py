@@ -40,11 +40,11 @@ class QuietRule:
 
     @property
     def holds(self) -> bool:
-        """Whether the last look found the pallet quiet."""
+        """Whether the pallet was quiet at the last check (``look``)."""
         return self._steps >= self._rule.steps
 
     def look(self, pose: FloatArray, velocity: FloatArray, has_failed: bool, adapts: bool = True) -> bool:
-        """Take one look at the boxes. Returns whether the pallet is quiet, not counting trembling boxes.
+        """Check once whether the boxes are slow. Returns whether the pallet is quiet, not counting trembling boxes.
 
         Args:
             pose: (k, 7) positions (m) and unit quaternions of the placed boxes.

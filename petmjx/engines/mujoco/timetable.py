@@ -89,9 +89,9 @@ class Waits:
     def _latest_after(self, since: int) -> int:
         """The latest step for the next event after a short wait that began after the step ``since``.
 
-        With the fixed schedule, a drive starts at the same time as in the reference implementation. This time is
-        counted from the nominal time of the last placement. (The real placement is a few steps later, since times are
-        rounded to steps.)
+        With the fixed schedule, a drive starts at the same time as in the reference implementation. The start of the
+        drive is counted from the nominal time of the last placement. (The real placement is a few steps later, since
+        times are rounded to steps.)
         """
         sim = self._sim
         if self._all_placed and self.settles and self.drive_end is None:

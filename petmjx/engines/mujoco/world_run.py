@@ -330,7 +330,7 @@ class WorldRun:
             self._settle()
 
     def _look_for_quiet(self) -> bool:
-        """Look at the pallet if a look is due. Returns whether this look finds the pallet quiet."""
+        """If a check is due, check whether the pallet is quiet. Returns False if no check is due."""
         if self._step % self._sim.quiet.poll_steps or self._step <= self._waits.since:
             return False
         live, k = self._live, self._live.n_placed

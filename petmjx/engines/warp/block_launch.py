@@ -186,8 +186,8 @@ class Size:
         most_boxes: largest number of boxes of a world.
         threads: number of threads of a block, from 64 to 512. The number of threads of a world is a power of two, from
             32 to 256 (ORDER in block.cuh).
-        per_sm: number of blocks that a multiprocessor of a GPU runs at the same time. This number limits the number of
-            registers of a thread.
+        per_sm: number of blocks that a multiprocessor of a GPU runs at the same time. The number of blocks limits the
+            number of registers of a thread.
         shared_bytes: shared memory of a block for rows of the factor of the Hessian, and for the Hessian if it fits,
             bytes. A multiprocessor has 256 kB for all its blocks. The part of these 256 kB that no block uses serves as
             cache.

@@ -39,8 +39,8 @@ class BlockPools:
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
         """The block pools of a table. Pools for the last worlds and for small worlds, if there are any, come first.
-        Then comes one pool for each size, the largest size first. ``Programs._advance`` makes the queues in the same
-        order."""
+        Then comes one pool for each size, the largest size first. ``Programs._advance`` makes the queues in the order
+        of the pools."""
         run = table.run
         pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1

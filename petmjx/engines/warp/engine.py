@@ -60,7 +60,7 @@ class MjxWarpEngine(Engine):
             the device has room.
         allow_cpu: whether to run Warp's kernels on the CPU if there is no CUDA device. Running on the CPU is slow, and
             meant for tests.
-        most_rows: largest number of worlds whose states are on the device at the same time. This number limits the
+        most_rows: largest number of worlds whose states are on the device at the same time. ``most_rows`` limits the
             memory, whatever the number of jobs.
         slice_ns: length of a time slice (one call of the kernels), ns. After each slice, the CPU reads which worlds
             have ended.

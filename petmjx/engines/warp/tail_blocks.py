@@ -61,7 +61,8 @@ def tail_queues(
         order: the queues. Each row lists the numbers of worlds, followed by negative numbers.
         steps, running, lanes: see ``expected_tail``.
     """
-    few = ((order >= 0) & running[order]).sum() <= last.lanes  # rows of worlds that are in no queue may have any state
+    # rows of a table that belong to no queue may have any state
+    few = ((order >= 0) & running[order]).sum() <= last.lanes
     chosen = (running & few) | expected_tail(order, steps, running, lanes)
     queue = order[-1]
     mine = (queue >= 0) & chosen[queue]
