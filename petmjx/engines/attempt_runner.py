@@ -219,8 +219,8 @@ class AttemptRunner(Generic[AnyWorld]):
         Args:
             engine: name of the engine that made the outcomes; empty if each outcome names its engine.
             checked: whether the engine has already checked the outcomes.
-            wait: if True, wait until the pool has checked all outcomes. If False, yield only the outcomes that are
-                ready; later calls yield the remaining outcomes. until: see ``CheckPool.exchanged``.
+            wait: if True, wait until the pool has checked all outcomes. If ``wait`` is False, yield only the outcomes
+                that are ready; later calls yield the remaining outcomes. until: see ``CheckPool.exchanged``.
         """
         if checked:
             answered = arrivals

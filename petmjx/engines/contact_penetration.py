@@ -130,11 +130,11 @@ class _Stack:
 
 
 class _Pairs(NamedTuple):
-    """Pairs of boxes that overlap as seen from above, sorted by the upper box in the order of ``_Stack.order``.
+    """Pairs of boxes that overlap as seen from above, sorted by their upper boxes, from the lowest to the highest.
 
     Attributes:
         upper, lower: (p,) numbers of the two boxes of each pair.
-        spans: for each box in the order of ``_Stack.order``, the slice of the pairs in which it is the upper box.
+        spans: for each box, from the lowest to the highest, the slice of the pairs in which the box is the upper box.
     """
 
     upper: NDArray[np.intp]
@@ -144,7 +144,8 @@ class _Pairs(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _stack(scene: Scene) -> _Stack:
-    """The ``_Stack`` of a scene. The result is cached, since many worlds of a sweep have the same scene."""
+    """The boxes of a scene, sorted by height. The result is cached, since many worlds of a sweep have the same
+    scene."""
     return _Stack(scene)
 
 

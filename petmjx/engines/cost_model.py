@@ -188,9 +188,9 @@ class Work:
         carried: number of placements with such errors in which boxes are carried to their places.
         drive_steps: steps of one drive, including ``rest_steps``; the mean over profiles.
         filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1.
-        giving: number of compliant boxes of each plan; empty: none.
+        giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
         ties: for each plan, the number of supports beyond a box's first, as a mean over its boxes
-            (petmjx.plans.loose_boxes); empty: ``TYPICAL_TIES``.
+            (petmjx.plans.loose_boxes); if empty, ``TYPICAL_TIES`` is used.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
             (petmjx.plans.loose_boxes); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and no
             box is expected to tip over.

@@ -92,8 +92,9 @@ class JobStream(Generic[Tag]):
         """Add a job.
 
         Args:
-            bounded: if True, the job comes from the source, and the call waits while the stream is full. If False, the
-                job follows from an outcome: the call never waits, and the job is taken before the jobs of the source.
+            bounded: if True, the job comes from the source, and the call waits while the stream is full. If ``bounded``
+                is False, the job follows from an outcome: the call never waits, and the job is taken before the jobs of
+                the source.
 
         Returns:
             Whether the job was added. A closed stream accepts no jobs from the source.

@@ -312,8 +312,8 @@ class OpenWorlds(ABC):
         return self._readings(worlds) if len(worlds) else Readings.of([], [])
 
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
-        """The outcomes that worlds have if no further boxes follow. A world may also be driven (moved by its carrier).
-        The worlds themselves do not change. ``Outcome.job`` is the index into ``worlds``.
+        """The outcomes that worlds have if no further boxes follow. If ``drives`` has a drive for a world, the world is
+        also shaken. The worlds themselves do not change. ``Outcome.job`` is the index into ``worlds``.
 
         Each outcome is the result of one simulation, as in ``Engine.run``. Unlike in ``petmjx.score``, no world is
         simulated again with other settings (docs/rules.md, section 9). If a placement before a drive has failed without

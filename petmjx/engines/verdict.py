@@ -26,7 +26,7 @@ class Verdict(StrEnum):
 
 
 class Reason(StrEnum):
-    """Why a world is not stable. Empty for stable worlds."""
+    """Why a world is not stable. The reason of a stable world is empty."""
 
     NONE = ""
     NONFINITE = "nonfinite"

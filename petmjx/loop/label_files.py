@@ -49,8 +49,8 @@ CARD: Final = "card.json"
 README: Final = "README.md"
 
 _ROWS: Final = 10_000
-"""Number of labels in a part (a file written while labels are made), and in a row group of a table. Parts may also be
-smaller."""
+"""Number of labels in a part (a file written while labels are made), and in a row group of a table. A part may also
+have fewer labels."""
 
 SECONDS_PER_PART: Final = 60.0
 """Longest time after which the labels of finished episodes (orders packed to the end) are written as a part, s."""

@@ -283,7 +283,7 @@ class _Turns(NamedTuple):
     apart: FloatArray
 
     def take(self, rows: NDArray[np.intp]) -> _Turns:
-        """The turns of the boxes in the given rows."""
+        """How the boxes in the given rows turn."""
         return _Turns(self.rows[rows], self.towards[rows], self.edge[rows], self.outside[rows], self.apart[rows])
 
 
@@ -482,9 +482,9 @@ def _margin(edges: FloatArray, place_mm: FloatArray) -> FloatArray:
 
 
 def _hull_edges(corners: FloatArray) -> FloatArray:
-    """(m, e, 3) edges of the convex hulls of (m, c, 2) points, in the form of ``_Rests.edges``. An edge leads from a
-    corner of the hull to the farthest point for which all other points are on the left of the edge. If a hull has fewer
-    than e edges, the remaining edges are infinitely far away.
+    """(m, e, 3) edges of the convex hulls of (m, c, 2) points, as (d, n_x, n_y): a point p is inside an edge by the
+    distance d − n · p. An edge leads from a corner of the hull to the farthest point for which all other points are on
+    the left of the edge. If a hull has fewer than e edges, the remaining edges are infinitely far away.
     """
     m = len(corners)
     along = corners[:, None] - corners[:, :, None]  # vectors from the first to the second corner: (m, first, second, 2)

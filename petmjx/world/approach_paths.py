@@ -282,7 +282,7 @@ def _overlap(
 
 
 def _approaches(scene: Scene, room: Room | None) -> tuple[FloatArray, FloatArray]:
-    """The directions and the unit vectors of ``_approaches_of`` for the boxes of one scene."""
+    """For the boxes of one scene, the directions and the unit vectors that ``_approaches_of`` computes."""
     return _approaches_of(_neighbour_mask(scene.target, scene.half_size, scene.placing, room), scene.approach)
 
 
@@ -298,8 +298,8 @@ def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> 
 
     Args:
         beside: (…, n, 2, 2) whether each side of a box has a neighbour, from ``_neighbour_mask``.
-        approaches: (n, 2) directions that the plan gives; a row of 0 is no direction. None if the plan gives no
-            directions.
+        approaches: (n, 2) directions that the plan gives; a row of 0 is no direction. ``approaches`` is None if the
+            plan gives no directions.
     """
     towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
     if approaches is not None:

@@ -111,8 +111,8 @@ def _solved_loads(
     load: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads of one scene, and (n,) distances by which these loads are beyond edges, m. None if the programme has
-    no solution.
+    """(n, 3) loads of one scene, and (n,) distances by which these loads are beyond edges, m. The result is None if the
+    programme has no solution.
 
     The programme determines the loads of the boxes ``changed``. The loads of all other boxes are those in ``load``. The
     unknowns of the programme are
@@ -182,8 +182,8 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
 def _least(
     cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
 ) -> FloatArray | None:
-    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound. None if the solver HiGHS
-    finds no solution."""
+    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound. The result is None if the
+    solver HiGHS finds no solution."""
     # SciPy is imported here, since its import takes a second and few plans need it.
     from scipy.optimize import Bounds, LinearConstraint, milp
     from scipy.sparse import csc_array

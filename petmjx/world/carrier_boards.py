@@ -32,8 +32,8 @@ class Pallet:
     Attributes:
         boards: corner and size of each board, mm.
         masses_kg: mass of each board.
-        frictions: coefficient of sliding friction of each board. None stands for ``Physics.carrier_friction``. If
-            ``frictions`` is empty, all boards have ``Physics.carrier_friction``.
+        frictions: coefficient of sliding friction of each board. An entry None stands for ``Physics.carrier_friction``.
+            If ``frictions`` is empty, all boards have ``Physics.carrier_friction``.
         materials: material of each board. If ``materials`` is empty, all boards are wooden.
     """
 

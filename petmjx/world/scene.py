@@ -334,8 +334,8 @@ def half_size_and_target(
 
 
 def _stiffness(plan: Plan) -> NDArray[np.float64] | None:
-    """(n,) stiffness of each box, N/m; inf if the plan gives no stiffness for the box. None if the plan gives no
-    stiffness at all."""
+    """(n,) stiffness of each box, N/m; inf if the plan gives no stiffness for the box. The result is None if the plan
+    gives no stiffness at all."""
     if plan.stiffness_n_mm is None:
         return None
     return np.where(np.isnan(plan.stiffness_n_mm), np.inf, plan.stiffness_n_mm * MM_PER_M)

@@ -129,8 +129,8 @@ class PaddedModel:
     def _ready(
         self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
     ) -> tuple[Any, Float[Array, " geom"], Bodies, Problem, Float[Array, "contact 3"], Landing | None]:
-        """What the solver needs of one world: contacts, heights of geoms, bodies, the problem, and the reference
-        accelerations of contacts."""
+        """What the solver needs to know about one world: contacts, heights of geoms, bodies, the problem, and the
+        reference accelerations of contacts."""
         model, links = self._model_of(fields), self._links
         bodies = Bodies.of(model, inputs)
         data = mjx.collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))

@@ -36,7 +36,7 @@ Scalar = Float[Array, ""]
 
 
 class Problem(NamedTuple):
-    """What the solver needs of one world. The rows of a contact are its normal and its two tangents.
+    """What the solver needs to know about one world. The rows of a contact are its normal and its two tangents.
 
     Attributes:
         mass: the diagonal of the mass matrix.

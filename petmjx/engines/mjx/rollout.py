@@ -189,7 +189,8 @@ class BatchRollout:
     def _join(
         self, carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
     ) -> Float[Array, "world coordinate"]:
-        """Generalised coordinates: those of the carrier, unless it is held, and then those of the boxes."""
+        """Generalised coordinates: first those of the carrier (left out if the carrier is held), then those of the
+        boxes."""
         flat = boxes.reshape(len(boxes), -1)
         return flat if self.model.held else jnp.concatenate([carrier, flat], axis=-1)
 

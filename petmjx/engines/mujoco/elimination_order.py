@@ -30,9 +30,9 @@ def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken
 
     Args:
         contacts: (m, 2) pairs of boxes that touch now. Contacts with the carrier and the floor are left out.
-        shaken: if True, boxes are expected to touch their neighbours at the sides. If False, only pairs are expected to
-            touch in which one box stands on the other. A standing pallet has few other contacts, and including them
-            would add half as many operations.
+        shaken: if True, boxes are expected to touch their neighbours at the sides. If ``shaken`` is False, only pairs
+            are expected to touch in which one box stands on the other. On a standing pallet, few boxes touch their
+            neighbours at the sides, and including these pairs would add half as many operations.
     """
     joined = _may_touch(scene.start_pos[:n_boxes], scene.half_size[:n_boxes], NEAR_M if shaken else 0.0)
     first, second = contacts.T

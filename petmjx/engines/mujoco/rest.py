@@ -49,9 +49,10 @@ class QuietRule:
         Args:
             pose: (k, 7) positions (m) and unit quaternions of the placed boxes.
             velocity: (k, 6) velocities (m/s), followed by angular velocities (rad/s).
-            has_failed: whether a box has dropped or tilted too far. If True, the rule does not wait for creeping boxes.
-            adapts: whether the wait ends as soon as the pallet is quiet. If True, the rule also looks for trembling
-                boxes.
+            has_failed: whether a box has dropped or tilted too far. If ``has_failed`` is True, the rule does not wait
+                for creeping boxes.
+            adapts: whether the wait ends as soon as the pallet is quiet. If ``adapts`` is True, the rule also looks for
+                trembling boxes.
         """
         rule, radius = self._rule, self._radius_m[: len(velocity)]
         speed = box_motion.speed(velocity, radius)

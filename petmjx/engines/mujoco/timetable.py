@@ -125,8 +125,8 @@ class Waits:
         return step < (self.static_end if self._is_plain_static else self.longest_wait)
 
     def _later(self, since: int, wait_s: float) -> int:
-        """The step at which a wait is over. After a drive, the length of a wait is a number of steps, as the length of
-        the drive is.
+        """The step at which a wait is over. After a drive, the length of a wait is counted in steps, like the length of
+        the drive.
         """
         if self.drive_end is not None:
             return since + seconds_to_steps(wait_s, self._dt)

@@ -226,7 +226,7 @@ class WorldRun:
         return True
 
     def _transition(self) -> None:
-        """After a step, place the next box or start the phase after the placement, if this is due."""
+        """After a step, place the next box or start the phase after the placement, if either is due."""
         if self._live.hand is not None:
             self._carry_on(self._live.hand)
         elif self._waiting:

@@ -69,8 +69,9 @@ class Worker:
     Args:
         threads: number of threads of the engine. If ``threads`` is None, the engine's default is used.
         check_pool: number of processes that check the outcomes of a large chunk. Only one large chunk runs at a time.
-        thorough: whether the engine must be created before the worker reports that it is ready. If False (only for
-            ``mjx-warp``), a thread creates the engine, which takes seconds, while the first jobs are made and sent.
+        thorough: whether the engine must be created before the worker reports that it is ready. If ``thorough`` is
+            False (only for ``mjx-warp``), a thread creates the engine, which takes seconds, while the first jobs are
+            made and sent.
 
     All data are pickled bytes. Objects from Ray's object store would be read-only, and would occupy the memory of the
     store.

@@ -135,8 +135,8 @@ class Programs:
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
 
     def compiled(self, arguments: tuple[Any, ...], progress: Progress) -> Any:
-        """The program ``_advance``, compiled for arguments of these sizes. The compile time is added to
-        ``progress``."""
+        """The program that simulates a time slice (``_advance``), compiled for arguments of these sizes. The compile
+        time is added to ``progress``."""
         table, _, _, profiles, order, frames = arguments
         sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
         if sizes in self._compiled:

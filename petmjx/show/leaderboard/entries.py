@@ -46,7 +46,7 @@ class Entry:
     Attributes:
         name: name of the packer.
         run: the run in which the packer's plans were simulated.
-        plans: those plans of the run that were found again, by id.
+        plans: id → plan, for those plans of the run that could be read again.
         ours: whether the packer is part of petmjx.
         scored: whether all plans of the run were simulated for this board just now.
     """

@@ -148,8 +148,7 @@ def sample_entry(
 
     Args:
         entry: the entry.
-        most: number of plans. If a verdict differs but does not refute the run, the same number of further plans is
-            simulated.
+        most: number of plans. If a verdict differs but does not refute the run, ``most`` further plans are simulated.
         sim: simulation options of the board.
         options: run options of the board. If the options name no engine, the engine of the entry's run is used, or
             ``mujoco`` if that engine cannot run on this machine.

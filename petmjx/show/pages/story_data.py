@@ -80,7 +80,7 @@ def placed_s(history: History) -> FloatArray:
 
 def _drive(story: Story) -> dict[str, Any] | None:
     """What shakes the carrier: its kind ("force" or "acceleration"), its name, and the value that corresponds to 1 g.
-    None if nothing shakes the carrier."""
+    The result is None if nothing shakes the carrier."""
     if story.drive is None or not np.any(story.history.drive):
         return None
     kind = story.drive.excitation.kind
