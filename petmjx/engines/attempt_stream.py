@@ -120,9 +120,9 @@ def score_worlds(
 class _AttemptRun(Generic[AnyWorld]):
     """All attempts at the worlds of one call of ``score_worlds``.
 
-    At any time, each unfinished world is in one of four collections. Before its first attempt it is in ``stream``, or,
-    if the engine of the run cannot simulate it, in ``for_fallback``. Before each further attempt it is in
-    ``retry_queue`` or in ``side_tasks``.
+    At any time, each unfinished world is in one of four collections. Before its first attempt, a world is in
+    ``stream``, or, if the engine of the run cannot simulate the world, in ``for_fallback``. Before each further
+    attempt, a world is in ``retry_queue`` or in ``side_tasks``.
 
     Attributes:
         first_runner: makes the first attempts.

@@ -6,7 +6,7 @@ The first attempts are those of the PET-Physics paper: up to two attempts with N
 conjugate gradients (CG). An attempt with half the timestep follows. Two further attempts, with stiffer contacts, are
 for worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``). An optional last attempt
 simulates boxes as soft bodies, like the third attempt of the reference implementation. In the reference implementation
-of the paper, the second attempt only repeats the first, deterministic simulation. Here, a second attempt gives the
+of the paper, the second attempt only repeats the first, deterministic simulation. In petmjx, a second attempt gives the
 solver up to ``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``. More iterations and a smaller
 tolerance help if the solver stopped too early.
 
@@ -284,4 +284,4 @@ def ready_for(engine: str, job: Job) -> Job:
     if not isinstance(job.start, KeptState):
         return job
     start = job.start.state if job.start.engine == engine else None
-    return Job(**{**vars(job), "start": start})  # three times as fast as ``replace``; a Job has only fields
+    return Job(**{**vars(job), "start": start})  # three times as fast as ``replace``

@@ -2,7 +2,7 @@
 
 ``petmjx.world.contact_laws`` computes the depth of a contact at rest. The depth follows from the plan, the masses and
 the largest force on each box, which are in the CPU's memory whichever engine simulates. The depth is not read from
-final poses, since these do not show it if a stack fell because its support gave way.
+final poses: if a stack fell because its support gave way, the final poses do not show the depth.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Contact tilt: how near soft contacts bring stacks to tipping over that would stand on hard contacts.
+"""Contact tilt: how near to tipping over soft contacts bring stacks that would stand on hard contacts.
 
 The contacts below a box give way, and they give way more on the side on which the load acts. So the box turns by an
 angle: the difference of the depths on its two sides, divided by the width between them. The load is at a height above
-these contacts, so it moves towards the edge. A box stands on a base of width w, and the side of the base away from the
-edge carries the share r of the load. Then the load acts at the distance r·w from the edge. If no contact had given way,
-the load would act at the distance
+the contacts, so the load moves towards the edge when the box turns. A box stands on a base of width w, and the side of
+the base away from the edge carries the share r of the load. Then the load acts at the distance r·w from the edge. If no
+contact had given way, the load would act at the distance
 
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 
@@ -107,8 +107,8 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
 
 
 def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two arrays (n,): the angle by which each box leans because the boxes below it lean, rad, and the distance by
-    which its centre moves sideways, m."""
+    """(n,) angle by which each box leans because the boxes below it lean, rad, and (n,) distance by which the centre of
+    each box moves sideways, m."""
     bottom, middle, half = bearing.boxes.bottom, bearing.boxes.target[:, 2], bearing.boxes.half_size[:, 2]
     below, moved = np.zeros((2, len(own_lean)))
     turned, shift = own_lean.copy(), own_lean * half

@@ -38,9 +38,9 @@ QUIET_STEPS = 220
 241 boxes took 150 to 890 such steps. After EUMOS's profile, pallets that stand took 216 steps."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
-"""The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans took
-17 s, and 4,000 plans with the fixed schedule took 21 s. The adaptive schedule leaves out cheap steps, in which all
-boxes are at rest. In the remaining steps, boxes move and pallets collapse."""
+"""The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans with
+the adaptive schedule took 17 s, and 4,000 plans with the fixed schedule took 21 s. The adaptive schedule leaves out
+cheap steps, in which all boxes are at rest. In the remaining steps, boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
 """Over whole runs, the cost of a step on ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes,
@@ -62,14 +62,14 @@ since their boxes have many different heights."""
 
 SHAKEN_STEPS = 700
 """A drive is expected to have at most this number of steps in which boxes slide or fall. EUMOS's profile has fewer
-steps. A profile that tilts the carrier has 2,970 steps, and boxes are at rest in most of them. A drive that shakes
-boxes for many seconds takes up to ten times as long as expected."""
+steps than this number. A profile that tilts the carrier has 2,970 steps, and boxes are at rest in most of them. A drive
+that shakes boxes for many seconds takes up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
-"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker
-drive the pallet may creep. So a weaker drive is expected to take ``CREEPING`` times as many steps, and is begun
-earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives take 336 steps on average and at most 1,149; weak
-drives take 570 steps on average and at most 6,088."""
+"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a drive with a
+smaller acceleration, the pallet may creep. So a weaker drive is expected to take ``CREEPING`` times as many steps, and
+is begun earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives take 336 steps on average and at most
+1,149; weak drives take 570 steps on average and at most 6,088."""
 
 
 FALL_STEPS = 1350
@@ -77,8 +77,9 @@ FALL_STEPS = 1350
 two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these steps place boxes."""
 
 STATIC_FALL_STEPS = 400
-"""Number of steps of a static check in which boxes fall, until one has dropped and the world ends. If a check has fewer
-steps, boxes are expected to fall in all of them. 17 plans with loose boxes took 200 to 600 steps on ``mujoco``."""
+"""Number of steps of a static check in which boxes fall, until one has dropped and the world ends. If a static check
+has fewer steps, boxes are expected to fall in all its steps. 17 plans with loose boxes took 200 to 600 steps on
+``mujoco``."""
 
 FALL_BOXES = 7
 """Number of boxes that are placed during the ``FALL_STEPS`` steps of a fall, in the plans of the two shelf packers."""
@@ -101,7 +102,8 @@ FEWEST_WALLS = 2
 first: a load touches it only after it has slid."""
 
 REFERENCE_STEPS = 2.8
-"""Number of placing steps with physics ``reference``, relative to ``pallet``, with schedule ``adaptive``."""
+"""Number of steps of a placement with the physics ``reference``, relative to the physics ``pallet``, with the adaptive
+schedule."""
 
 WAY_STEPS = {Way.DROP: 3.1, Way.HAND: 4.0, Way.TINES: 7.0}
 """Number of steps of a placement whose boxes fall or are carried to their places, relative to a placement whose boxes

@@ -403,7 +403,8 @@ class _Rests:
         box, because the edge about which the box turns may slide.
 
         Args:
-            least, friction: see ``_turn_straight`` and ``falls``.
+            least: as in ``_turn_straight``.
+            friction: the coefficient of friction between boxes.
         """
         rows, towards, edge, outside, apart = turns
         z, height = self.start[rows, 2], self.end[rows, 2] - self.start[rows, 2]

@@ -3,7 +3,7 @@
 The load of a box is its own weight plus the weight that rests on it. The box is in balance if its load acts inside the
 edges of its supports, that is, within their convex hull. Statics does not determine how several supports share a load.
 So a load may be beyond an edge if supports share loads in one way, and inside if they share loads in another way. Rigid
-boxes stand if there is a way of sharing with which all loads are inside.
+boxes stand if their supports can share the loads so that all loads act inside the edges.
 
 The unknowns of the programme are forces at the corners of all contact areas of boxes with several supports. The forces
 must push, and must balance every box. The programme chooses the forces with which the load nearest to an edge is as far
@@ -60,8 +60,8 @@ def balanced_loads(
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
     # For each box with several supports: the loads that depend on how these supports share the box's load. The loads of
-    # all boxes below depend on this sharing. The load of the box with several supports is included, since the equations
-    # also contain this load.
+    # all boxes below also depend on how these supports share the load. The load of the box with several supports is
+    # included, since the equations also contain this load.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True

@@ -96,8 +96,8 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
 def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
     """(c, 3) forces at contacts in the coordinates z of this module's docstring.
 
-    For each box, the pressure plane is searched whose projections onto the cones of the box's contacts balance the
-    box's load. The forces are these projections.
+    For each box, this function searches for the pressure plane with which the projections onto the cones of the box's
+    contacts balance the box's load. The forces are these projections.
     """
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

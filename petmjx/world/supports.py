@@ -36,8 +36,8 @@ TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Largest distance between two faces that count as touching, m. The warnings about plans use the same distance."""
 
 LEANS_M: Final = Thresholds().shift_m
-"""Largest gap between a box and a wall that can stop the box from tipping, m. A box that tips over this gap moves by
-less than the shift threshold."""
+"""Largest gap between a box and a wall that can stop the box from tipping, m. A box that tips across a gap of this
+width moves by less than the shift threshold."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
 

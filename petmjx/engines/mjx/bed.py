@@ -204,7 +204,7 @@ def _cut(
     part = here / jnp.where(crosses, here - ahead, 1.0)
     points = jnp.stack([corners, corners + part[:, None] * (corners[following] - corners)], axis=1)
     stay = jnp.stack([kept & (here >= 0), crosses], axis=1).reshape(-1)
-    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # rows beyond the last row are dropped
+    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # points without a row are dropped
     left = jnp.zeros((k + 1, 2)).at[row].set(points.reshape(-1, 2), mode="drop")
     return left, jnp.arange(k + 1) < stay.sum()
 

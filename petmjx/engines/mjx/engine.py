@@ -304,7 +304,7 @@ def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
 
 
 def _load(jobs: Sequence[Job], some: list[int], room: int, group: Group, sim: Simulation) -> Batch:
-    """A batch of the jobs ``some``, with ``room`` rows. Padding rows have already ended."""
+    """A batch of the jobs ``some``, with ``room`` rows. Rows that are padding hold worlds that have already ended."""
     timetable = build_timetable(sim, group.capacity)
     batch = load([jobs[index] for index in some], room, group.capacity, sim, timetable, (0, group.profile_steps))
     status = np.array(batch.table.status)

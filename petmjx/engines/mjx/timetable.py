@@ -94,8 +94,8 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
 
 
 def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float) -> Int32[np.ndarray, " step"]:
-    """For each step, the first step that is at least ``wait_s`` later. If this step is beyond the end of the clock, it
-    is the step after the clock's last step."""
+    """For each step, the first step that is at least ``wait_s`` later. A step beyond the end of the clock is replaced
+    by the step after the clock's last step."""
     n = len(clock) - 1
     # searchsorted compares a time with (start of the wait + wait_s). This sum rounds differently from the difference
     # (time - start of the wait) in the rule, so the result is corrected with the rule's own comparison.

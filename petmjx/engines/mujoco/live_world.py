@@ -34,9 +34,9 @@ longer if 1 or 40 boxes are added at once than if 8 are."""
 
 ORDERED_FROM = 64
 """Smallest number of boxes of a plan whose bodies are sorted in elimination order. In elimination order, third-party
-plans of 76 or more boxes are simulated 1.3 to 4.6 times as fast. Third-party plans of 45 and 66 boxes, and generated
-plans, gain at most 2 %. For these plans, compiling the model again for a new order costs as much time as the order
-saves."""
+plans of 76 or more boxes are simulated 1.3 to 4.6 times as fast as in packing order. Third-party plans of 45 and 66
+boxes, and generated plans, gain at most 2 %. For these plans, compiling the model again for a new order costs as much
+time as the order saves."""
 
 _PARKING_M = 100.0
 _PARKING_PITCH_M = 10.0
@@ -63,8 +63,8 @@ class LiveWorld:
     With pyramidal friction cones, an additional body represents the waiting boxes
     (``petmjx.engines.mujoco.waiting_boxes``).
 
-    The bodies of a large plan are sorted in elimination order (``petmjx.engines.mujoco.elimination_order``), the bodies
-    of a smaller plan in packing order. With pyramidal cones, all bodies are in packing order, so that results are
+    The bodies of a large plan are sorted in elimination order (``petmjx.engines.mujoco.elimination_order``). The bodies
+    of a smaller plan are in packing order. With pyramidal cones, all bodies are in packing order, so that results are
     bit-identical to the reference implementation. All arrays that this class takes and returns have rows in packing
     order.
 
@@ -361,7 +361,7 @@ class LiveWorld:
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) centres (m) and (k, 4) quaternions of the placed boxes at the beginning of the last step.
 
-        The accelerations and contact forces of the last step belong to these poses.
+        The accelerations and contact forces of a step belong to the poses at its beginning.
         """
         rows = self._first_body + self._row[: self.n_placed]
         pos, quat = self.data.xpos[rows], self.data.xquat[rows]

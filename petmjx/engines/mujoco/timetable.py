@@ -53,7 +53,7 @@ class Waits:
         return self._static and not self.settles
 
     def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:
-        """Start to wait after ``step``.
+        """Start to wait for the next event, after the step ``step``.
 
         Args:
             n_boxes: number of boxes of the plan.

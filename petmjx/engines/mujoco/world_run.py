@@ -275,8 +275,8 @@ class WorldRun:
             self._has_placed()
 
     def _has_placed(self) -> None:
-        """The last box now stands, falls, or is in the hand: start to wait. For a carried box, the wait starts again
-        when the hand releases it."""
+        """The last box now stands, falls or is in the hand, so the wait for the next event begins. For a carried box,
+        the wait starts again when the hand releases it."""
         self._still_pose[self._live.n_placed - 1] = self._live.pose[self._live.n_placed - 1]
         self._waits.last_placement = self._step
         self._wait(self._step)

@@ -36,7 +36,8 @@ OF_REPAIR: Final = (*OF_RUN, *OF_READING)
 """Names of those options of runs that repairs also have."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
-"""A function that returns, for the name of a packer, a context with an object that watches the progress of its run."""
+"""A function that returns, for the name of a packer, a context with an object that watches the progress of the packer's
+run."""
 
 
 @dataclass(frozen=True, eq=False)
