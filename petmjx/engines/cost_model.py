@@ -57,8 +57,8 @@ REST_POWER = 1.25
 
 TYPICAL_TIES = 0.5
 """Assumed number of supports of a box beyond its first support, as a mean over the boxes of a plan, if the plan is
-unknown. The mean is 0.24 to 1.3 in 62 third-party plans of 45 to 241 boxes. In most generated plans, it is 0.1 or less,
-since their boxes have many different heights."""
+unknown. The mean is 0.24 to 1.3 in 62 third-party plans of 45 to 241 boxes. In most generated plans, the mean is 0.1 or
+less, since their boxes have many different heights."""
 
 SHAKEN_STEPS = 700
 """A drive is expected to have at most this number of steps in which boxes slide or fall. EUMOS's profile has fewer
@@ -99,7 +99,7 @@ scores, drives and searches of 5 to 60 boxes on epal-1 and gma-48x40, and in a g
 
 FEWEST_WALLS = 2
 """Smallest number of walls that make steps more expensive. A trailer's headboard, a single wall, costs nothing at
-first: a load touches it only after it has slid."""
+first: a load touches the headboard only after sliding."""
 
 REFERENCE_STEPS = 2.8
 """Number of steps of a placement with the physics ``reference``, relative to the physics ``pallet``, with the adaptive

@@ -247,7 +247,8 @@ def free_begin(
     Args:
         begin: (3,) preferred position at the start, m.
         own_reach: (3,) half extents of the box along x, y and z, m.
-        pos, reaches: (k, 3) middles, and half extents along x, y and z, of the boxes that already stand, m.
+        pos: (k, 3) middles of the boxes that already stand, m.
+        reaches: (k, 3) half extents along x, y and z of the boxes that already stand, m.
         most_m: (2, 2) largest distance by which the box may be moved aside, m: axis 0 is the negative and the positive
             direction, axis 1 is x and y.
     """

@@ -173,7 +173,8 @@ class Room:
         wall's inner face.
 
         Args:
-            place, half: (…, n, 3) middles of the boxes, and half extents along x, y and z, m.
+            place: (…, n, 3) middles of the boxes, m.
+            half: (…, n, 3) half extents of the boxes along x, y and z, m.
             least_m: length by which a box must reach below the wall's top, m. A box that reaches less far down is above
                 the wall.
         """

@@ -33,8 +33,8 @@ class OpenScenes:
         n = len(scenes)
         self._blank, self._carrier = blank, scenes[0].carrier
         self._scenes = list(scenes)
-        """The scene of each world when the scene was last requested. Boxes that were added after the last request are
-        only in the arrays."""
+        """The scene of each world, as of the last request for this scene. Boxes that were added after the last request
+        are only in the arrays."""
         self._count = np.zeros(n, np.int64)
         self._half_size, self._target = (np.full((n, _FIRST_ROOM, 3), np.nan) for _ in range(2))
         self._mass: FloatArray = np.full((n, _FIRST_ROOM), np.nan)

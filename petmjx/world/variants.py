@@ -94,8 +94,9 @@ class PlacementChange:
     For an attribute that is a ``Distribution``, a separate error is drawn for each box, except for ``friction_rel``.
 
     Attributes:
-        box_friction_factor, carrier_friction_factor: factors on the three friction coefficients of boxes, and of the
-            carrier. MuJoCo uses the larger coefficient of two touching geoms, so reducing only one changes little.
+        box_friction_factor: factor on the three friction coefficients of boxes.
+        carrier_friction_factor: factor on the three friction coefficients of the carrier. MuJoCo uses the larger
+            coefficient of two touching geoms, so reducing only one of the two factors changes little.
         mass_factor: factor on the mass of every box. The carrier's mass does not change.
         friction_rel: relative change of the friction of boxes and carrier, in addition to the factors (0.1 = 10 %
             more). One error is drawn for the whole world, since all cartons of a pallet are of the same board and in
@@ -103,7 +104,8 @@ class PlacementChange:
         mass_rel: relative change of a box's mass, in addition to the factor.
         size_mm: change of each dimension of a box, mm.
         size_rel: relative change of each dimension of a box (0.01 = 1 % larger).
-        x_mm, y_mm, yaw_deg: errors of a box's place along x and y, mm, and of its rotation about the vertical, degrees.
+        x_mm, y_mm: errors of a box's place along x and y, mm.
+        yaw_deg: error of a box's rotation about the vertical, degrees.
         drop_height_mm: height above its place at which a box is released, mm. Negative random heights count as 0.
         placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``. If ``placing_name`` is None, the
             option ``placing`` applies.

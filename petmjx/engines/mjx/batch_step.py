@@ -53,7 +53,8 @@ class PaddedModel:
     Model fields that differ between worlds are passed to each step. Contacts have fixed slots, so nothing can overflow.
 
     Attributes:
-        carrier, bodies: index of the carrier's body, and number of bodies.
+        carrier: index of the carrier's body.
+        bodies: number of bodies.
 
     Args:
         capacity: largest number of boxes of a world.

@@ -110,7 +110,7 @@ class Recorder:
             frames.insert(0, _of_state(job, job.start))
         last = _of_state(job, world)
         if not frames or frames[-1].step[-1] != last.step[0]:
-            frames.append(last)  # the host ended the world
+            frames.append(last)  # the host ended the world outside a step
         parts: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in frames]) for name in Frames._fields
         }

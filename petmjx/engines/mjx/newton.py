@@ -302,8 +302,8 @@ def _couplings(sides: NDArray[np.integer], bodies: int) -> tuple[NDArray[np.int6
 
     Returns:
         Two tables. (coupling, k): the pairs of geoms of each pair of moving bodies; rows are padded with the number of
-        all pairs. (body, body): the block in the list of all bodies' own blocks, all couplings, all couplings
-        transposed, and a block of zeros.
+        all pairs. (body, body): the index of the Hessian's block for two bodies in this list: all bodies' own blocks,
+        all couplings, all couplings transposed, and a block of zeros.
     """
     pairs_by_bodies: dict[tuple[int, int], list[int]] = {}
     for pair, (one, two) in enumerate(sides.tolist()):

@@ -133,7 +133,8 @@ class BatchRollout:
         def moved(
             row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
         ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
-            """The values after a step, for running worlds and boxes in play. All other values stay the same."""
+            """The values after a step, for worlds that still run and boxes that are already placed. All other values
+            stay the same."""
             new_carrier, new_boxes = self._split(row, carrier)
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
 

@@ -254,8 +254,8 @@ class Launch:
             bytes.
         panels: number of panels (groups of 16 rows) of the largest system of equations.
         hands: whether hands may carry boxes. A kernel without hands spills fewer registers to memory.
-        gives, wraps: whether boxes may be compliant, and whether stretch film may hold boxes. A kernel without
-            compliant boxes and film also spills fewer registers.
+        gives: whether boxes may be compliant. A kernel without compliant boxes spills fewer registers, too.
+        wraps: whether stretch film may hold boxes. A kernel without film spills fewer registers, too.
         lands: whether the law of landing boxes is in use.
     """
 

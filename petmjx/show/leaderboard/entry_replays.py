@@ -39,7 +39,8 @@ class Replay:
     Attributes:
         plan_id: id of the plan.
         claimed: the verdict in the entry's run.
-        verdict, reason: the verdict of the replay, and its reason.
+        verdict: the verdict of the replay.
+        reason: the reason of the replay's verdict.
         near: whether the two verdicts may differ by chance, because the replay is near a threshold or has no valid
             verdict.
     """

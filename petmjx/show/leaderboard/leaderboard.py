@@ -89,7 +89,7 @@ def leaderboard(
             entry. The plans are chosen at random. Replays have the options of this call. If this call gives no options,
             replays have the options of the runs, or the defaults if runs have different options.
         watch: function that returns, for the name of a packer, a context with an object that watches the progress of
-            its run.
+            the packer's run.
         overwrite: whether to replace an existing leaderboard.
         options: options of ``petmjx.score`` for plans that are simulated.
 

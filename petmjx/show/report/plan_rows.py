@@ -41,7 +41,8 @@ class NumberColumn:
     Attributes:
         column: name of the column in ``ReportRun.worlds``.
         key: name of the column in the page, and in the page's address.
-        label, unit: heading of the column, and unit of its values.
+        label: heading of the column.
+        unit: unit of the column's values.
         digits: number of decimals that are shown.
         factor: factor that converts values to the unit.
         meaning: text that appears when the mouse is over the heading.
