@@ -2,8 +2,8 @@
 
 MJX computes all this for trees of joints of any kind. A pallet consists of free bodies, so few lines are enough, and
 programs are half as large. The formulas are those of MuJoCo's documentation ("Computation"). A free body has six
-velocities: three of its origin, in world axes, and three of its rotation, in its own axes. The origin is the centre of
-mass, and the axes are those of its inertia, so the mass matrix is diagonal.
+velocities: three of its origin, in world axes, and three of its rotation, in its own axes. The origin of a body is its
+centre of mass, and the axes of a body are its principal axes, so the mass matrix is diagonal.
 
 The functions are for one world; use them under ``jax.vmap``.
 """

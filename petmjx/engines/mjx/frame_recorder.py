@@ -18,7 +18,7 @@ from petmjx.world.job import Job
 
 
 class Trail(NamedTuple):
-    """The steps of a chunk, for each world. All values hold after a step and the rules that follow it.
+    """The steps of a chunk, for each world. All values are those after a step and after the rules that follow the step.
 
     ``ran``: whether the step was taken; ``fresh``: whether a box was just placed.
     """

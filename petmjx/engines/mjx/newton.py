@@ -225,7 +225,8 @@ class BlockSolver:
         return self._valued(problem, start)
 
     def _valued(self, problem: Problem, now: _Iterate) -> _Iterate:
-        """The state with the same accelerations, and with the forces, gradient and cost that belong to them."""
+        """The state with the same accelerations, and with the forces, gradient and cost that follow from these
+        accelerations."""
         cones = Cones.of(problem, now.residual)
         force = cones.force(problem)
         push = einsum("prv,pr->pv", problem.jacobian, force.reshape(len(self.links.sides), -1))

@@ -124,7 +124,8 @@ class WorldRun:
         self._begin_drive(self._job.drive)
 
     def _loop(self) -> bool:
-        """Simulate from event to event. Returns whether the world reached its end or a pause."""
+        """Simulate from one event (placement, start of the drive, rest window) to the next. Returns whether the world
+        reached its end or a pause."""
         while self._step < self._end and not self.paused:
             if self._cancelled():
                 raise WorldCancelled

@@ -244,7 +244,7 @@ class Cluster:
 
     _lock = threading.Lock()
     _latest: _LocalRay | None = None
-    """The instance of Ray that this process started or joined last. If it has no users, it is ending."""
+    """The instance of Ray that this process started or joined last. If this instance has no users, it is ending."""
 
     def __init__(self, address: str | None = None) -> None:
         cls = Cluster
