@@ -28,7 +28,7 @@ from petmjx.plans.column_names import (
     word_set,
     words_of,
 )
-from petmjx.plans.foreign_formats import BED_BPP, BoxSource
+from petmjx.plans.known_forms import BED_BPP, BoxSource
 from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.raw_cells import CellNumber, cell_number, cell_text, cell_triple, number_fault_of
 from petmjx.plans.turn_columns import (

@@ -19,12 +19,14 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import IGNORED, BoxColumns, Geometry, box_columns, role_of
+from petmjx.plans.box_list import BoxList
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry
-from petmjx.plans.foreign_formats import PACKINGSOLVER, POSES, BoxSource, rows_of, sources_of_bytes
+from petmjx.plans.foreign_formats import sources_of_bytes
+from petmjx.plans.header_names import are_numbers
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.json_reader import unpacked_bytes
-from petmjx.plans.nested_json import BoxList
+from petmjx.plans.known_forms import PACKINGSOLVER, POSES, BoxSource, rows_of
 from petmjx.plans.placement_table import RefusedPlan, Table, as_column
 from petmjx.plans.plan_fields import (
     FARTHEST_MM,
@@ -37,7 +39,7 @@ from petmjx.plans.plan_fields import (
 )
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.plans.raw_cells import GROUPED, cell_number, cell_text, thousands_faults
-from petmjx.plans.raw_tables import RawTable, are_numbers
+from petmjx.plans.raw_tables import RawTable
 from petmjx.plans.reading_candidates import Candidate, layout_of
 from petmjx.plans.reading_choice import TIE, choose_reading, container_of
 from petmjx.plans.readings import AmbiguousFile, Reading, Wishes

@@ -19,9 +19,9 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import GROSS, IGNORED, ROLES, Extraction
+from petmjx.plans.box_list import BoxList
 from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, split_unit, word_set, words_of
-from petmjx.plans.foreign_formats import BoxSource
-from petmjx.plans.nested_json import BoxList
+from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.order_generator import MOST_ITEMS
 from petmjx.plans.plan_fields import sparse_fault
 from petmjx.plans.raw_cells import cell_number, cell_text, number_fault_of

@@ -304,8 +304,8 @@ class _PlanLoader:
     def _read_foreign_frame(self, frame: SupportsArrow, source: str = FRAME) -> InputError | None:
         """Read a data frame with other column names than petmjx's. Returns the reason if it cannot be read, else
         None."""
-        from petmjx.plans.foreign_formats import sources_of_frame
         from petmjx.plans.foreign_plans import plans_of_sources
+        from petmjx.plans.python_objects import sources_of_frame
 
         try:
             self._take_foreign(source, partial(plans_of_sources, sources_of_frame(frame), None, source))
@@ -319,8 +319,8 @@ class _PlanLoader:
         Raises:
             InputError: the object contains no plans.
         """
-        from petmjx.plans.foreign_formats import sources_of_object
         from petmjx.plans.foreign_plans import plans_of_sources
+        from petmjx.plans.python_objects import sources_of_object
 
         self.most_skipped = MOST_LINES
         try:
