@@ -18,8 +18,9 @@ from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import IGNORED, BoxColumns, Geometry, box_columns, role_of
+from petmjx.plans.box_columns import BoxColumns, box_columns
 from petmjx.plans.box_list import BoxList
+from petmjx.plans.column_extraction import IGNORED, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry
 from petmjx.plans.foreign_formats import sources_of_bytes
@@ -43,6 +44,7 @@ from petmjx.plans.raw_tables import RawTable
 from petmjx.plans.reading_candidates import Candidate, layout_of
 from petmjx.plans.reading_choice import TIE, choose_reading, container_of
 from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
+from petmjx.plans.size_and_place_columns import Geometry
 
 USUAL_KG_M3: Final = 300.0
 """Density of boxes if a file has no weights: that of cartons in BED-BPP's orders. Verdicts hardly depend on a density

@@ -11,10 +11,12 @@ from typing import Final
 import numpy as np
 
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import BoxColumns, Geometry, role_of
+from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.column_extraction import role_of
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plausibility import Layout
 from petmjx.plans.readings import Wishes
+from petmjx.plans.size_and_place_columns import Geometry
 
 _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (0, 2, 1)])
 """py3dbp's ``rotation_type`` → which of width, height and depth lies along each of the three axes (as in its function
