@@ -44,7 +44,7 @@ from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.plan_validation import PlanError, parse_plan
 
 if TYPE_CHECKING:
-    from petmjx.plans.foreign_plans import ForeignPlans
+    from petmjx.plans.foreign_plan_builder import ForeignPlans
     from petmjx.plans.placement_table import Table, TableError
     from petmjx.plans.readings import Reading, Wishes
 
