@@ -89,6 +89,11 @@ _CONTAINER: Final = word_set(
     "container containers bin bins pallet pallets palette paletten paleta palet pale palety bancale bancali truck "
     "carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw camion"
 )
+PALLET_WORDS: Final = word_set(
+    "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
+    "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
+)
+"""Words that mean a pallet in titles of sections, and in names of columns that otherwise have no known meaning."""
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "weight": word_set(
         "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wg wgt bruttogewicht kg"

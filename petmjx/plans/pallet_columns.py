@@ -14,7 +14,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import IGNORED
-from petmjx.plans.column_names import word_set, words_of
+from petmjx.plans.column_names import PALLET_WORDS, words_of
 from petmjx.plans.packing_order import repeated_number
 from petmjx.plans.raw_cells import cell_text
 from petmjx.plans.reading_candidates import Candidate
@@ -25,12 +25,6 @@ _MANY_OVERLAP: Final = 0.3
 """If at least this share of the boxes overlaps, two pallets have probably been read as one."""
 _LEAST_OF_PALLETS: Final = 4
 """Smallest number of boxes in a file for which petmjx searches for a column that names the pallets."""
-_OF_PALLETS: Final = word_set(
-    "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
-    "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
-)
-"""Words that mean a pallet in names of columns. The words are used for column names that ``column_names`` does not
-know."""
 _OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
 """Names of columns that may name pallets, or stacks of one pallet."""
 
@@ -81,7 +75,7 @@ class PalletSearch:
             separating.setdefault(tuple(numbers[text] for text in texts), []).append(name)
         if not separating:
             return columns, ()
-        pallet_names = [[name for name in names if _OF_PALLETS & set(words_of(name))] for names in separating.values()]
+        pallet_names = [[name for name in names if PALLET_WORDS & set(words_of(name))] for names in separating.values()]
         sure = [names[0] for names in pallet_names if names]
         if len(sure) != 1:
             names = [names[0] for names in separating.values()]

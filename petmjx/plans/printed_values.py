@@ -61,7 +61,7 @@ PY3DBP_COLUMNS: Final = ("name", "width", "height", "depth", "weight", "pos x", 
 
 def source_of_printed(text: str) -> BoxSource | None:
     """The boxes in text that py3dbp or its fork has printed; None for any other text."""
-    if "pos(" not in text and "W*H*D" not in text:
+    if not ("pos(" in text and "rt(" in text) and "W*H*D" not in text:
         return None
     rows: list[tuple[Any, ...]] = []
     places: list[str] = []

@@ -3,16 +3,18 @@ totals, which are left out."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import zip_longest
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
+from petmjx.plans.column_names import PALLET_WORDS, plain_text, words_of
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.header_names import (
     count_known_names,
@@ -146,9 +148,11 @@ def _sections(
 ) -> tuple[list[_Section], tuple[tuple[str, str], ...], list[str]]:
     """The rows of a table by section, the rows that are lost, and the lines after the last row."""
     width, geometric = len(header), geometric_columns(header)
+    names_pallets = [index for index, name in enumerate(header) if PALLET_WORDS.intersection(words_of(name))]
     sections: list[_Section] = [("", [])]
     lost: list[tuple[str, str]] = []
     trailing: list[str] = []
+    short_titles: dict[str, str] = {}
     for index in range(first, end):
         row, place = rows[index], f"row {index + begin}"
         filled = [cell for cell in row if cell is not None]
@@ -160,6 +164,13 @@ def _sections(
         if len(filled) == 1 and width > 2 and isinstance(filled[0], str) and not _mostly_numbers(row):
             trailing.append(filled[0])
             continue
+        if _is_title(row, geometric, names_pallets):
+            short_titles[_line(row)] = _short_title(filled)
+            trailing.append(_line(row))
+            continue
+        if _KEY_AND_VALUE.match(_line(row)) and _n_numbers(row, geometric) * 2 < len(geometric):
+            notes.append(f"{place} is a remark, and left out: {printable_name(_line(row))}")
+            continue
         used = len(row)
         while used > width and row[used - 1] is None:
             used -= 1
@@ -170,7 +181,39 @@ def _sections(
             sections.append((trailing[-1], []))
             trailing = []
         sections[-1][1].append((tuple(row[:width]), place))
+    if len(set(short_titles.values())) == len(short_titles):
+        sections = [(short_titles.get(name, name), body) for name, body in sections]
     return [section for section in sections if section[1]], tuple(lost), trailing
+
+
+_KEY_AND_VALUE: Final = re.compile(r"^[^\d:;]{3,60}:\s*[\d.,]+\s*\S{0,12}$")
+"""A line such as "Cube utilization: 81.2 %" below a table."""
+
+
+def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequence[int]) -> bool:
+    """Whether a row of several cells is the title of a section: it begins with a text that has a word for pallets, and
+    most sizes and places are missing.
+
+    Args:
+        pallet_columns: columns whose cells name pallets in every row, so that a cell there is no title.
+    """
+    begin = next((index for index, cell in enumerate(row) if cell is not None), None)
+    if begin is None or begin in pallet_columns or not isinstance(row[begin], str):
+        return False
+    return bool(PALLET_WORDS.intersection(words_of(row[begin]))) and _n_numbers(row, geometric) * 2 < len(geometric)
+
+
+def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:
+    """The number of sizes and places in a row that are numbers."""
+    cells = [row[index] for index in geometric if index < len(row)]
+    return sum(cell_number(cell, ",") is not None or cell_number(cell) is not None for cell in cells)
+
+
+def _short_title(cells: Sequence[Any]) -> str:
+    """The name of a section: the first cell of its title, and the second one if the first is only a word for
+    pallets."""
+    name = cell_text(cells[0]).rstrip(": ")
+    return name if set(re.findall(r"\w+", plain_text(name).lower())) - PALLET_WORDS else f"{name} {cell_text(cells[1])}"
 
 
 def _mostly_numbers(row: Sequence[Any]) -> bool:

@@ -116,7 +116,23 @@ def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str
     return "\n".join(lines)
 
 
+_BRACKETS: Final = re.compile(r"[(\[{][^()\[\]{}\n\"]{1,100}[)\]}]")
+"""Text in brackets within a line, such as the three numbers of a place: "(0, 300, 0)"."""
+_MASKED: Final = str.maketrans(", ", "\ue000\ue001")
+_UNMASKED: Final = str.maketrans("\ue000\ue001", ", ")
+
+
 def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
+    """The fields of each line. Commas and spaces in brackets do not separate fields."""
+    if delimiter in (",", _SPACES) and _BRACKETS.search(text):
+        masked = _BRACKETS.sub(lambda match: match[0].translate(_MASKED), text)
+        for fields in _plain_fields(masked, delimiter):
+            yield [field.translate(_UNMASKED) for field in fields]
+        return
+    yield from _plain_fields(text, delimiter)
+
+
+def _plain_fields(text: str, delimiter: str) -> Iterator[list[str]]:
     if delimiter == _SPACES:
         yield from _spaced_fields(text.splitlines())
         return
