@@ -12,7 +12,7 @@ from petmjx.plans.column_names import column_meanings
 from petmjx.plans.raw_cells import cell_number
 
 _LISTED: Final = 16
-"""A list with at most this number of members becomes separate fields: a 4×4 matrix has 16 members."""
+"""A list with at most this number of members becomes separate fields. A list of 16 members is a 4×4 matrix."""
 
 
 _LEAST_COLUMNS: Final = 5
@@ -78,7 +78,9 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
             if depth < 4:
                 flat |= flattened(inner, f"{path}.", depth + 1)
         elif isinstance(inner, list | tuple):
-            if _is_matrix(inner):
+            if _is_matrix(inner) or (
+                len(inner) == 16 and not any(isinstance(cell, Mapping | list | tuple) for cell in inner)
+            ):
                 flat[path] = inner
             elif (ends := _ends_of_vertices(inner)) is not None:
                 for end, point in zip(("min", "max"), ends, strict=True):

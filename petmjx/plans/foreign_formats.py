@@ -23,6 +23,7 @@ from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_ar
 from petmjx.plans.printed_values import python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import RawTable, united
+from petmjx.plans.scene_graphs import is_gltf, is_three_js, source_of_gltf, source_of_three_js
 from petmjx.plans.text_tables import decoded_text
 from petmjx.plans.workbooks import RawFile, read_raw_tables, tables_of_page, value_of_xml
 
@@ -61,6 +62,10 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
                 raise NoBoxes(str(error)) from None
             else:
                 raise
+        if is_three_js(value):
+            return [source_of_three_js(value)]
+        if is_gltf(value):
+            return [source_of_gltf(value)]
         sources = [with_named_units(with_known_form(boxes)) for boxes in box_lists(value)]
         if not sources:
             raise NoBoxes("has no list of boxes: petmjx looks for objects with places and sizes")

@@ -75,6 +75,8 @@ D_WAVE: Final = KnownForm("the solution of D-Wave's example", anchor="corner", s
 PACKVIUM: Final = replace(_UPRIGHT, name="packvium's result")
 BENCHMARK: Final = KnownForm("centres and dimensions as placed", anchor="centre", up="z", sizes="placed")
 SCENE: Final = KnownForm("a MuJoCo scene (MJCF)", "m", "kg", "centre", "z", "placed")
+THREE_JS: Final = KnownForm("a three.js scene", anchor="centre", up="y", sizes="placed")
+GLTF: Final = KnownForm("a glTF scene", "m", anchor="centre", up="y", sizes="placed")
 OWN: Final = KnownForm("petmjx's table", "mm", "kg", "corner", "z", "item", "swap")
 BED_BPP: Final = KnownForm("BED-BPP", anchor="corner", up="z", sizes="item", rule="swap")
 ARRAY: Final = KnownForm("an array of numbers", anchor="corner", up="z")
@@ -109,8 +111,9 @@ def with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
         return BoxSource(boxes, OWN)
     if not boxes.table.has_header:
         return BoxSource(boxes, ARRAY)
-    if "matrix" in boxes.kinds or any("matrix" in name or "pose" in name or "transform" in name for name in names):
-        return BoxSource(boxes, POSES)
+    if any("matrix" in name or "pose" in name or "transform" in name for name in names):
+        # a box of width, height and depth may stand in a scene with y upwards
+        return BoxSource(boxes, replace(POSES, up="") if any(name.endswith("depth") for name in names) else POSES)
     return BoxSource(boxes, KnownForm(kind))
 
 

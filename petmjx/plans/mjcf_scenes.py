@@ -13,7 +13,8 @@ from petmjx.plans.box_list import BoxList
 from petmjx.plans.known_forms import SCENE, BoxSource
 from petmjx.plans.raw_tables import RawTable
 
-_PALLET: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wall|robot|gripper", re.IGNORECASE)
+NO_BOX: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wall|robot|gripper", re.IGNORECASE)
+"""Words in names of bodies and meshes that are no boxes."""
 
 
 def source_of_scene(text: str) -> BoxSource:
@@ -45,7 +46,7 @@ def source_of_scene(text: str) -> BoxSource:
         solid = [shape for shape in shapes if model.geom_contype[shape] or model.geom_conaffinity[shape]] or list(
             shapes
         )
-        if _PALLET.search(name):
+        if NO_BOX.search(name):
             pallets += 1
             continue
         if len(solid) != 1 or model.geom_type[solid[0]] != mujoco.mjtGeom.mjGEOM_BOX:

@@ -11,6 +11,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.plans.column_extraction import XYZ, ColumnExtraction
 from petmjx.plans.column_names import LENGTH_UNITS, words_of
+from petmjx.plans.known_forms import GLTF, THREE_JS
 from petmjx.plans.raw_cells import number_fault_of
 from petmjx.plans.size_and_place_columns import Geometry, place_choices, size_choices
 from petmjx.plans.turn_columns import (
@@ -26,6 +27,8 @@ from petmjx.plans.turn_columns import (
 
 _Rotations = tuple[FloatArray, dict[str, str], int]
 """(n, 3, 3) rotation matrices; role → name of its column; the column that is named in errors."""
+_ROUNDED_SCALE: Final = 0.01
+"""Largest difference of a scale factor from 1 that rounding of the matrix explains."""
 _LEVEL: Final = 2e-3
 """Largest deviation of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
 
@@ -34,22 +37,30 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
     """Geometries from matrices, or from positions and rotations."""
     header = extraction.table.header
     sizes = size_choices(extraction)
-    if not sizes:
-        return []
-    size, axes, unit, _, columns = sizes[0]
     matrix = next(
         (index for index in range(len(header)) if any(is_matrix(row[index]) for row in extraction.table.rows[:3])), None
     )
     if matrix is not None:
-        rotations, places = np.full((len(size), 3, 3), np.nan), np.full((len(size), 3), np.nan)
+        n = len(extraction.table.rows)
+        rotations, places = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
         for row, cell in enumerate(extraction.cells(matrix)):
             array = matrix_of(cell)
             if array is None:
                 extraction.bad(row, matrix, f"must be a 4×4 matrix of numbers{bad_member(cell)}")
             else:
                 rotations[row], places[row] = array[:3, :3], array[:3, 3]
+        rotations, scale = _without_scale(rotations)
+        if not sizes and np.allclose(scale, 1.0, equal_nan=True):
+            return []
+        size, axes, unit, _, columns = sizes[0] if sizes else (np.ones((n, 3)), XYZ, "", False, {})
+        if not np.allclose(size, scale, rtol=1e-3, equal_nan=True):  # else the matrices repeat the sizes
+            size = size * scale
+            _check_scales(extraction, scale, matrix)
         columns = {**columns, "pose": header[matrix]}
         return [_pose(extraction, size, places, axes, unit, unit, rotations, columns, matrix, "")]
+    if not sizes:
+        return []
+    size, axes, unit, _, columns = sizes[0]
     options = _quaternions(extraction) or _angles(extraction) or _turning_matrices(extraction)
     places_of = place_choices(extraction) if options else []
     if not places_of:
@@ -75,6 +86,27 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
         for number, (rotation, named, index) in enumerate(options)
         if tilted[number] == min(tilted)
     ]
+
+
+def _check_scales(extraction: ColumnExtraction, scale: FloatArray, index: int) -> None:
+    """Report matrices that scale their box if most matrices of the column do not. In scene graphs, any matrix may scale
+    its box."""
+    scaled = np.flatnonzero((np.abs(scale - 1.0) >= _ROUNDED_SCALE).any(axis=1))
+    if extraction.source.form in (THREE_JS, GLTF) or len(scaled) * 2 > len(scale):
+        return
+    for row in scaled.tolist():
+        factor = scale[row, np.argmax(np.abs(scale[row] - 1.0))]
+        extraction.bad(row, index, f"scales the box by {factor:.3g}, unlike the matrices of other rows")
+
+
+def _without_scale(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, 3, 3) rotations, and (n, 3) scale factors along the axes of the boxes, of matrices that turn and scale.
+    If all factors are nearly 1, they are 1: matrices are rounded."""
+    scale: FloatArray = np.linalg.norm(matrices, axis=1)
+    if not (np.abs(scale - 1.0) >= _ROUNDED_SCALE).any():
+        return matrices, np.ones_like(scale)
+    scale = np.where(scale > 0, scale, 1.0)
+    return matrices / scale[:, None, :], scale
 
 
 def _quaternions(extraction: ColumnExtraction) -> list[_Rotations]:

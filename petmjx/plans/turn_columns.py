@@ -207,14 +207,22 @@ def is_matrix(cell: Any) -> bool:
 
 
 def matrix_of(cell: Any) -> FloatArray | None:
-    """The matrix of a pose, (4, 4) or (3, 4), in a cell; None if there is none."""
+    """The matrix of a pose, (4, 4) or (3, 4), in a cell; None if there is none. A matrix that is listed column by
+    column (three.js, USD) is transposed."""
     try:
         array = np.asarray(cell, dtype=float)
     except (TypeError, ValueError):
         return None
     if array.shape == (16,):
         array = array.reshape(4, 4)
+    if array.shape == (4, 4) and _ends(array.T) and not _ends(array):
+        array = array.T
     return array if array.shape in ((4, 4), (3, 4)) and np.isfinite(array).all() else None
+
+
+def _ends(matrix: FloatArray) -> bool:
+    """Whether the last row of a (4, 4) matrix is 0, 0, 0, 1."""
+    return bool((matrix[3] == (0, 0, 0, 1)).all())
 
 
 def bad_member(cell: Any) -> str:

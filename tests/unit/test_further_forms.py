@@ -176,6 +176,12 @@ TABLES = {
         lambda k, box: [NAMES[k], "({}, {}, {})".format(*box), "({3}, {4}, {5})".format(*box), box[6]],
         mark="\t",
     ).replace("\0", ",").replace(";", "\t"),
+    "places in brackets": "\n".join(
+        ["box   pos(x,y,z)      dim(l, w, h)     kg"]
+        + [f"{NAMES[k]}   ({x},{y},{z})    ({x_size}, {y_size}, {z_size})    {kg}"
+           for k, (x, y, z, x_size, y_size, z_size, kg) in enumerate(PILE)]
+    ),
+    "remarks below": table(f"box,x,y,z,{SIZES},weight", named) + "Cube utilization: 81.2 %,,,,,,,\n",
     "sections of layers": table(f"box,x,y,z,{SIZES},weight", named, mark=";").replace("e;", "Layer 2;;;;;;;\ne;", 1)
     .replace("a;", "Layer 1;;;;;;;\na;", 1),
     "Markdown": "\n".join(
@@ -300,6 +306,79 @@ def nested(tag: str, value: Any) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?><{tag} xmlns="urn:packer">{boxes}</{tag}>'
 
 
+def upwards_y(box: list[float]) -> tuple[list[float], list[float]]:
+    """The centre and the sizes of a box before its turn, in metres, with y upwards."""
+    x, y, z = (value / 1e3 for value in centre(box))
+    return [x, z, y], [box[4] / 1e3, box[5] / 1e3, box[3] / 1e3]
+
+
+def matrix_of_turn(at: Sequence[float], scale: Sequence[float] = (1, 1, 1)) -> list[float]:
+    """A matrix, column by column, that turns a box by 90° about the second axis, after scaling it."""
+    return [0, 0, -scale[0], 0, 0, scale[1], 0, 0, scale[2], 0, 0, 0, *at, 1]
+
+
+def three_js(instances: bool = False) -> Any:
+    """A scene of three.js whose boxes are in a group, with lights and a floor."""
+    places = [upwards_y(list(map(float, box))) for box in PILE]
+    shift = [-0.6, 0.2, -0.4]
+    matrices = [matrix_of_turn([a - b for a, b in zip(at, shift, strict=True)]) for at, _ in places]
+    meshes = [
+        {"type": "Mesh", "name": name, "matrix": matrix, "geometry": f"of {name}", "userData": {"weight": box[6]}}
+        for name, matrix, box in zip(NAMES, matrices, PILE, strict=True)
+    ]
+    geometries = [
+        {"uuid": f"of {name}", "type": "BoxGeometry", "width": size[0], "height": size[1], "depth": size[2]}
+        for name, (_, size) in zip(NAMES, places, strict=True)
+    ]
+    if instances:
+        scaled = [matrix_of_turn([a - b for a, b in zip(at, shift, strict=True)], size) for at, size in places]
+        meshes = [
+            {
+                "type": "InstancedMesh",
+                "geometry": "cube",
+                "count": 8,
+                "instanceMatrix": {"array": [value for matrix in scaled for value in matrix]},
+            }
+        ]
+        geometries = [{"uuid": "cube", "type": "BoxGeometry"}]
+    group = {"type": "Group", "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, *shift, 1], "children": meshes}
+    floor = {
+        "type": "Mesh",
+        "name": "ground",
+        "geometry": "plane",
+        "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+    }
+    return {
+        "metadata": {"version": 4.6, "type": "Object", "generator": "Object3D.toJSON"},
+        "geometries": [*geometries, {"uuid": "plane", "type": "PlaneGeometry", "width": 9, "height": 9}],
+        "object": {"type": "Scene", "children": [{"type": "AmbientLight"}, floor, group]},
+    }  # fmt: skip
+
+
+def gltf() -> Any:
+    """A scene in glTF: one unit cube and one mesh with extents, in a node that moves them."""
+    places = [upwards_y(list(map(float, box))) for box in PILE]
+    nodes: list[Any] = []
+    for name, (at, size), box in zip(NAMES, places, PILE, strict=True):
+        quarter = [0, math.sqrt(0.5), 0, math.sqrt(0.5)]
+        node = {"name": name, "translation": at, "rotation": quarter, "extras": {"weight_kg": box[6]}}
+        # the second mesh is a cube of 2 m whose corner is the origin
+        cube = {"mesh": 0, "scale": size}
+        corner = [at[0] - size[2] / 2, at[1] - size[1] / 2, at[2] + size[0] / 2]
+        far = {"mesh": 1, "scale": [side / 2 for side in size], "translation": corner}
+        nodes.append(node | (far if len(nodes) % 2 else cube))
+    meshes = [{"primitives": [{"attributes": {"POSITION": number}}]} for number in range(2)]
+    accessors = [{"min": [-0.5] * 3, "max": [0.5] * 3}, {"min": [0, 0, 0], "max": [2, 2, 2]}]
+    root = {"children": list(range(8)), "translation": [-0.6, 0.0, -0.4]}
+    return {"asset": {"version": "2.0"}, "nodes": [*nodes, root], "meshes": meshes, "accessors": accessors}
+
+
+def by_matrices(box: list[float]) -> dict[str, Any]:
+    at, size = upwards_y(box)
+    return {"matrix": matrix_of_turn(at), "geometry": dict(zip(("width", "height", "depth"), size, strict=True)),
+            "weight": box[6]}  # fmt: skip
+
+
 def scene() -> Any:
     """A scene as exported by three.js and Unity: scaled unit cubes, given by their centres in metres, with y upwards.
     It has no cube for the container."""
@@ -326,6 +405,8 @@ def with_units() -> Any:
 
 DOCUMENTS = {
     "scales of cubes": scene(),
+    "a three.js scene": three_js(),
+    "matrices by columns": {"boxes": boxes_by(by_matrices)},
     "columns by labels": by_columns(),
     "units beside the boxes": with_units(),
     "units in the boxes": boxes_by(in_units),
@@ -367,6 +448,13 @@ def test_documents_in_further_conventions(name: str, tmp_path: Path) -> None:
     check_pile(plan)
 
 
+def test_scenes_without_weights_or_with_meshes_that_are_scaled(tmp_path: Path) -> None:
+    plan_set = load(tmp_path, "scene.json", json.dumps(three_js(instances=True)))
+    check_pile(plan_set.plans[0], weights=False)
+    assert "1 mesh that is no box left out" in notes_of(plan_set)
+    check_pile(load(tmp_path, "scene.gltf", json.dumps(gltf())).plans[0])
+
+
 def test_stacks_give_their_places(tmp_path: Path) -> None:
     (plan,) = load(tmp_path, "pile.json", json.dumps(stacks())).plans
     order = [NAMES.index(name) for name in plan.item_ids]
@@ -406,6 +494,9 @@ BOX_ROWS = [["box", *FIELDS], *(named(number, list(box)) for number, box in enum
         ("numbered.json", {"tool": "a", "pallet_1": boxes_by(plain), "pallet_2": boxes_by(plain)},
          ("pallet_1", "pallet_2")),
         ("remarks.xlsx", sheets(A=BOX_ROWS, B=[[*row, "remark"] for row in BOX_ROWS]), ("A", "B")),
+        ("titles.csv", table(f"box;x;y;z;{SIZES.replace(',', ';')};weight".replace(";", ","), named, mark=";")
+         .replace("a;", "Pallet A;Customer: X;;;;;;\na;", 1) + "Pallet;2;Weight;63 kg;;;;\n"
+         + table("", named, mark=";").partition("\n")[2], ("Pallet A", "Pallet 2")),
         ("stacks.csv", table(f"stack,box,x,y,z,{SIZES},weight", lambda k, box: [1, *named(k, box)])
          + table("2", lambda k, box: [2, *named(k, box)]).partition("\n")[2], ("stacks/1", "stacks/2")),
         ("loads.json", {"loads": [{"load_id": name, "x": 0, "y": 1000 * number, "z": 0, "length": 1200, "width": 800,
@@ -469,6 +560,12 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
         (table(f"stack,box,x,y,z,{SIZES},kg", lambda k, box: [k % 2, *named(k, box)]),
          "stack may name pallets, or stacks of one pallet; say which with --columns plan=stack or --columns plan=-"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
+        (json.dumps(three_js()).replace("-0.6, 0.2, -0.4, 1]", '-0.6, "O.2", -0.4, 1]', 1),
+         "object.children[2]: matrix must be 16 numbers, got O.2 as number 13"),
+        (json.dumps(gltf()).replace("0.7071067811865476", "null", 1),
+         "nodes[0] (a): rotation must be 4 numbers, got None as number 1"),
+        (json.dumps(boxes_by(by_matrices)).replace("-1", "-7", 1),
+         "[0] (a): matrix scales the box by 7, unlike the matrices of other rows"),
     ],
 )  # fmt: skip
 def test_a_damaged_value_is_named_with_its_place(text: str, fault: str, tmp_path: Path) -> None:
