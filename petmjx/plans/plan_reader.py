@@ -99,8 +99,8 @@ def load_plans(
         units: unit of the plans' lengths (mm, cm, m or in) and unit of their masses (kg, g, lb or t), such as "cm,g";
             None: mm and kg, or for files of other tools the most plausible units.
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
-            ``base-centre`` or ``far-corner`` (with the largest x, y and z); None: the corner, or for files of other
-            tools the most plausible point.
+            ``base-centre``, ``far-corner`` (with the largest x, y and z) or ``top-centre``; None: the corner, or for
+            files of other tools the most plausible point.
         up: the vertical axis in files of other tools; None: the most plausible axis. ``up`` and all arguments after it
             apply only to files of other tools.
         sizes: ``placed``: sizes of boxes as placed; ``item``: sizes before boxes are turned.

@@ -25,7 +25,7 @@ _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (
 _PERMUTATIONS: Final = np.array(list(permutations(range(3))))
 """Number of a permutation of the sizes, in the order in which programs list them → which of the sizes lies along each
 axis."""
-_ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5}
+_ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5, "top-centre": 3.0}
 _FIRM: Final = 3.0
 """Cost of a reading that contradicts a known fact about a form."""
 _WORDS: Final = ("length", "width", "height", "depth")
@@ -235,7 +235,7 @@ def _anchors(geometry: Geometry, known: str, wishes: Wishes) -> list[tuple[str, 
     if geometry.anchor:
         return [(geometry.anchor, 0.0)]
     if geometry.turn is not None and not known:
-        return [("centre", 0.0), ("base-centre", 1.2), ("corner", 1.8)]
+        return [("centre", 0.0), ("base-centre", 1.2), ("corner", 1.8), ("top-centre", 2.4)]
     if known:
         return [(anchor, 0.0 if anchor == known else _FIRM + prior) for anchor, prior in _ANCHOR_PRIOR.items()]
     return list(_ANCHOR_PRIOR.items())

@@ -40,6 +40,9 @@ overlap, or if a quarter of them float."""
 WEAK_LEAD: Final = 3.0
 """A weak reading wins only if its cost is lower than the cost of every other reading by at least this value. If a plan
 really has odd boxes, other readings make it even odder."""
+_UNUSUAL: Final = 1.0
+"""A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
+weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -207,15 +210,16 @@ def choose_reading(
     judged = _judged_candidates(columns, wishes, sample)
     best = judged[0]
     tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)
-    lead = max(tie, WEAK_LEAD * (best.layout_cost > WEAK))
+    is_weak = best.layout_cost > WEAK
+    unusual = best.candidate.prior - min(one.candidate.prior for one in judged) >= _UNUSUAL
+    lead = max(tie, WEAK_LEAD * is_weak, best.layout_cost * (is_weak and unusual))
     close = [
         other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
     ]
     readings = [_reading(one, columns, wishes) for one in (best, *close)]
     reading = readings[0]
     if len(judged) > 1 and close:
-        weak = best.layout_cost > WEAK
-        raise AmbiguousFile(tie_text(readings, weak), readings[:4])
+        raise AmbiguousFile(tie_text(readings, is_weak), readings[:4])
     units = _units_of(best, columns, wishes)
     if len(units) > 1:
         first, second = units[0], units[1]
