@@ -17,8 +17,8 @@ from petmjx.plans.column_extraction import ColumnExtraction
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, may_count, word_set, words_of
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.pose_columns import pose_choices
-from petmjx.plans.raw_cells import cell_number
-from petmjx.plans.size_and_place_columns import Geometry, corner_choices, place_choices, size_choices
+from petmjx.plans.raw_cells import cell_number, cell_text
+from petmjx.plans.size_and_place_columns import Geometry, corner_choices, place_choices, size_choices, with_half_extents
 from petmjx.plans.turn_columns import Turns, turns_of
 from petmjx.plans.unnamed_columns import array_choices, array_extras
 
@@ -99,6 +99,7 @@ def box_columns(
         if not geometries:
             geometries = corner_choices(extraction)
         turns = rotations_in(extraction)
+    geometries += [half for geometry in geometries if (half := with_half_extents(geometry)) is not None]
     weight_index = weight_column(extraction)
     density_index = extraction.first("density") if weight_index is None else None
     if not source.boxes.table.has_header:
@@ -114,11 +115,15 @@ def box_columns(
     sequence = None
     if sequence_index is not None:
         sequence, _ = extraction.numbers(sequence_index, {"": 1.0})
+        if len(sequence) > 2 and bool((sequence == sequence[0]).all()) and "sequence" not in extraction.fixed:
+            sequence, sequence_index = None, None  # such as the number of the message that holds all boxes
     used = {name for geometry in geometries for name in geometry.columns.values()}
     plan, plan_name = extraction.texts("plan", role="plan")
     plan = extraction.filled_down(plan, plan_name, least_rows=2.0)
     article, article_name = extraction.texts("article", role="article")
     item_id, item_name = extraction.texts("item_id", "number", role="item_id")
+    if item_id is None and article is None:
+        item_id, item_name = distinct_names_in(extraction)
     if item_id is None and article is not None:
         item_id, item_name = article, article_name
     group, group_name = extraction.texts("group")
@@ -156,6 +161,17 @@ def box_columns(
         ),
         tuple(extraction.unit_columns),
     )
+
+
+def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, str]:
+    """(n,) names of boxes in the first column without a known name whose cells are different texts, and the column's
+    name. None and "" if there is none."""
+    for index, meaning in enumerate(extraction.meanings):
+        cells = extraction.cells(index)
+        texts = {cell for cell in cells if isinstance(cell, str) and cell_number(cell) is None}
+        if meaning is None and len(cells) > 1 and len(texts) == len(cells):
+            return [cell_text(cell) for cell in cells], extraction.table.header[index]
+    return None, ""
 
 
 def weight_column(extraction: ColumnExtraction) -> int | None:

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.plans.column_names import column_meanings
+from petmjx.plans.column_names import column_meanings, word_set, words_of
 from petmjx.plans.raw_cells import cell_number
 
 _LISTED: Final = 16
@@ -20,12 +20,18 @@ _LEAST_COLUMNS: Final = 5
 
 def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     """The rows of an object that stores them by column: lists of the same length, or pandas' forms (``columns`` and
-    ``data``, or objects with one value per row). None if the object has another form."""
-    names, data = value.get("columns"), value.get("data")
-    if isinstance(names, list) and isinstance(data, list) and data and all(isinstance(row, list) for row in data):
-        if all(isinstance(name, str) for name in names) and all(len(row) == len(names) for row in data):
+    ``data``, or objects with one value per row), or lists by name with the names of their members beside them. None if
+    the object has another form."""
+    names = _names_in(value)
+    for data in value.values() if names else ():
+        if isinstance(data, list) and data and all(isinstance(row, list) and len(row) == len(names) for row in data):
             return [dict(zip(names, row, strict=True)) for row in data]
-        return None
+        if (
+            isinstance(data, Mapping)
+            and data
+            and all(isinstance(row, list) and len(row) == len(names) for row in data.values())
+        ):
+            return [{"id": key, **dict(zip(names, row, strict=True))} for key, row in data.items()]
     if len(value) >= _LEAST_COLUMNS and all(isinstance(inner, Mapping) and inner for inner in value.values()):
         keys = max((inner.keys() for inner in value.values()), key=len)
         alike = all(inner.keys() <= keys for inner in value.values())
@@ -42,6 +48,15 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     if flat < _LEAST_COLUMNS:
         return None
     return [{name: inner[index] for name, inner in lists.items()} for index in range(lengths.pop())]
+
+
+def _names_in(value: Mapping[str, Any]) -> list[str]:
+    """The names of columns that an object lists; empty if it lists none."""
+    for field in ("columns", "fields", "header", "headers", "names", "keys"):
+        names = value.get(field)
+        if isinstance(names, list) and len(names) >= _LEAST_COLUMNS and all(isinstance(name, str) for name in names):
+            return names
+    return []
 
 
 LEAST_NUMBERS: Final = 6
@@ -82,6 +97,9 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
                 len(inner) == 16 and not any(isinstance(cell, Mapping | list | tuple) for cell in inner)
             ):
                 flat[path] = inner
+            elif len(inner) == 1 and isinstance(inner[0], Mapping) and _SHAPES.intersection(words_of(str(name))):
+                if depth < 4:
+                    flat |= flattened(inner[0], f"{path}[0].", depth + 1)
             elif (ends := _ends_of_vertices(inner)) is not None:
                 for end, point in zip(("min", "max"), ends, strict=True):
                     flat |= {f"{path}.{end}[{axis}]": value for axis, value in enumerate(point)}
@@ -89,9 +107,22 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
                 flat |= {f"{path}.{part}": cell for part, cell in zip(pose, inner, strict=True)}
             elif 0 < len(inner) <= _LISTED and not any(isinstance(cell, Mapping | list | tuple) for cell in inner):
                 flat |= {f"{path}[{index}]": cell for index, cell in enumerate(inner)}
+        elif isinstance(inner, str) and path.rpartition(".")[2].lower() == "pose":
+            numbers = inner.split()
+            pose = _PARTS_OF_POSES.get(len(numbers))
+            flat |= (
+                {f"{path}.{part}": cell for part, cell in zip(pose, numbers, strict=True)} if pose else {path: inner}
+            )
         else:
             flat[path] = inner
     return flat
+
+
+_SHAPES: Final = word_set(
+    "primitive primitives pose poses shape shapes geometry geometries geom geoms collision collisions transform "
+    "transforms"
+)
+"""Words in names of lists that describe the shapes and poses of one object, and not several boxes."""
 
 
 _PARTS_OF_POSES: Final = {

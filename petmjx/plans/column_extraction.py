@@ -25,7 +25,16 @@ from petmjx.plans.column_names import (
 )
 from petmjx.plans.known_forms import BED_BPP, BoxSource
 from petmjx.plans.plan_fields import joined_names
-from petmjx.plans.raw_cells import CellNumber, cell_number, cell_text, cell_triple, number_fault_of
+from petmjx.plans.raw_cells import (
+    CellNumber,
+    are_grouped,
+    cell_number,
+    cell_text,
+    cell_triple,
+    has_groups_with_decimals,
+    number_fault_of,
+    without_groups,
+)
 from petmjx.plans.turn_columns import letters_of
 
 XYZ: Final = ("x", "y", "z")
@@ -62,6 +71,7 @@ class ColumnExtraction:
         self.source = source
         self.units, self.masses = units, masses
         self.table = source.boxes.table
+        self.groups_thousands = has_groups_with_decimals(self.table.rows, self.table.decimal)
         self.faults: dict[int, tuple[str, str]] = {}
         self.meanings = column_meanings(self.table.header)
         if source.form.name == "packingsolver's certificate":
@@ -117,7 +127,9 @@ class ColumnExtraction:
                 and not _NO_WEIGHT.intersection(words_of(self.table.header[index]))
             ):
                 self.meanings[index] = ColumnMeaning("weight")
-            elif "rotation" not in kinds and len({*map(cell_text, cells)}) > 1 and all(map(letters_of, cells)):
+            elif "rotation" not in kinds and (
+                (len({*map(cell_text, cells)}) > 1 and all(map(letters_of, cells))) or self._are_quarter_turns(cells)
+            ):
                 self.meanings[index] = ColumnMeaning("rotation")
 
     def _has_units(self, index: int, cells: Sequence[Any]) -> bool:
@@ -138,6 +150,13 @@ class ColumnExtraction:
             return True
         return False
 
+    def _are_quarter_turns(self, cells: Sequence[Any]) -> bool:
+        """Whether cells are angles of quarter turns, in degrees, some of which turn a box."""
+        angles = {None if number is None else number.value for cell in cells for number in (cell_number(cell),)}
+        return (
+            angles <= {0.0, 90.0, 180.0, 270.0, -90.0, -180.0} and bool(angles & {90.0, 270.0, -90.0}) and 0.0 in angles
+        )
+
     def _is_mass(self, cell: Any) -> bool:
         number = cell_number(cell, self.table.decimal)
         return number is not None and number.unit in MASS_UNITS
@@ -152,7 +171,10 @@ class ColumnExtraction:
         """(n,) numbers of a column, NaN if a cell is bad. Also returns the unit according to the column's name or cells
         ("": none is given)."""
         rows: list[Sequence[CellNumber]] = []
-        for row, cell in enumerate(self.cells(index)):
+        cells, decimal = self.cells(index), self.table.decimal
+        is_grouped = self.groups_thousands or are_grouped(cells, decimal)
+        for row, cell in enumerate(cells):
+            cell = without_groups(cell, decimal) if is_grouped else cell
             number = cell_number(cell, self.table.decimal)
             rows.append(())
             if number is None or not np.isfinite(number.value):

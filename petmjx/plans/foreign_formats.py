@@ -20,7 +20,7 @@ from petmjx.plans.mjcf_scenes import source_of_scene
 from petmjx.plans.nested_containers import LAYERS
 from petmjx.plans.nested_json import box_lists
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
-from petmjx.plans.printed_values import python_values, source_of_printed
+from petmjx.plans.printed_values import check_printed, is_printed_object, python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import RawTable, united
 from petmjx.plans.scene_graphs import is_gltf, is_three_js, source_of_gltf, source_of_three_js
@@ -70,6 +70,12 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
         if not sources:
             raise NoBoxes("has no list of boxes: petmjx looks for objects with places and sizes")
         return sources
+    if is_printed_object(start):
+        values = python_values(start)
+        if values is None:
+            check_printed(start)
+        if sources := [with_named_units(with_known_form(boxes, "Python's text")) for boxes in box_lists(values)]:
+            return sources
     if (kind := foreign_kind(data)) is not None:
         raise NoBoxes(kind)
     if (printed := source_of_printed(text)) is not None:

@@ -27,6 +27,7 @@ from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
 from petmjx.plans.readings import Reading, Wishes
+from petmjx.plans.size_and_place_columns import HALF_EXTENTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +85,8 @@ class PlanBuilder:
             raise
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         self._check_words(reading, candidate)
+        if HALF_EXTENTS in reading.columns:
+            self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and its like are half sizes")
         self._note_quantities()
         size, low, containers = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
         self.decks = pallet_rows(self.columns, plans, size, low)

@@ -15,10 +15,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.common.text import count_text
+from petmjx.common.text import count_text, printable_name
 from petmjx.plans.box_fields import flattened
 from petmjx.plans.box_list import BoxList
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, plain_text, words_of
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, PALLET_WORDS, plain_text, word_set, words_of
 from petmjx.plans.raw_cells import cell_number, cell_text
 from petmjx.plans.total_rows import computed_row
 
@@ -85,7 +85,7 @@ POSES: Final = KnownForm("poses", up="z")
 
 def with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     """A list of boxes with the form that the names of its fields imply. Rows of totals are removed."""
-    boxes = _without_totals(boxes)
+    boxes = _by_pallet_rows(_without_totals(boxes))
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
     around = {str(name).lower() for name in boxes.around}
@@ -149,6 +149,58 @@ def _without_totals(boxes: BoxList) -> BoxList:
         f"{table.places[index]} has {what} of the rows above it, and is left out" for index, what in computed.items()
     ]
     return replace(without_totals, table=replace(without_totals.table, notes=(*table.notes, *notes)))
+
+
+_PALLET_RECORDS: Final = PALLET_WORDS - {"unit", "stop"}
+_BOX_RECORDS: Final = word_set(
+    "box case carton item parcel package piece karton kiste paket packstuck packung colis carton boite caja bulto "
+    "scatola collo cartone paczka karton pudelko"
+)
+"""Types of records, in lower case and without accents, of pallets and of boxes."""
+
+
+def _by_pallet_rows(boxes: BoxList) -> BoxList:
+    """A list in which rows of pallets come before the rows of their boxes, as parts without the rows of pallets. A
+    column with the types of records shows which rows these are: "PALLET", "BOX", "BOX", "PALLET", "BOX" …"""
+    table = boxes.table
+    if not table.has_header or any(boxes.parts):
+        return boxes
+    for index in range(len(table.header)):
+        types = [cell_text(row[index]) for row in table.rows]
+        words = [plain_text(name).lower() for name in types]
+        pallets = [row for row, word in enumerate(words) if word in _PALLET_RECORDS]
+        if not pallets or pallets[0] != 0 or not set(words) <= _PALLET_RECORDS | _BOX_RECORDS:
+            continue
+        last_of_pallet = [*(row - 1 for row in pallets[1:]), len(types) - 1]
+        if any(map(int.__eq__, pallets, last_of_pallet)):
+            continue  # a pallet without boxes
+        numbers = [sum(pallet <= row for pallet in pallets) for row in range(len(types))]
+        names = [_name_in(table.rows[row], index) or str(number) for number, row in enumerate(pallets, start=1)]
+        if len(set(names)) < len(names):
+            names = [str(number) for number in range(1, len(names) + 1)]
+        kept = [row for row in range(len(types)) if row not in pallets]
+        parts = tuple(names[numbers[row] - 1] for row in range(len(types)))
+        containers = {name: _container_in(boxes, row) for name, row in zip(names, pallets, strict=True)}
+        note = f"rows of type {printable_name(types[0])} in {printable_name(table.header[index])} are pallets"
+        by_pallets = rows_of(replace(boxes, parts=parts, containers=containers), kept)
+        return replace(by_pallets, table=replace(by_pallets.table, notes=(*table.notes, note)))
+    return boxes
+
+
+def _name_in(row: Sequence[Any], but: int) -> str:
+    """The first text of a row that is no number; "" if there is none. The cell at the index ``but`` is left out."""
+    cells = (cell for index, cell in enumerate(row) if index != but)
+    return next((cell for cell in cells if isinstance(cell, str) and cell_number(cell) is None), "")
+
+
+def _container_in(boxes: BoxList, row: int) -> Mapping[str, float]:
+    """Axis → size, from the row of a pallet."""
+    sizes = {}
+    for index, meaning in enumerate(boxes.meanings):
+        number = cell_number(boxes.table.rows[row][index], boxes.table.decimal)
+        if meaning is not None and meaning.kind == "size" and number is not None and meaning.axis != "height":
+            sizes[meaning.axis] = number.value
+    return sizes
 
 
 def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:

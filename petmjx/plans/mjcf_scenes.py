@@ -18,7 +18,8 @@ NO_BOX: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wall
 
 
 def source_of_scene(text: str) -> BoxSource:
-    """The boxes of a MuJoCo scene: free bodies whose only colliding geom is a box. MuJoCo itself parses the text.
+    """The boxes of a MuJoCo scene: free bodies whose only colliding geom is a box; bodies without joints if no box is
+    free. MuJoCo itself parses the text.
 
     Raises:
         InputError: MuJoCo cannot parse the text, a free body is not a single box, or there are no boxes. Bodies that
@@ -37,10 +38,16 @@ def source_of_scene(text: str) -> BoxSource:
     mujoco.mj_kinematics(model, data)
     rows, places, pallets = [], [], 0
     other_bodies: list[str] = []
-    for body in range(1, model.nbody):
-        joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
-        if not any(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE for joint in joints):
-            continue
+    free_bodies = {
+        int(model.jnt_bodyid[joint])
+        for joint in range(model.njnt)
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+    }
+    if all(NO_BOX.search(model.body(body).name) for body in free_bodies):
+        # boxes without joints, as in a model of a whole load
+        jointless = [body for body in range(1, model.nbody) if model.body_jntnum[body] == 0]
+        free_bodies |= {body for body in jointless if model.body_geomnum[body]}
+    for body in sorted(free_bodies):
         name = model.body(body).name or f"body {body}"
         shapes = range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body])
         solid = [shape for shape in shapes if model.geom_contype[shape] or model.geom_conaffinity[shape]] or list(

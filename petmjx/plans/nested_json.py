@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text
+from petmjx.common.text import count_text, first_names
 from petmjx.plans.box_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.box_list import BoxList
 from petmjx.plans.column_names import column_meanings, word_set, words_of
@@ -29,7 +29,7 @@ from petmjx.plans.nested_containers import (
     fields_of_part,
     plan_names_of,
 )
-from petmjx.plans.raw_cells import decimal_of
+from petmjx.plans.raw_cells import cell_number, decimal_of
 from petmjx.plans.raw_tables import MOST_ROWS, RawTable, united
 
 _DEEPEST: Final = 12
@@ -161,7 +161,7 @@ def _members(
     if isinstance(value, Mapping):
         if (rows := rows_by_column(value)) is not None:
             for index, row in enumerate(rows):
-                yield f"{path}[]", NestedBox(row, f"{place}[{index}]", ((_last(path), value), *around))
+                yield f"{path}[]", NestedBox(row, f"{place}[{index}]", (*around, (_last_step(place), value)))
             return
         step = (*around, (_last_step(place), value))
         members = [name for name, inner in value.items() if isinstance(inner, Mapping)]
@@ -236,6 +236,8 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     flat = [flattened(member.value) for member in members]
     for row, member in zip(flat, members, strict=True):
         row.update(fields_of_part(member))
+    members, flat, notes = _without_other_kinds(members, flat)
+    notes += _with_zeros(flat)
     counts: dict[str, int] = {}
     for row in flat:
         for name in row:
@@ -264,13 +266,63 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     for number, part in zip(box_members, parts, strict=True):
         if part not in containers:
             containers[part] = container_around(members[number])
-    lines = (f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()
+    lines = (*notes, *((f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()))
     around: dict[str, Any] = {}
     for _, holder in members[0].around:
         around |= {name: inner for name, inner in holder.items() if not isinstance(inner, list)}
     return BoxList(
         table, path, tuple(parts), {part: sizes for part, sizes in containers.items() if sizes}, lines, around
     )
+
+
+_KIND_FIELDS: Final = frozenset(("event", "type", "kind", "action", "record", "op", "msg", "message"))
+"""Names of fields that tell what kind of object a member of a list is."""
+
+
+def _without_other_kinds(
+    members: Sequence[NestedBox], flat: list[dict[str, Any]]
+) -> tuple[Sequence[NestedBox], list[dict[str, Any]], list[str]]:
+    """Members of a list and their fields, without those of other kinds than boxes, such as events "start" and "end". An
+    object is of another kind if it has no size and no place, and a field tells its kind, which no box has."""
+    names = list(dict.fromkeys(name for row in flat for name in row))
+    geometric = {
+        name
+        for name, meaning in zip(names, column_meanings(names), strict=True)
+        if meaning is not None and meaning.kind in _GEOMETRIC and not meaning.of_container
+    }
+    lacking = {number for number, row in enumerate(flat) if not geometric.intersection(row)}
+    if not lacking or len(lacking) == len(flat):
+        return members, flat, []
+    for name in sorted(_KIND_FIELDS.intersection(names)):
+        others = {str(flat[number].get(name, "")) for number in lacking}
+        boxes = {str(row.get(name, "")) for number, row in enumerate(flat) if number not in lacking}
+        if others.isdisjoint(boxes) and "" not in others:
+            note = f"objects whose {name} is {first_names(sorted(others))} have no size and no place, and are left out"
+            kept = [number for number in range(len(flat)) if number not in lacking]
+            return [members[number] for number in kept], [flat[number] for number in kept], [note]
+    return members, flat, []
+
+
+_GEOMETRIC: Final = ("size", "sizes", "position", "positions", "low", "high")
+
+
+def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
+    """Fill coordinates that are 0 and not written, as in JSON of protocol buffers. Some of x, some of y and some of z
+    must be missing, and no coordinate may be written as 0. Returns a note if there are any."""
+    names = list(dict.fromkeys(name for row in flat for name in row))
+    by_axis: dict[str, list[str]] = {}
+    for name, meaning in zip(names, column_meanings(names), strict=True):
+        if meaning is not None and meaning.kind == "position" and not meaning.of_container and "[" not in name:
+            by_axis.setdefault(meaning.axis, []).append(name)
+    columns = [by_axis[axis][0] for axis in "xyz" if len(by_axis.get(axis, ())) == 1]
+    numbers = [[cell_number(row.get(name)) for row in flat] for name in columns]
+    is_zero = any(number is not None and number.value == 0 for column in numbers for number in column)
+    if len(columns) < 3 or is_zero or not all(any(name not in row for row in flat) for name in columns):
+        return []
+    for row in flat:
+        for name in columns:
+            row.setdefault(name, 0)
+    return ["coordinates that are not written are 0"]
 
 
 def _cell(value: Any) -> Any:

@@ -96,8 +96,8 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
     row_arrays = {name: array for name, array in arrays.items() if getattr(array, "ndim", 0) >= 1}
     for name, array in row_arrays.items():
         if array.dtype.names:
-            header = tuple(array.dtype.names)
-            rows = [tuple(_cell_of(value) for value in row) for row in array.ravel().tolist()]
+            fields = _fields_of(array.ravel())
+            header, rows = tuple(fields), list(zip(*fields.values(), strict=True))
             table = RawTable(header, rows, [f"row {index}" for index in range(len(rows))], title=name)
             return [with_known_form(BoxList(table, name, ("",) * len(rows)), "a NumPy array")]
     containers = _containers_in(arrays)
@@ -179,6 +179,22 @@ def column_names_known(columns: Mapping[str, Any]) -> bool:
     kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
     posed = any(array.ndim == 3 for array in columns.values())
     return (posed or bool(kinds & {"position", "low"})) and bool(kinds & {"size", "high"})
+
+
+def _fields_of(array: Any, prefix: str = "") -> dict[str, list[Any]]:
+    """Name → cells, for the fields of a structured array. Fields that have fields or several numbers per row become
+    several columns, except matrices."""
+    fields: dict[str, list[Any]] = {}
+    for name in array.dtype.names:
+        values, path = array[name], f"{prefix}{name}"
+        if values.dtype.names and values.ndim == 1:
+            fields |= _fields_of(values, f"{path}.")
+        elif values.ndim == 1 or values.shape[1:] in ((3, 3), (3, 4), (4, 4)):
+            fields[path] = [_cell_of(value) for value in values.tolist()]
+        else:
+            flat = values.reshape(len(values), -1)
+            fields |= {f"{path}[{index}]": flat[:, index].tolist() for index in range(flat.shape[1])}
+    return fields
 
 
 def _cell_of(value: Any) -> Any:

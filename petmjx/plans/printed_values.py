@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
+from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.plans.box_list import BoxList
 from petmjx.plans.json_values import JsonLines
@@ -23,27 +24,66 @@ _CONSTRUCTED: Final = re.compile(
     r"\b(?:[A-Za-z_]\w*\.)*(?:Decimal|float(?:32|64)|u?int(?:8|16|32|64)|array)\(([^()]*?)(?:, dtype=\w+)?\)"
 )
 """A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])"."""
+_PRINTED_OBJECT: Final = re.compile(r"\[?\s*[A-Za-z_][\w.]*\(\s*[A-Za-z_]\w*=")
+"""The beginning of an object with named fields as Python prints it: "Box(x=0, y=0, …)"."""
 _NOT_FINITE: Final = re.compile(r"(?<![\w'\"])(-?(?:nan|inf))(?![\w'\"])")
 
 
 def python_values(text: str) -> Any:
     """The dictionaries and lists in a text that Python has printed, one or several; None for any other text."""
-    if "'" not in text or len(text) > _MOST_PRINTED:
+    if not ("'" in text or _PRINTED_OBJECT.match(text)) or len(text) > _MOST_PRINTED:
         return None
     text = _NOT_FINITE.sub(r"'\1'", _CONSTRUCTED.sub(r"\1", text))
     try:
-        return ast.literal_eval(text)
+        return _value_of(ast.parse(text, mode="eval").body)
     except (ValueError, SyntaxError, MemoryError, RecursionError):
         pass
     values = JsonLines()
     try:
         for number, line in enumerate(text.splitlines(), start=1):
             if line.strip():
-                values.append(ast.literal_eval(line))
+                values.append(_value_of(ast.parse(line.strip(), mode="eval").body))
                 values.lines.append(number)
     except (ValueError, SyntaxError, MemoryError, RecursionError):
         return None
     return values
+
+
+def check_printed(text: str) -> None:
+    """Check the lines of a text of objects that Python has printed, one in each line.
+
+    Raises:
+        InputError: a line is no such object. The error names the line and the column.
+    """
+    for number, line in enumerate(text.splitlines(), start=1):
+        try:
+            ast.parse(line.strip(), mode="eval")
+        except SyntaxError as error:
+            fault = f"line {number}, column {error.offset or 1}"
+            raise InputError(f"{fault}: is no object as Python prints it: {error.msg}") from None
+        except (ValueError, MemoryError, RecursionError):
+            raise InputError(f"line {number}: is no object as Python prints it") from None
+
+
+def is_printed_object(text: str) -> bool:
+    """Whether a text begins with an object that Python has printed, such as a data class."""
+    return _PRINTED_OBJECT.match(text) is not None
+
+
+def _value_of(node: ast.expr) -> Any:
+    """The value of an expression. Calls with named arguments are objects with these fields: "Box(x=0)".
+
+    Raises:
+        ValueError: the expression is no value.
+    """
+    if isinstance(node, ast.Call) and node.keywords and not node.args:
+        return {keyword.arg or "": _value_of(keyword.value) for keyword in node.keywords}
+    if isinstance(node, ast.List | ast.Tuple):
+        return [_value_of(member) for member in node.elts]
+    if isinstance(node, ast.Dict):
+        keys = [None if key is None else _value_of(key) for key in node.keys]
+        return dict(zip(keys, map(_value_of, node.values), strict=True))
+    return ast.literal_eval(node)
 
 
 _ITEM_LINE: Final = re.compile(

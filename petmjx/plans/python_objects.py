@@ -55,6 +55,8 @@ def sources_of_frame(frame: Any) -> list[BoxSource]:
             import pyarrow as pa
 
             table = pa.table(frame)
+            while any(pa.types.is_struct(field.type) for field in table.schema):
+                table = table.flatten()
             header = tuple(table.column_names)
             rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
     except Exception as error:  # for an object that is no table, Arrow may raise any exception

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -189,6 +189,22 @@ def corner_choices(extraction: ColumnExtraction) -> list[Geometry]:
             size[row] = np.nan
         return [Geometry(size, corner, XYZ, unit, unit, "corner", True, columns)]
     return []
+
+
+HALF_EXTENTS: Final = "half extents"
+"""Role of the columns of sizes that are read as half extents, in addition to their own roles."""
+_EXTENTS: Final = word_set("extent extents")
+"""Words for sizes that some programs (Unreal, Unity) use for half sizes."""
+
+
+def with_half_extents(geometry: Geometry) -> Geometry | None:
+    """A geometry whose sizes are half extents, if the names of its columns allow this and do not tell it; else None."""
+    names = [name for role, name in geometry.columns.items() if role not in (*XYZ, "position")]
+    words = {word for name in names for word in words_of(name)}
+    if not words & _EXTENTS or "half" in words or geometry.anchor == "corner":
+        return None
+    columns = {**geometry.columns, HALF_EXTENTS: names[0]}
+    return replace(geometry, size=2 * geometry.size, columns=columns, prior=geometry.prior + 0.8)
 
 
 def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:

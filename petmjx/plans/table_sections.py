@@ -14,7 +14,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.column_names import PALLET_WORDS, plain_text, words_of
+from petmjx.plans.column_names import TITLE_WORDS, plain_text, words_of
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.header_names import (
     count_known_names,
@@ -148,11 +148,12 @@ def _sections(
 ) -> tuple[list[_Section], tuple[tuple[str, str], ...], list[str]]:
     """The rows of a table by section, the rows that are lost, and the lines after the last row."""
     width, geometric = len(header), geometric_columns(header)
-    names_pallets = [index for index, name in enumerate(header) if PALLET_WORDS.intersection(words_of(name))]
+    names_pallets = [index for index, name in enumerate(header) if TITLE_WORDS.intersection(words_of(name))]
     sections: list[_Section] = [("", [])]
     lost: list[tuple[str, str]] = []
     trailing: list[str] = []
     short_titles: dict[str, str] = {}
+    remarks: list[tuple[tuple[Any, ...], str]] = []
     for index in range(first, end):
         row, place = rows[index], f"row {index + begin}"
         filled = [cell for cell in row if cell is not None]
@@ -161,16 +162,22 @@ def _sections(
         if is_total(row, geometric):
             notes.append(f"{place} is a total, and left out")
             continue
-        if len(filled) == 1 and width > 2 and isinstance(filled[0], str) and not _mostly_numbers(row):
+        is_remark = _is_remark(row, geometric)
+        if len(filled) == 1 and width > 2 and isinstance(filled[0], str) and not (_mostly_numbers(row) or is_remark):
             trailing.append(filled[0])
             continue
         if _is_title(row, geometric, names_pallets):
             short_titles[_line(row)] = _short_title(filled)
             trailing.append(_line(row))
             continue
-        if _KEY_AND_VALUE.match(_line(row)) and _n_numbers(row, geometric) * 2 < len(geometric):
-            notes.append(f"{place} is a remark, and left out: {printable_name(_line(row))}")
+        if is_remark:
+            remarks.append((row, place))
             continue
+        if any(body for _, body in sections):  # between boxes, such a line may be a damaged box
+            lost += [(where, f"is no box: {printable_name(_line(line))}") for line, where in remarks]
+        else:
+            notes += _remark_notes(remarks)
+        remarks = []
         used = len(row)
         while used > width and row[used - 1] is None:
             used -= 1
@@ -181,6 +188,7 @@ def _sections(
             sections.append((trailing[-1], []))
             trailing = []
         sections[-1][1].append((tuple(row[:width]), place))
+    notes += _remark_notes(remarks)
     if len(set(short_titles.values())) == len(short_titles):
         sections = [(short_titles.get(name, name), body) for name, body in sections]
     return [section for section in sections if section[1]], tuple(lost), trailing
@@ -190,9 +198,20 @@ _KEY_AND_VALUE: Final = re.compile(r"^[^\d:;]{3,60}:\s*[\d.,]+\s*\S{0,12}$")
 """A line such as "Cube utilization: 81.2 %" below a table."""
 
 
+def _is_remark(row: Sequence[Any], geometric: Sequence[int]) -> bool:
+    """Whether a row is a name and a value, and no title."""
+    line = _line(row)
+    is_pair = _KEY_AND_VALUE.match(line) is not None and not TITLE_WORDS.intersection(words_of(line))
+    return is_pair and _n_numbers(row, geometric) * 2 < len(geometric)
+
+
+def _remark_notes(remarks: Sequence[tuple[tuple[Any, ...], str]]) -> list[str]:
+    return [f"{place} is a remark, and left out: {printable_name(_line(row))}" for row, place in remarks]
+
+
 def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequence[int]) -> bool:
-    """Whether a row of several cells is the title of a section: it begins with a text that has a word for pallets, and
-    most sizes and places are missing.
+    """Whether a row of several cells is the title of a section: it begins with a text that has a word for pallets or
+    orders, and most sizes and places are missing.
 
     Args:
         pallet_columns: columns whose cells name pallets in every row, so that a cell there is no title.
@@ -200,7 +219,7 @@ def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequ
     begin = next((index for index, cell in enumerate(row) if cell is not None), None)
     if begin is None or begin in pallet_columns or not isinstance(row[begin], str):
         return False
-    return bool(PALLET_WORDS.intersection(words_of(row[begin]))) and _n_numbers(row, geometric) * 2 < len(geometric)
+    return bool(TITLE_WORDS.intersection(words_of(row[begin]))) and _n_numbers(row, geometric) * 2 < len(geometric)
 
 
 def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:
@@ -210,10 +229,10 @@ def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:
 
 
 def _short_title(cells: Sequence[Any]) -> str:
-    """The name of a section: the first cell of its title, and the second one if the first is only a word for
-    pallets."""
+    """The name of a section: the first cell of its title, and the second one if the first is only such a
+    word."""
     name = cell_text(cells[0]).rstrip(": ")
-    return name if set(re.findall(r"\w+", plain_text(name).lower())) - PALLET_WORDS else f"{name} {cell_text(cells[1])}"
+    return name if set(re.findall(r"\w+", plain_text(name).lower())) - TITLE_WORDS else f"{name} {cell_text(cells[1])}"
 
 
 def _mostly_numbers(row: Sequence[Any]) -> bool:

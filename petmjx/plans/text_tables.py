@@ -116,15 +116,17 @@ def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str
     return "\n".join(lines)
 
 
-_BRACKETS: Final = re.compile(r"[(\[{][^()\[\]{}\n\"]{1,100}[)\]}]")
+_BRACKETS: Final = re.compile(r"[(\[{][^()\[\]{}\n\"]{0,50}[, ][^()\[\]{}\n\"]{0,50}[)\]}]")
 """Text in brackets within a line, such as the three numbers of a place: "(0, 300, 0)"."""
 _MASKED: Final = str.maketrans(", ", "\ue000\ue001")
 _UNMASKED: Final = str.maketrans("\ue000\ue001", ", ")
 
 
 def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
-    """The fields of each line. Commas and spaces in brackets do not separate fields."""
-    if delimiter in (",", _SPACES) and _BRACKETS.search(text):
+    """The fields of each line. Commas and spaces in brackets do not separate fields, if most lines have such
+    brackets."""
+    lines = text[:20_000].splitlines() if delimiter in (",", _SPACES) else []
+    if sum(_BRACKETS.search(line) is not None for line in lines) * 2 > sum(map(bool, map(str.strip, lines))):
         masked = _BRACKETS.sub(lambda match: match[0].translate(_MASKED), text)
         for fields in _plain_fields(masked, delimiter):
             yield [field.translate(_UNMASKED) for field in fields]

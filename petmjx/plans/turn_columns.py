@@ -52,6 +52,7 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
     filled_cells = [cell for cell in cells if cell not in (None, "")]
     if not filled_cells:
         return None
+    cells = _with_yes_and_no(cells)
     letters = [letters_of(cell) for cell in cells]
     codes = np.full(len(cells), -1, np.int64)
     if sum(turn is not None for turn in letters) * 2 > len(filled_cells):
@@ -117,6 +118,19 @@ _YES: Final = frozenset(
     ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "x", "y", "j", "1")
 )
 _NO: Final = frozenset(("false", "no", "nein", "non", "nie", "original", "none", "n", "0", "", "-"))
+
+
+_YES_AND_NO: Final = tuple(map(frozenset, ("sn", "on", "tn", "vf", "tf", "wf")))
+"""Initials of yes and no, or true and false, in Spanish, Portuguese and Italian (S and N, V and F), French (O and N),
+Polish (T and N), English (T and F) and German (W and F)."""
+
+
+def _with_yes_and_no(cells: Sequence[Any]) -> Sequence[Any]:
+    """Cells, in which initials of yes and no become true and false. The initials must be the only texts."""
+    texts = {cell_text(cell).lower() for cell in cells}
+    if texts not in _YES_AND_NO:
+        return cells
+    return [cell_text(cell).lower() not in ("n", "f") for cell in cells]
 
 
 def _turn_number(cell: Any, decimal: str) -> float | None:

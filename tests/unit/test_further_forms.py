@@ -13,9 +13,12 @@ from typing import Any
 
 import numpy as np
 import openpyxl
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import petmjx
+from petmjx.plans.raw_cells import cell_number
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
 
@@ -176,12 +179,31 @@ TABLES = {
         lambda k, box: [NAMES[k], "({}, {}, {})".format(*box), "({3}, {4}, {5})".format(*box), box[6]],
         mark="\t",
     ).replace("\0", ",").replace(";", "\t"),
+    "half sizes": table("name,cx,cy,cz,hx,hy,hz,mass",
+                        lambda k, box: [NAMES[k], *centre(box), *(side / 2 for side in box[3:6]), box[6]]),
+    "names of axes": table("Colis;Abscisse (mm);Ordonnée (mm);Cote (mm);Longueur;Largeur;Hauteur;Poids", named).replace(
+        ",", ";"
+    ),
+    "middles of tops": table(
+        "name,tcp_x,tcp_y,tcp_z,A,length,width,height,mass",
+        lambda k, box: [NAMES[k], *centre(box)[:2], box[2] + box[5], 90 * TURNED[k], *before_turn(k, box), box[6]],
+    ),
+    "a column of thousands": table(
+        f"box;x;y;z;{SIZES.replace(',', ';')};weight",
+        lambda k, box: [NAMES[k], *(f"{value:.1f}".replace(".", ",") for value in box[:6]), f"{box[6]:.3f}"],
+        mark=";",
+    ).replace("weight", "weight [g]"),
+    "initials of yes and no": table(
+        f"name,x,y,z,{SIZES},peso,girado",
+        lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "S" if TURNED[k] else "N"],
+    ),
     "places in brackets": "\n".join(
         ["box   pos(x,y,z)      dim(l, w, h)     kg"]
         + [f"{NAMES[k]}   ({x},{y},{z})    ({x_size}, {y_size}, {z_size})    {kg}"
            for k, (x, y, z, x_size, y_size, z_size, kg) in enumerate(PILE)]
     ),
-    "remarks below": table(f"box,x,y,z,{SIZES},weight", named) + "Cube utilization: 81.2 %,,,,,,,\n",
+    "remarks around boxes": table(f"box,x,y,z,{SIZES},weight", named).replace("a,", "Boxes: 8,,,,,,,\na,", 1)
+    + "Cube utilization: 81.2 %,,,,,,,\n",
     "sections of layers": table(f"box,x,y,z,{SIZES},weight", named, mark=";").replace("e;", "Layer 2;;;;;;;\ne;", 1)
     .replace("a;", "Layer 1;;;;;;;\na;", 1),
     "Markdown": "\n".join(
@@ -204,6 +226,7 @@ TABLES = {
 }  # fmt: skip
 
 
+"""Tables of the pile."""
 WITHOUT_IDS = ("a column of units", "rows in two units", "far corners with sizes", "sides", "corners in turns")
 
 
@@ -317,6 +340,12 @@ def matrix_of_turn(at: Sequence[float], scale: Sequence[float] = (1, 1, 1)) -> l
     return [0, 0, -scale[0], 0, 0, scale[1], 0, 0, scale[2], 0, 0, 0, *at, 1]
 
 
+def in_lists(box: list[float]) -> dict[str, Any]:
+    """A collision object whose only shape and its pose are in lists."""
+    pose = with_pose(box)
+    return {"primitives": [pose["primitive"]], "primitive_poses": [pose["pose"]], "mass": pose["mass"]}
+
+
 def three_js(instances: bool = False) -> Any:
     """A scene of three.js whose boxes are in a group, with lights and a floor."""
     places = [upwards_y(list(map(float, box))) for box in PILE]
@@ -406,6 +435,31 @@ def with_units() -> Any:
 DOCUMENTS = {
     "scales of cubes": scene(),
     "a three.js scene": three_js(),
+    "a shape in a list": {"collision_objects": boxes_by(in_lists)},
+    "codes of units": boxes_by(lambda box: {
+        **{name: {"value": value, "uom": "MMT"} for name, value in plain(box).items() if name != "weight"},
+        "gross-weight": {"value": box[6], "uom": "KGM"}}),
+    "lists by name": {"fields": list(FIELDS), "boxes": dict(zip(NAMES, map(list, PILE), strict=True))},
+    "zeros are not written": boxes_by(lambda box: {
+        "at": {axis: value for axis, value in zip("xyz", box, strict=False) if value}, **sized(box)}),
+    "events": [{"event": "start", "pallet": {"length": 1200, "width": 800}},
+               *({"event": "place", "box": box} for box in boxes_by(plain)), {"event": "end", "boxes": 8}],
+    "extents that are half sizes": boxes_by(
+        lambda box: {"Location": dict(zip("XYZ", centre(box), strict=True)), "MassKg": box[6],
+                     "BoxExtent": dict(zip("XYZ", (side / 2 for side in box[3:6]), strict=True))}, ids="ActorLabel"),
+    "data classes": "\n".join(
+        f"Box(name='{NAMES[k]}', position=Point(x={x}, y={y}, z={z}), size=({length}, {width}, {height}), weight={kg})"
+        for k, (x, y, z, length, width, height, kg) in enumerate(PILE)),
+    "poses as text": "<sdf><world>" + "".join(
+        f"<model name='{box['id']}'><pose>{' '.join(map(str, box['at']))} 0 0 1.5708</pose>"
+        f"<link><mass>{box['kg']}</mass><box><size>{box['width']} {box['length']} {box['height']}</size></box></link>"
+        "</model>"
+        for box in boxes_by(lambda box: {**plain(box), "at": centre(box), "kg": box[6]})) + "</world></sdf>",
+    "layers of one element": "<Pallet>" + "".join(
+        f"<Layer z='{z}'>" + "".join(
+            f"<Box x='{box[0]}' y='{box[1]}' length='{box[3]}' width='{box[4]}' height='{box[5]}' weight='{box[6]}'/>"
+            for box in group) + "</Layer>"
+        for z, group in ((0, PILE[:3]), (0, PILE[3:4]), (300, PILE[4:]))) + "</Pallet>",
     "matrices by columns": {"boxes": boxes_by(by_matrices)},
     "columns by labels": by_columns(),
     "units beside the boxes": with_units(),
@@ -461,6 +515,50 @@ def test_stacks_give_their_places(tmp_path: Path) -> None:
     np.testing.assert_allclose(plan.corner_mm, np.array(PILE)[order, :3])
 
 
+def test_fields_of_several_numbers(tmp_path: Path) -> None:
+    fields = [("name", "U4"), ("pos", "f8", (3,)), ("dim", [("l", "f8"), ("w", "f8"), ("h", "f8")]), ("kg", "f4")]
+    rows = [(name, box[:3], box[3:6], box[6]) for name, box in zip(NAMES, PILE, strict=True)]
+    np.save(tmp_path / "pile.npy", np.array(rows, dtype=fields))
+    at = [dict(zip("xyz", map(float, box), strict=False)) for box in PILE]
+    columns = {"name": list(NAMES), "position": at, "size": [list(map(float, box[3:6])) for box in PILE]}
+    pq.write_table(pa.table({**columns, "weight": [float(box[6]) for box in PILE]}), tmp_path / "pile.parquet")
+    for file in ("pile.npy", "pile.parquet"):
+        (plan,) = petmjx.load_plans(tmp_path / file).plans
+        check_pile(plan)
+        assert plan.item_ids == tuple(NAMES)
+
+
+def test_bodies_of_one_load(tmp_path: Path) -> None:
+    bodies = "".join(
+        f'<body name="{NAMES[k]}" pos="{x / 1e3} {y / 1e3} {z / 1e3}"><geom type="box" mass="{box[6]}" '
+        f'size="{box[3] / 2e3} {box[4] / 2e3} {box[5] / 2e3}"/></body>'
+        for k, box in enumerate(PILE)
+        for x, y, z in [centre(list(map(float, box)))]
+    )
+    pallet = '<body name="pallet" pos="0 0 .1"><freejoint/><geom type="box" size=".6 .4 .05" pos=".6 .4 -.05"/>'
+    scene = f"<mujoco><worldbody>{pallet}{bodies}</body></worldbody></mujoco>"
+    (plan,) = load(tmp_path, "scene.xml", scene).plans
+    check_pile(plan)
+
+
+def test_an_implausible_reading_of_an_unusual_kind_is_asked_about(tmp_path: Path) -> None:
+    """The places are those of a point that is not tried, three quarters of each side from the corner."""
+    off = table(
+        f"name,x,y,z,{SIZES},mass",
+        lambda k, box: [NAMES[k], *(box[axis] + 0.75 * box[axis + 3] for axis in range(3)), *box[3:]],
+    )
+    (skipped,) = load(tmp_path, "pile.csv", off).skipped
+    assert "no reading is plausible; the best are" in skipped.message
+
+
+@pytest.mark.parametrize(
+    ("cell", "value", "unit"), [("23 5/8", 23.625, ""), ('3/4"', 0.75, "in"), ("1-1/2 in", 1.5, "in")]
+)
+def test_fractions_of_inches(cell: str, value: float, unit: str) -> None:
+    assert cell_number(cell) == (value, unit)
+    assert cell_number(cell.replace("/", "/7")) is None
+
+
 def test_pairs_of_sizes_and_places_in_an_array(tmp_path: Path) -> None:
     pile = np.array(PILE, float)
     np.save(tmp_path / "pile.npy", np.stack([pile[:, 3:6], pile[:, :3]], axis=1))
@@ -497,6 +595,11 @@ BOX_ROWS = [["box", *FIELDS], *(named(number, list(box)) for number, box in enum
         ("titles.csv", table(f"box;x;y;z;{SIZES.replace(',', ';')};weight".replace(";", ","), named, mark=";")
          .replace("a;", "Pallet A;Customer: X;;;;;;\na;", 1) + "Pallet;2;Weight;63 kg;;;;\n"
          + table("", named, mark=";").partition("\n")[2], ("Pallet A", "Pallet 2")),
+        ("types of rows.csv", table(f"type,name,x,y,z,{SIZES},weight", lambda k, box: ["box", *named(k, box)])
+         .replace("box,a", "pallet,A,0,0,-100,1200,800,100,20\nbox,a", 1) + "pallet,B,0,0,-100,1200,800,100,20\n"
+         + table("", lambda k, box: ["box", *named(k, box)]).partition("\n")[2], ("A", "B")),
+        ("lists by name.json", {name: {"fields": list(FIELDS), "boxes": dict(zip(NAMES, map(list, PILE), strict=True))}
+                                for name in "AB"}, ("A", "B")),
         ("stacks.csv", table(f"stack,box,x,y,z,{SIZES},weight", lambda k, box: [1, *named(k, box)])
          + table("2", lambda k, box: [2, *named(k, box)]).partition("\n")[2], ("stacks/1", "stacks/2")),
         ("loads.json", {"loads": [{"load_id": name, "x": 0, "y": 1000 * number, "z": 0, "length": 1200, "width": 800,
@@ -559,6 +662,11 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
          '[4] (e): rotation[2] must be a number, got "9O"'),
         (table(f"stack,box,x,y,z,{SIZES},kg", lambda k, box: [k % 2, *named(k, box)]),
          "stack may name pallets, or stacks of one pallet; say which with --columns plan=stack or --columns plan=-"),
+        (f"{table(f'box,x,y,z,{SIZES},weight', named)}".replace("e,", "Cube: 81.2 %,,,,,,,\ne,", 1),
+         "row 6: is no box: Cube: 81.2 %"),
+        (DOCUMENTS["data classes"].replace("z=300", "z=3OO", 1),
+         "line 5, column 42: is no object as Python prints it: invalid decimal literal"),
+        (json.dumps(DOCUMENTS["zeros are not written"]).replace('"y": 400', '"y": 0', 1), "[0] (a): at.x is missing"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
         (json.dumps(three_js()).replace("-0.6, 0.2, -0.4, 1]", '-0.6, "O.2", -0.4, 1]', 1),
          "object.children[2]: matrix must be 16 numbers, got O.2 as number 13"),
