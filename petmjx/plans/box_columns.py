@@ -7,7 +7,7 @@ The meaning of the numbers (units, axes, anchors) is decided later (``petmjx.pla
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -19,7 +19,7 @@ from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.pose_columns import pose_choices
 from petmjx.plans.raw_cells import cell_number, cell_text
 from petmjx.plans.size_and_place_columns import Geometry, corner_choices, place_choices, size_choices, with_half_extents
-from petmjx.plans.turn_columns import Turns, turns_of
+from petmjx.plans.turn_columns import Turns, are_yes_or_no, turns_of
 from petmjx.plans.unnamed_columns import array_choices, array_extras
 
 GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
@@ -203,10 +203,21 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
-    """The column of rotations."""
+    """The column of rotations. If no column is known to have rotations, and exactly one column of unknown meaning has
+    answers of yes and no, that column may have them."""
     index = extraction.first("rotation", "rotation")
-    if index is None:
-        return None
+    if index is not None:
+        return _rotations_of(extraction, index)
+    answers = [
+        index
+        for index, meaning in enumerate(extraction.meanings)
+        if meaning is None and are_yes_or_no(extraction.cells(index)) and index not in extraction.fixed.values()
+    ]
+    turns = _rotations_of(extraction, answers[0]) if len(answers) == 1 else None
+    return None if turns is None else replace(turns, is_guess=True)
+
+
+def _rotations_of(extraction: ColumnExtraction, index: int) -> Turns | None:
     return turns_of(
         extraction.table.header[index],
         extraction.cells(index),

@@ -95,12 +95,13 @@ _DIMENSIONS: Final = word_set(
 _HALF: Final = word_set("half halfsize halfextents halfextent")
 _BOUNDS: Final = word_set("bbox aabb bounds")
 _CONTAINER: Final = word_set(
-    "container containers bin bins pallet pallets palette paletten paleta palet pale palety bancale bancali truck "
-    "carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw camion"
+    "container containers bin bins pallet pallets palette paletten paleta palet pale palety palete paletes bancale "
+    "bancali truck carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw "
+    "camion"
 )
 PALLET_WORDS: Final = word_set(
-    "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
-    "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
+    "pallet pallets palette paletten palet paleta pale palety palete bancale bancali pal palno palnr palletno palletid "
+    "palid lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
 )
 """Words that mean a pallet in names of columns that otherwise have no known meaning, and in types of records."""
 TITLE_WORDS: Final = PALLET_WORDS | word_set(
@@ -117,7 +118,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "rotation": word_set(
         "rotation rotated rotationtype rot rt orientation orient orientierung ausrichtung drehung gedreht rotacion "
         "rotazione rotacja orientacion orientazione orientacja tourne girado ruotato obrot angle winkel yaw "
-        "turned ori theta"
+        "turned ori theta gedraaid gekanteld rotacionado virado girato volteado otoceno obrocony"
     ),
     "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "
@@ -139,7 +140,8 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "item_id": word_set(
         "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
         "caja cajas bulto bultos collo colli kolli kollo scatola cartone boite caisse kartonu paczka paczki pudelko "
-        "pudelka caixa doos ctn parcel package kiste barcode label ean sscc lpn handle partno partnumber"
+        "pudelka caixa doos ctn parcel package kiste barcode label ean sscc lpn handle partno partnumber "
+        "piece serial serialno serialnumber doosnr"
     ),
     "group": word_set("group productgroup gruppe warengruppe category kategorie categorie categoria"),
     "plan": word_set("plan plans planid load stack batch solution pattern") | _CONTAINER,
@@ -271,6 +273,8 @@ _SIDES: Final[dict[str, tuple[Kind, str]]] = {
     "top": ("high", "z"),
 }  # fmt: skip
 """Names of the sides of a box → the coordinate that a column with this name has."""
+_OF_SIDE: Final = re.compile(r"^(?:(?:distance|dist|offset)[ _]+)?(?:from|to)[ _]+(?:the[ _]+)?")
+"""The words before a side in names such as "From left" and "Distance from the floor"."""
 _NEAR_SIDES: Final = frozenset(("left", "front", "bottom"))
 
 
@@ -284,7 +288,8 @@ def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     if not any(meaning is not None and meaning.kind in ("size", "sizes", "high") for meaning in meanings):
         meanings = [_meaning(_SCALE.sub(" size", name)) for name in names]
     bases = [split_unit(name.rpartition(".")[2])[0].strip(" .:") for name in names]
-    sides = {base.lower(): index for index, base in enumerate(bases) if base.lower() in _SIDES}
+    named_sides = [_OF_SIDE.sub("", base.lower()).replace("floor", "bottom") for base in bases]
+    sides = {side: index for index, side in enumerate(named_sides) if side in _SIDES}
     if sides.keys() >= _NEAR_SIDES:
         for side, column in sides.items():
             kind, axis = _SIDES[side]

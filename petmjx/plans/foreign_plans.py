@@ -18,7 +18,7 @@ from petmjx.plans.foreign_plan_builder import ForeignPlans, PlanBuilder
 from petmjx.plans.header_names import are_numbers
 from petmjx.plans.item_joins import with_items
 from petmjx.plans.known_forms import POSES, BoxSource, rows_of
-from petmjx.plans.raw_cells import GROUPED
+from petmjx.plans.raw_cells import GROUPED, cell_number
 from petmjx.plans.reading_choice import TIE
 from petmjx.plans.readings import Wishes
 
@@ -129,7 +129,10 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     if places_named and not sized:
         return NoGeometry(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
     if sized and not places_named:
-        return NoGeometry(f"has sizes of boxes, but no places (x, y, z): {PACK.format(file=file)}; {names}")
+        advice = (
+            f"name their columns with --columns x=NAME,y=NAME,z=NAME, or {PACK}" if _may_have_places(columns) else PACK
+        )
+        return NoGeometry(f"has sizes of boxes, but no places (x, y, z): {advice.format(file=file)}; {names}")
     if sized:
         return NoGeometry(f"lacks one of the sizes or coordinates; {names}; say which with --columns x=NAME,…")
     advice = "say which with --columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME"
@@ -139,3 +142,12 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     if table.has_header and path is not None and are_numbers(table.rows, _NUMBERS_OF_A_BOX):
         return NoGeometry(f"no column is known as a size or a place of boxes; {names}; {advice}")
     return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; {advice}")
+
+
+def _may_have_places(columns: BoxColumns) -> bool:
+    """Whether three columns of unknown meaning have numbers."""
+    table = columns.source.boxes.table
+    meanings = zip(table.header, columns.source.boxes.meanings, strict=True)
+    unknown = [table.column(name) for name, meaning in meanings if meaning is None]
+    numeric = [cells for cells in unknown if all(cell_number(cell, table.decimal) is not None for cell in cells[:20])]
+    return len(numeric) > 2

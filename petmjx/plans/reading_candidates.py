@@ -26,6 +26,8 @@ _PERMUTATIONS: Final = np.array(list(permutations(range(3))))
 """Number of a permutation of the sizes, in the order in which programs list them → which of the sizes lies along each
 axis."""
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5, "top-centre": 3.0}
+_GUESSED_TURNS: Final = 2.0
+"""Cost of a reading in which a column of unknown meaning has rotations."""
 _FIRM: Final = 3.0
 """Cost of a reading that contradicts a known fact about a form."""
 _WORDS: Final = ("length", "width", "height", "depth")
@@ -195,7 +197,8 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
             continue
         if rule == "py3dbp" and number and not form.rule and "type" not in columns.turns.column.lower():
             continue
-        rules.append((rule, 0.5 * bool(number) * (rule != "swap back")))
+        guess = _GUESSED_TURNS * columns.turns.is_guess
+        rules.append((rule, 0.5 * bool(number) * (rule != "swap back") + guess))
     if wishes.sizes == "item":
         return rules
     placed = _FIRM if named_rule == "item" else 0.0

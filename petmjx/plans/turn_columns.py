@@ -29,6 +29,7 @@ class Turns:
             written as letters.
         words: the words for rotations 0 and 1, or all words if there is no rule; empty: the cells have numbers or words
             of known meaning.
+        is_guess: whether the name of the column is unknown, so that only the cells suggest rotations.
     """
 
     column: str
@@ -36,6 +37,7 @@ class Turns:
     codes: NDArray[np.int64]
     letters: NDArray[np.int64] | None = None
     words: tuple[str, ...] = ()
+    is_guess: bool = False
 
 
 def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[int, str], None]) -> Turns | None:
@@ -104,6 +106,13 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
     return Turns(name, rules, codes)
 
 
+def are_yes_or_no(cells: Sequence[Any]) -> bool:
+    """Whether cells are yes or no, and some of them are yes."""
+    texts = {cell_text(cell).lower() for cell in cells}
+    words = texts - {"", "-", "0", "1", "x", "none", "original"}
+    return bool(words) and words <= _YES | _NO and texts <= _YES | _NO and bool(texts & _YES) and bool(texts & _NO)
+
+
 def letters_of(cell: Any) -> tuple[int, int, int] | None:
     """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. None if the letters name no
     orientation."""
@@ -115,9 +124,11 @@ def letters_of(cell: Any) -> tuple[int, int, int] | None:
 
 
 _YES: Final = frozenset(
-    ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "x", "y", "j", "1")
+    ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "sim", "x", "y", "j", "1")
 )
-_NO: Final = frozenset(("false", "no", "nein", "non", "nie", "original", "none", "n", "0", "", "-"))
+_NO: Final = frozenset(
+    ("false", "no", "nein", "non", "nie", "nee", "não", "nao", "original", "none", "n", "0", "", "-")
+)
 
 
 _YES_AND_NO: Final = tuple(map(frozenset, ("sn", "on", "tn", "vf", "tf", "wf")))

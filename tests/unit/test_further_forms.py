@@ -193,6 +193,12 @@ TABLES = {
         lambda k, box: [NAMES[k], *(f"{value:.1f}".replace(".", ",") for value in box[:6]), f"{box[6]:.3f}"],
         mark=";",
     ).replace("weight", "weight [g]"),
+    "distances from sides": table(f"piece,{SIZES},from left,from front,from floor,weight",
+                                  lambda k, box: [NAMES[k], *box[3:6], *box[:3], box[6]]),
+    "answers under an unknown name": table(
+        f"name,x,y,z,{SIZES},mass,dönük,fragile",
+        lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "yes" if TURNED[k] else "no", k],
+    ),
     "initials of yes and no": table(
         f"name,x,y,z,{SIZES},peso,girado",
         lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "S" if TURNED[k] else "N"],
@@ -664,6 +670,8 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
          "stack may name pallets, or stacks of one pallet; say which with --columns plan=stack or --columns plan=-"),
         (f"{table(f'box,x,y,z,{SIZES},weight', named)}".replace("e,", "Cube: 81.2 %,,,,,,,\ne,", 1),
          "row 6: is no box: Cube: 81.2 %"),
+        (table(f"name,{SIZES},mass,across,along,up", lambda k, box: [NAMES[k], *box[3:], *box[:3]]),
+         "has sizes of boxes, but no places (x, y, z): name their columns with --columns x=NAME,y=NAME,z=NAME, or"),
         (DOCUMENTS["data classes"].replace("z=300", "z=3OO", 1),
          "line 5, column 42: is no object as Python prints it: invalid decimal literal"),
         (json.dumps(DOCUMENTS["zeros are not written"]).replace('"y": 400', '"y": 0', 1), "[0] (a): at.x is missing"),
