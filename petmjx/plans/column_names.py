@@ -284,6 +284,11 @@ def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     Single letters are interpreted together: L, B and H are length, width and height, but B, H and T are width, height
     and depth.
     """
+    return list(_meanings_of(tuple(names)))
+
+
+@lru_cache(maxsize=1 << 8)
+def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
     meanings = [_meaning(name) for name in names]
     if not any(meaning is not None and meaning.kind in ("size", "sizes", "high") for meaning in meanings):
         meanings = [_meaning(_SCALE.sub(" size", name)) for name in names]

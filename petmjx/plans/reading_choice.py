@@ -156,24 +156,21 @@ def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tu
         masses = {mass_unit: 0.0} if mass_unit else dict(_MASS_PRIOR)
     costs = []
     deck = _deck_of(judged, wishes)
+    largest_side, smallest_side, unit_density = float(size.max()), float(size.min()), math.nan
+    if columns.weight is not None and not columns.weight_is_density:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            densities = columns.weight[judged.rows] / volume
+        densities = densities[np.isfinite(densities) & (densities > 0)]
+        unit_density = float(np.median(densities)) if len(densities) else math.nan  # in the file's units
     for length, length_prior in lengths.items():
         factor = LENGTH_UNITS[length]
         mean_mm = side * factor
         cost = length_prior + side_cost(mean_mm)
         cost += deck_cost(deck[0] * factor, deck[1])
-        largest = float(size.max()) * factor
-        cost += 20.0 * (largest > 6_000.0) + 20.0 * (float(size.min()) * factor < 1.0)
+        cost += 20.0 * (largest_side * factor > 6_000.0) + 20.0 * (smallest_side * factor < 1.0)
         for mass, mass_prior in masses.items():
-            density = math.nan
-            total = cost + mass_prior
-            if columns.weight is not None and not columns.weight_is_density:
-                kg = columns.weight[judged.rows] * MASS_UNITS[mass]
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    densities = kg / (volume * (factor / 1000.0) ** 3)
-                densities = densities[np.isfinite(densities) & (densities > 0)]
-                if len(densities):
-                    density = float(np.median(densities))
-                    total += density_cost(density)
+            density = unit_density * MASS_UNITS[mass] / (factor / 1000.0) ** 3
+            total = cost + mass_prior + (0.0 if math.isnan(density) else density_cost(density))
             if (length in ("in", "ft")) != (mass == "lb") and len(masses) > 1:
                 total += 0.7
             costs.append((total, length, mass, density, mean_mm))
