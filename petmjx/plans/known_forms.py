@@ -76,6 +76,7 @@ PACKVIUM: Final = replace(_UPRIGHT, name="packvium's result")
 BENCHMARK: Final = KnownForm("centres and dimensions as placed", anchor="centre", up="z", sizes="placed")
 SCENE: Final = KnownForm("a MuJoCo scene (MJCF)", "m", "kg", "centre", "z", "placed")
 THREE_JS: Final = KnownForm("a three.js scene", anchor="centre", up="y", sizes="placed")
+UNITY: Final = KnownForm("Unity", up="y")
 GLTF: Final = KnownForm("a glTF scene", "m", anchor="centre", up="y", sizes="placed")
 OWN: Final = KnownForm("petmjx's table", "mm", "kg", "corner", "z", "item", "swap")
 BED_BPP: Final = KnownForm("BED-BPP", anchor="corner", up="z", sizes="item", rule="swap")
@@ -114,6 +115,8 @@ def with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     if any("matrix" in name or "pose" in name or "transform" in name for name in names):
         # a box of width, height and depth may stand in a scene with y upwards
         return BoxSource(boxes, replace(POSES, up="") if any(name.endswith("depth") for name in names) else POSES)
+    if any("localposition" in name or "localscale" in name for name in plain):
+        return BoxSource(boxes, replace(UNITY, name=f"Unity ({kind})"))
     return BoxSource(boxes, KnownForm(kind))
 
 

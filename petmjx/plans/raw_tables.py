@@ -64,7 +64,7 @@ def united(tables: Sequence[RawTable]) -> RawTable:
         columns = {name: index for index, name in enumerate(table.header)}
         order = [columns.get(name) for name in header]
         rows += [tuple(None if index is None else row[index] for index in order) for row in table.rows]
-    decimals = {table.decimal for table in tables if table.decimal != "."}
+    decimals = {table.decimal for table in tables} - {"."}
     return replace(
         first,
         header=header,
@@ -72,5 +72,5 @@ def united(tables: Sequence[RawTable]) -> RawTable:
         places=[place for table in tables for place in table.places],
         lost=tuple(entry for table in tables for entry in table.lost),
         notes=tuple(dict.fromkeys(note for table in tables for note in table.notes)),
-        decimal=decimals.pop() if len(decimals) == 1 else ".",
+        decimal="," if "," in decimals else next(iter(decimals), "."),
     )

@@ -204,7 +204,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
     placed = _FIRM if named_rule == "item" else 0.0
     turned = _FIRM if named_rule == "placed" else 0.0
     if not named_rule:
-        hint = _sizes_by_article(columns, geometry)
+        hint = _sizes_by_article(columns, geometry) or _sizes_by_length(columns, geometry)
         placed, turned = placed + (2.5 if hint == "item" else 0.0), turned + (2.5 if hint == "placed" else 0.0)
     return [("none", placed), *((rule, prior + turned) for rule, prior in rules)]
 
@@ -230,6 +230,32 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
         elif np.allclose(np.sort(one), np.sort(two)):
             n_other += 1
     return "item" if n_same > 3 * n_other else "placed" if n_other > 3 * n_same else ""
+
+
+_LEAST_BY_LENGTH: Final = 3
+_MOSTLY_LONGER: Final = 0.9
+"""Smallest number of turned and of unturned boxes, and smallest share of them whose length exceeds their width, from
+which sizes are told apart."""
+
+
+def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
+    """Whether sizes are those of the placed box or those of the item. The length of an item is rarely smaller than its
+    width. So lengths that are larger than widths also if boxes are turned are those of items. "" if this is unknown."""
+    turns = columns.turns
+    if turns is None or not {"length", "width"} <= set(geometry.axes):
+        return ""
+    length, width = (geometry.size[:, geometry.axes.index(side)] for side in ("length", "width"))
+    is_turned = turns.codes % 2 == 1 if turns.letters is None else turns.letters[:, 0] == geometry.axes.index("width")
+    differ = np.isfinite(length - width) & (length != width)
+    shares = []
+    for group in (is_turned & differ, ~is_turned & differ):
+        if np.count_nonzero(group) < _LEAST_BY_LENGTH:
+            return ""
+        shares.append(float(np.mean(length[group] > width[group])))
+    turned_share, unturned_share = shares
+    if unturned_share < _MOSTLY_LONGER:
+        return ""
+    return "item" if turned_share >= _MOSTLY_LONGER else "placed" if turned_share <= 1 - _MOSTLY_LONGER else ""
 
 
 def _anchors(geometry: Geometry, known: str, wishes: Wishes) -> list[tuple[str, float]]:

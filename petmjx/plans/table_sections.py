@@ -119,6 +119,7 @@ def _table_below(
         notes.append(f"left out at the end: {printable_name(trailing[0])}")
     names_of = dict.fromkeys(name for name, _ in sections)
     tables = []
+    decimal = decimal_of([row for _, section in sections for row, _ in section])
     for number, part in enumerate(names_of, start=1):
         body = [row for name, section in sections if name == part for row, _ in section]
         places = [place for name, section in sections if name == part for _, place in section]
@@ -128,7 +129,7 @@ def _table_below(
                 header,
                 body,
                 places,
-                decimal_of(body),
+                decimal,
                 title,
                 above,
                 lost if number == 1 else (),

@@ -501,8 +501,7 @@ DOCUMENTS = {
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_documents_in_further_conventions(name: str, tmp_path: Path) -> None:
     content = DOCUMENTS[name]
-    up = {"up": "y"} if name == "scales of cubes" else {}  # the boxes of the scene would also stand with z upwards
-    plan_set = load(tmp_path, "pile.json", content if isinstance(content, str) else json.dumps(content), **up)
+    plan_set = load(tmp_path, "pile.json", content if isinstance(content, str) else json.dumps(content))
     assert not plan_set.skipped
     (plan,) = plan_set.plans
     check_pile(plan)
