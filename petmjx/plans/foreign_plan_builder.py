@@ -22,6 +22,7 @@ from petmjx.plans.packing_order import packing_order, repeated_number
 from petmjx.plans.pallet_columns import PalletSearch, plan_names, rows_by_name
 from petmjx.plans.placed_boxes import assumed_density, density_lines, masses_kg, pallet_rows, placed_boxes
 from petmjx.plans.placement_table import RefusedPlan, Table, as_column
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.plans.range_faults import far_cells, first_bad_row, range_faults
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.reading_candidates import Candidate
@@ -83,6 +84,14 @@ class PlanBuilder:
                 plan = "" if self.columns.plan is None else f"plan {printable_name(names[row])}, "
                 raise InputError(f"{plan}{self._place_of(row)}: {fault}") from None
             raise
+        apart = unsaid and len(plans) > 1 and not lost
+        if apart and self._float(reading, candidate, plans) and search.are_parts_of_one():
+            self.notes.append(f"{first_names(list(plans))} are one plan: some of them would begin above the deck")
+            self.boxes = replace(self.boxes, parts=())
+            self.columns = replace(self.columns, source=replace(self.columns.source, boxes=self.boxes))
+            names = plan_names(self.columns, self.source, self.notes)
+            plans = rows_by_name(names)
+            reading, candidate = choose_reading(self.columns, plans, self.wishes)
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         self._check_words(reading, candidate)
         if HALF_EXTENTS in reading.columns:
@@ -136,6 +145,11 @@ class PlanBuilder:
         )
         table = self._table(list(good_rows.values()), sequences, names, size, low, mass) if good_rows else None
         return ForeignPlans(table, tuple(refused), reading, containers)
+
+    def _float(self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]) -> bool:
+        """Whether all boxes of some plan are above the deck."""
+        _, low, _ = placed_boxes(self.columns, reading, candidate, plans, self.wishes, [])
+        return any(np.nanmin(low[rows, 2], initial=np.inf) > DEFAULT_TOLERANCE_MM for rows in plans.values())
 
     def _check_words(self, reading: Reading, candidate: Candidate) -> None:
         """Note the words of rotations.

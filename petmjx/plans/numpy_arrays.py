@@ -11,7 +11,7 @@ import tokenize
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -53,9 +53,35 @@ def loaded_array(data: bytes | bytearray, name: str = "") -> Any:
     if math.prod(max(extent, 1) for extent in shape) > MOST_BYTES:
         raise InputError(f"{prefix}is an array {shape} without values")
     try:
-        return np.load(io.BytesIO(data), allow_pickle=False)
+        array = np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:
         raise InputError(f"{prefix}is not a whole NumPy array: {error}") from error
+    for path, values in _arrays_in(array):
+        if (
+            values.dtype.kind == "U"
+            and values.size
+            and (bad := np.argwhere(_code_points(values) > _LAST_CODE_POINT)).size
+        ):
+            raise InputError(f"{prefix}row {bad[0, 0]}: {printable_name(path) or 'its text'} is damaged")
+    return array
+
+
+_LAST_CODE_POINT: Final = 0x10FFFF
+"""Largest code of a character. Python cannot show a text of an array that has larger codes."""
+
+
+def _arrays_in(array: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (path, array) for an array, or for all fields of a structured array."""
+    if not array.dtype.names:
+        yield path, array
+    for name in array.dtype.names or ():
+        yield from _arrays_in(array[name], f"{path}.{name}" if path else name)
+
+
+def _code_points(texts: Any) -> Any:
+    """The codes of all characters in an array of texts; the first axis is that of the texts."""
+    flat = np.ascontiguousarray(texts).reshape(len(texts) if texts.ndim else 1, -1)
+    return flat.view(np.dtype(np.uint32).newbyteorder(flat.dtype.byteorder))
 
 
 def _array_header(data: bytes | bytearray) -> tuple[np.dtype[Any], tuple[int, ...], int]:

@@ -105,6 +105,12 @@ class PalletSearch:
                 f"--columns plan={IGNORED} (one pallet)"
             )
 
+    def are_parts_of_one(self) -> bool:
+        """Whether the parts of a file, such as sections with titles, are parts of one plan: together, no box overlaps
+        or floats, and no column names plans."""
+        rows = np.arange(self.columns.n_boxes)
+        return self.columns.plan is None and not self.columns.faults and not self._overlaps({"": rows}, 0.0)
+
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
         """Whether, in the most plausible reading, more than the given share of the boxes overlaps other boxes, or any
         box floats."""

@@ -210,6 +210,7 @@ TABLES = {
     ),
     "remarks around boxes": table(f"box,x,y,z,{SIZES},weight", named).replace("a,", "Boxes: 8,,,,,,,\na,", 1)
     + "Cube utilization: 81.2 %,,,,,,,\n",
+    "a remark between boxes": table(f"box,x,y,z,{SIZES},weight", named).replace("f,", "checked by A,,,,,,,\nf,", 1),
     "sections of layers": table(f"box,x,y,z,{SIZES},weight", named, mark=";").replace("e;", "Layer 2;;;;;;;\ne;", 1)
     .replace("a;", "Layer 1;;;;;;;\na;", 1),
     "Markdown": "\n".join(
@@ -531,6 +532,17 @@ def test_fields_of_several_numbers(tmp_path: Path) -> None:
         (plan,) = petmjx.load_plans(tmp_path / file).plans
         check_pile(plan)
         assert plan.item_ids == tuple(NAMES)
+
+
+def test_a_damaged_text_of_an_array_is_named(tmp_path: Path) -> None:
+    array = np.array([(name, *box) for name, box in zip(NAMES, PILE, strict=True)],
+                     dtype=[("name", "U4"), *((field, "f8") for field in FIELDS)])  # fmt: skip
+    np.save(tmp_path / "pile.npy", array)
+    content = bytearray((tmp_path / "pile.npy").read_bytes())
+    begin = len(content) - array.itemsize
+    content[begin : begin + 4] = b"\xff" * 4
+    (skipped,) = load(tmp_path, "pile.npy", bytes(content)).skipped
+    assert skipped.message.endswith("row 7: name is damaged")
 
 
 def test_bodies_of_one_load(tmp_path: Path) -> None:
