@@ -524,6 +524,8 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
                 return "plan"  # order_id is the customer's order
             if kind == "quantity" and words & {"id", "nr", "no", "name"}:
                 break
+            if kind == "volume" and words & {"id", "nr", "no", "number"}:
+                return "item_id"  # "Volume nº" is the number of a parcel
             if kind == "sequence" and words & _UNLOADING:
                 return None  # the order in which boxes leave the pallet
             if kind == "weight" and words & _NO_WEIGHT:

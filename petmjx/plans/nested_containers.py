@@ -53,11 +53,11 @@ def fields_of_part(member: NestedBox) -> dict[str, Any]:
     step, holder = member.around[-1] if member.around else ("", {})
     if not (LAYERS | STACKS).intersection(words_of(step)):
         return {}
-    own = {(meaning.kind, meaning.axis) for meaning in column_meanings(list(flattened(member.value))) if meaning}
-    if ("positions", "") in own or ("sizes", "") in own or not any(kind == "position" for kind, _ in own):
+    given = {(meaning.kind, meaning.axis) for meaning in column_meanings(list(flattened(member.value))) if meaning}
+    if ("positions", "") in given or ("sizes", "") in given or not any(kind == "position" for kind, _ in given):
         return {}
     fields = {name: value for name, value in holder.items() if cell_number(value) is not None}
-    lacking = {*(("position", axis) for axis in "xyz"), ("size", "height")} - own
+    lacking = {*(("position", axis) for axis in "xyz"), ("size", "height")} - given
     return {
         name: fields[name]
         for name, meaning in zip(fields, column_meanings(list(fields)), strict=True)

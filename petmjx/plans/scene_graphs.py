@@ -110,9 +110,9 @@ def source_of_three_js(value: Mapping[str, Any]) -> BoxSource:
         geometry = geometries.get(node.get("geometry"), {})
         is_box = str(geometry.get("type", "")).startswith("Box")
         size = [geometry.get(side, 1) for side in ("width", "height", "depth")] if is_box else None
-        for number, own_pose in enumerate(_instances(node, place)):
+        for number, instance_pose in enumerate(_instances(node, place)):
             at = place if "instanceMatrix" not in node else f"{place}.instanceMatrix[{number}]"
-            scene.add(node, at, pose @ own_pose, size, node.get("userData"))
+            scene.add(node, at, pose @ instance_pose, size, node.get("userData"))
     return scene.source(THREE_JS)
 
 

@@ -179,7 +179,7 @@ TABLES = {
         lambda k, box: [NAMES[k], "({}, {}, {})".format(*box), "({3}, {4}, {5})".format(*box), box[6]],
         mark="\t",
     ).replace("\0", ",").replace(";", "\t"),
-    "half sizes": table("name,cx,cy,cz,hx,hy,hz,mass",
+    "half sizes": table("Volume nº,cx,cy,cz,hx,hy,hz,mass",
                         lambda k, box: [NAMES[k], *centre(box), *(side / 2 for side in box[3:6]), box[6]]),
     "names of axes": table("Colis;Abscisse (mm);Ordonnée (mm);Cote (mm);Longueur;Largeur;Hauteur;Poids", named).replace(
         ",", ";"
