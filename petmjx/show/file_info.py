@@ -11,8 +11,8 @@ from typing import Any, Final
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
-from petmjx.plans.foreign_plans import has_named_places
 from petmjx.plans.item_columns import TWO_WAYS
+from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_orders import OrderReading
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import load_plans
