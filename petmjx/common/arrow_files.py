@@ -74,7 +74,12 @@ def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) ->
 
 
 def read_within(
-    stream: pa.NativeFile, columns: Sequence[str] | None = None, *, free: int = FREE_BYTES, most: int = MOST_BYTES
+    stream: pa.NativeFile,
+    columns: Sequence[str] | None = None,
+    *,
+    free: int = FREE_BYTES,
+    most: int = MOST_BYTES,
+    nested: bool = False,
 ) -> pa.Table:
     """Read columns of a Parquet file within limits. A file without limits could fill the memory: a few bytes in the
     file may stand for millions of rows, and a short code may stand for a long text in each row.
@@ -83,6 +88,7 @@ def read_within(
         columns: names of the columns. If None, all columns are read.
         free, most: the memory that the columns of any file may take, and the largest memory that they may take even if
             the file is large, bytes.
+        nested: whether columns may contain lists of numbers, and tables of numbers.
 
     Raises:
         OversizedFile: the columns would take more memory than allowed.
@@ -99,7 +105,8 @@ def read_within(
             )
         names = schema.names if columns is None else list(columns)
         for name in names:
-            if pa.types.is_nested(schema.field(name).type):
+            kind = schema.field(name).type
+            if pa.types.is_nested(kind) and not (nested and _is_of_numbers(kind)):
                 raise ValueError(f"the column {printable_name(name)} holds lists or tables, which are not supported")
         texts = [name for name in names if _is_text(schema.field(name).type)]
         by_prefix = set(_columns_by_prefix(metadata))
@@ -124,6 +131,15 @@ def _columns_by_prefix(metadata: pq.FileMetaData) -> Iterator[str]:
             column = metadata.row_group(group).column(index)
             if _PREFIXED in column.encodings:
                 yield column.path_in_schema
+
+
+def _is_of_numbers(kind: pa.DataType) -> bool:
+    """Whether values are numbers, or lists or tables of numbers."""
+    if pa.types.is_struct(kind):
+        return all(_is_of_numbers(kind.field(index).type) for index in range(kind.num_fields))
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+        return _is_of_numbers(kind.value_type)
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind))
 
 
 def _is_text(kind: pa.DataType) -> bool:

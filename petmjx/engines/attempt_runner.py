@@ -70,8 +70,8 @@ class AttemptRunner(Generic[AnyWorld]):
 
     Attributes:
         sim: the run's options with the changes of this attempt.
-        put_following: function that is called after each outcome. This function puts the jobs that follow from results,
-            such as the drives of a settled pallet, into the stream.
+        put_following: function that is called after each outcome. ``put_following`` puts the jobs that follow from
+            results, such as the drives of a settled pallet, into the stream.
         check_pool: pool of processes that check outcomes; None if this process checks them.
         most: largest number of jobs in a list, for engines that cannot read a stream.
     """
@@ -219,8 +219,8 @@ class AttemptRunner(Generic[AnyWorld]):
         Args:
             engine: name of the engine that made the outcomes; empty if each outcome names its engine.
             checked: whether the engine has already checked the outcomes.
-            wait: if True, wait until the pool has checked all outcomes. If False, yield only the outcomes that are
-                ready; later calls yield the remaining outcomes. until: see ``CheckPool.exchanged``.
+            wait: if True, wait until the pool has checked all outcomes. If ``wait`` is False, yield only the outcomes
+                that are ready; later calls yield the remaining outcomes. until: see ``CheckPool.exchanged``.
         """
         if checked:
             answered = arrivals
@@ -247,7 +247,7 @@ class AttemptRunner(Generic[AnyWorld]):
         return (self.engines.progress.at_hand or 0) > 0
 
     def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
-        """The outcome of a world after the attempt with half the timestep. It is the previous outcome, with
+        """The outcome of a world after the attempt with half the timestep. The outcome is the previous one, with
         ``Flag.TIMESTEP`` if half the timestep gives another verdict."""
         if checked.verdict is before.verdict:
             return before

@@ -39,8 +39,8 @@ PENDING_BOXES: Final = 1 << 20
 130 MB."""
 
 FIRST_WORLDS: Final = 1600
-"""Number of worlds with which a GPU begins. These worlds keep all thread blocks for worlds of few boxes busy
-(``small_world_blocks``). The other worlds start on the GPU later."""
+"""Number of worlds with which a GPU begins. This number of worlds is enough to keep all thread blocks for worlds of few
+boxes busy (``small_world_blocks``). The other worlds start on the GPU later."""
 
 PAUSE_S: Final = 0.02
 """Interval at which the paused thread checks whether it may make worlds again, s."""
@@ -79,15 +79,15 @@ def score_worlds(
     once.
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
-    a settled pallet. This function is called after each outcome, and returns each of these worlds exactly once. An
-    engine that reads a stream simulates the returned worlds together with the other worlds; any other engine simulates
-    the returned worlds last.
+    a settled pallet. ``following`` is called after each outcome, and returns each world exactly once. An engine that
+    reads a stream simulates the returned worlds together with the other worlds; any other engine simulates the returned
+    worlds last.
 
     ``begin_with``: number of worlds with which a GPU begins. ``bounds``: limits that hold for all jobs, including the
     jobs that follow from results.
 
-    ``check_pool``: a pool of processes that several calls use one after another. If None, a call with many worlds
-    starts a pool of its own.
+    ``check_pool``: a pool of processes that several calls use one after another. If ``check_pool`` is None, a call with
+    many worlds starts a pool of its own.
 
     If an engine raises an error and has a fallback engine, the run continues: the fallback engine simulates the worlds
     without an outcome. The run also continues after an error at a second or later attempt. Without a fallback engine,
@@ -120,9 +120,9 @@ def score_worlds(
 class _AttemptRun(Generic[AnyWorld]):
     """All attempts at the worlds of one call of ``score_worlds``.
 
-    At any time, each unfinished world is in one of four collections. Before its first attempt it is in ``stream``, or,
-    if the engine of the run cannot simulate it, in ``for_fallback``. Before each further attempt it is in
-    ``retry_queue`` or in ``side_tasks``.
+    At any time, each unfinished world is in one of four collections. Before its first attempt, a world is in
+    ``stream``, or, if the engine of the run cannot simulate the world, in ``for_fallback``. Before each further
+    attempt, a world is in ``retry_queue`` or in ``side_tasks``.
 
     Attributes:
         first_runner: makes the first attempts.
@@ -240,8 +240,8 @@ class _AttemptRun(Generic[AnyWorld]):
                 yield from self._finish_or_retry(self.attempts[0], pending)
 
     def _finish_or_retry(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """After an attempt at a world, yield the world's result if it is final. If it is not, begin the next attempt as
-        a side task, or put the world into ``retry_queue``.
+        """After an attempt at a world, yield the world's result if it is final. If the result is not final, begin the
+        next attempt as a side task, or put the world into ``retry_queue``.
 
         Args:
             pending: the world, with the outcome of the attempt.
@@ -262,10 +262,10 @@ class WorldSource(Generic[AnyWorld]):
     """A thread that makes worlds before the engine needs them.
 
     Args:
-        deliver: function that puts a world's job into the stream. The function waits while the stream is full, and
+        deliver: function that puts a world's job into the stream. ``deliver`` waits while the stream is full, and
             returns False if the stream is closed.
         has_room: function that returns False while too many worlds wait for further attempts or for the fallback
-            engine. While the function returns False, the thread pauses.
+            engine. While ``has_room`` returns False, the thread pauses.
     """
 
     def __init__(
@@ -333,8 +333,8 @@ class _SideTasks(Generic[AnyWorld]):
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a large run, start two kinds of processes: those that check outcomes, and one that makes
-        the attempts that few worlds need. The process for attempts first simulates one box. So its kernel is compiled
-        early: compiling takes as long as simulating many worlds."""
+        the attempts that few worlds need. The process for attempts first simulates one box. So the kernel of this
+        process is compiled early: compiling takes as long as simulating many worlds."""
         self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
@@ -374,7 +374,7 @@ class _SideTasks(Generic[AnyWorld]):
         """
         if self._in_flight:
             for answer in self.engines.helper.ended(wait=wait):
-                if answer.number not in self._in_flight:  # answer to the task READY of this run or an earlier run
+                if answer.number not in self._in_flight:  # an answer to the task READY of this or an earlier run
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):

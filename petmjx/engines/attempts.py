@@ -6,18 +6,18 @@ The first attempts are those of the PET-Physics paper: up to two attempts with N
 conjugate gradients (CG). An attempt with half the timestep follows. Two further attempts, with stiffer contacts, are
 for worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``). An optional last attempt
 simulates boxes as soft bodies, like the third attempt of the reference implementation. In the reference implementation
-of the paper, the second attempt only repeats the first, deterministic simulation. Here, a second attempt gives the
-solver up to ``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``. These settings help if the
-solver stopped too early.
+of the paper, the second attempt only repeats the first, deterministic simulation. In petmjx, a second attempt gives the
+solver up to ``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``. More iterations and a smaller
+tolerance help if the solver stopped too early.
 
-The MJX engines compute in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is their *fallback*
-(``FALLBACKS``). C MuJoCo makes the attempts that need double precision. C MuJoCo also simulates worlds with soft boxes,
-attempts with conjugate gradients, and worlds for which an engine returned no outcome because of an error. ``mujoco``
-itself and engines that users wrote have no fallback.
+The MJX engines compute in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is the *fallback* of
+the MJX engines (``FALLBACKS``). C MuJoCo makes the attempts that need double precision. C MuJoCo also simulates worlds
+with soft boxes, attempts with conjugate gradients, and worlds for which an engine returned no outcome because of an
+error. ``mujoco`` itself and engines that users wrote have no fallback.
 
 A GPU needs the same time for one world as for many worlds. So in a run on ``mjx-warp``, CPU threads make the attempts
-that few worlds need, while the GPU continues (petmjx/engines/subprocess). These are the attempts on C MuJoCo, and the
-attempts with stiffer contacts, which ``mjx-warp-cpu`` makes with the same kernels as the GPU. In a run on
+that few worlds need, while the GPU continues (petmjx/engines/subprocess). The attempts that few worlds need are those
+on C MuJoCo, and those with stiffer contacts, which ``mjx-warp-cpu`` makes with the same kernels as the GPU. In a run on
 ``mjx-warp-cpu``, additional threads make the attempts with stiffer contacts (petmjx/engines/attempt_threads.py). Which
 engine makes an attempt depends only on the world and the options.
 """
@@ -51,14 +51,14 @@ CAREFUL_TOLERANCE = 1e-10
 larger tolerance."""
 
 NEAR = 0.5
-"""If the option ``check_timestep`` is set, worlds whose margin has a magnitude below this are simulated again with half
-the timestep. Invalid worlds have the margin NaN, so they are not simulated again for this reason."""
+"""If the option ``check_timestep`` is set, worlds whose margin has a magnitude below this value are simulated again
+with half the timestep. Invalid worlds have the margin NaN, so they are not simulated again for this reason."""
 
 STIFF_QUIET_STEPS = 25
-"""Smallest ``Quiet.steps`` of attempts with stiff contacts. The verdicts of these attempts depend on movements of less
-than a millimetre. Of 6,000 small stacks whose verdicts follow from statics, some fell although they should stand: 5
-stacks with 15 steps, 4 with 25, and 3 with 50. With 50 steps, the simulation of a pallet with trembling boxes takes
-three times as long."""
+"""In attempts with stiff contacts, boxes must be quiet for at least this number of steps (``Quiet.steps``). The
+verdicts of these attempts depend on movements of less than a millimetre. Of 6,000 small stacks whose verdicts follow
+from statics, some fell although they should stand: 5 stacks with 15 steps, 4 with 25, and 3 with 50. With 50 steps, the
+simulation of a pallet with trembling boxes takes three times as long."""
 
 # The flags as plain integers: comparing integers is several times as fast as comparing members of ``Flag``.
 _EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)
@@ -83,8 +83,8 @@ class AttemptRecipe:
 
     most_boxes: int | None = None
     """Largest number of boxes of a world for this attempt. A larger world keeps its verdict, if it has one, and
-    ``Flag.SINKING``. With stiff contacts, a step of a world of hundreds of boxes takes tens of milliseconds. And in a
-    large world, the boxes that soft contacts tilt are only a small part of the pallet."""
+    ``Flag.SINKING``. With stiff contacts, a step of a world of hundreds of boxes takes tens of milliseconds. Besides,
+    the boxes that soft contacts tilt are only a small part of a large pallet."""
     soft: bool = False
     """If True, all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
@@ -94,8 +94,8 @@ class AttemptRecipe:
     resolves."""
 
     few: bool = False
-    """Whether only few of many worlds need the attempt. Even if True, many worlds need the attempt if they have
-    placement errors and their plan has boxes that may sink into each other."""
+    """Whether only few of many worlds need the attempt. Worlds with placement errors are an exception: if their plan
+    has boxes that may sink into each other, many of these worlds need the attempt."""
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
         """Whether this attempt may give a different result from the previous attempt. A world that ran out of time gets
@@ -239,8 +239,8 @@ class Engines:
         return self.fallback
 
     def beside(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool, few: bool) -> str | None:
-        """Name of the engine that makes a further attempt at a job beside the engine of the run. If None, the engine of
-        the run makes the attempt.
+        """Name of the engine that makes a further attempt at a job beside the engine of the run. If the result is None,
+        the engine of the run makes the attempt.
 
         Args:
             few: whether few worlds need the attempt. A job with a drive (a motion of the carrier), or a job whose
@@ -284,4 +284,4 @@ def ready_for(engine: str, job: Job) -> Job:
     if not isinstance(job.start, KeptState):
         return job
     start = job.start.state if job.start.engine == engine else None
-    return Job(**{**vars(job), "start": start})  # three times as fast as ``replace``; a Job has only fields
+    return Job(**{**vars(job), "start": start})  # three times as fast as ``replace``

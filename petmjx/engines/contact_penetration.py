@@ -2,7 +2,7 @@
 
 ``petmjx.world.contact_laws`` computes the depth of a contact at rest. The depth follows from the plan, the masses and
 the largest force on each box, which are in the CPU's memory whichever engine simulates. The depth is not read from
-final poses, since these do not show it if a stack fell because its support gave way.
+final poses: if a stack fell because its support gave way, the final poses do not show the depth.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ exploded."""
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:
-    """The physics ``physics``, but with stiffer contacts. With these, light boxes can carry heavy boxes, and slender
-    boxes stay upright.
+    """The physics ``physics``, but with stiffer contacts. With stiffer contacts, light boxes can carry heavy boxes, and
+    slender boxes stay upright.
 
     The stiffer contacts have a constant impedance (MuJoCo's ``solimp``), the largest that MuJoCo accepts, instead of an
     impedance that rises with the depth. The contacts' time constants are multiplied by ``share``. With a share of 0.5,
@@ -130,11 +130,11 @@ class _Stack:
 
 
 class _Pairs(NamedTuple):
-    """Pairs of boxes that overlap as seen from above, sorted by the upper box in the order of ``_Stack.order``.
+    """Pairs of boxes that overlap as seen from above, sorted by their upper boxes, from the lowest to the highest.
 
     Attributes:
         upper, lower: (p,) numbers of the two boxes of each pair.
-        spans: for each box in the order of ``_Stack.order``, the slice of the pairs in which it is the upper box.
+        spans: for each box, from the lowest to the highest, the slice of the pairs in which the box is the upper box.
     """
 
     upper: NDArray[np.intp]
@@ -144,7 +144,8 @@ class _Pairs(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _stack(scene: Scene) -> _Stack:
-    """The ``_Stack`` of a scene. The result is cached, since many worlds of a sweep have the same scene."""
+    """The boxes of a scene, sorted by height. The result is cached, since many worlds of a sweep have the same
+    scene."""
     return _Stack(scene)
 
 
@@ -182,14 +183,14 @@ _MOST_PAIRS = 1 << 17
 CPU caches."""
 
 ON_CARRIER_M = 0.001
-"""A box whose planned bottom is lower than this height above the carrier's top stands on the carrier, m."""
+"""A box stands on the carrier if its planned bottom is less than this height, m, above the carrier's top."""
 
 
 def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
     """The outcomes, with ``Flag.SINKING`` if boxes sank so far that the depth of contacts may have decided the verdict.
 
-    Such a world becomes invalid. With pyramidal friction cones, as in the preset ``reference``, all worlds keep their
-    verdict.
+    A world that gets this flag becomes invalid. With pyramidal friction cones, as in the preset ``reference``, all
+    worlds keep their verdict.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     scenes = [job.scene for job in jobs]

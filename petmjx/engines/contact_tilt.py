@@ -1,10 +1,10 @@
-"""Contact tilt: how near soft contacts bring stacks to tipping over that would stand on hard contacts.
+"""Contact tilt: how near to tipping over soft contacts bring stacks that would stand on hard contacts.
 
 The contacts below a box give way, and they give way more on the side on which the load acts. So the box turns by an
 angle: the difference of the depths on its two sides, divided by the width between them. The load is at a height above
-these contacts, so it moves towards the edge. A box stands on a base of width w, and the side of the base away from the
-edge carries the share r of the load. Then the load acts at the distance r·w from the edge. If no contact had given way,
-the load would act at the distance
+the contacts, so the load moves towards the edge when the box turns. A box stands on a base of width w, and the side of
+the base away from the edge carries the share r of the load. Then the load acts at the distance r·w from the edge. If no
+contact had given way, the load would act at the distance
 
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 
@@ -39,22 +39,22 @@ SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.
 """The shares r (defined above) for which e(r) is computed."""
 
 SAFETY: Final = 10.0
-"""A load may tip over if its distance from the edge is at most this multiple of the loss, since a box rocks when the
-next box is placed on it. Some stacks are stable by statics, but fall because contacts are soft. In these stacks, the
-distance of a load from its edge was at most 8 times the load's loss."""
+"""A load may tip over if its distance from the edge is at most this multiple of its loss (see the module's docstring),
+since a box rocks when the next box is placed on it. Some stacks are stable by statics, but fall because contacts are
+soft. In these stacks, the distance of a load from its edge was at most 8 times the load's loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""The same multiple as ``SAFETY``, for a further attempt with stiffer contacts, which make the loss 40 times smaller.
-In stacks that fell, the distance of a load from its edge was at most 28 times the load's loss."""
+"""Multiple of the loss that replaces ``SAFETY`` in a further attempt with stiffer contacts, which make the loss 40
+times smaller. In stacks that fell, the distance of a load from its edge was at most 28 times the load's loss."""
 
 SURE: Final = 1.0
-"""The same multiple as ``SAFETY``, for a stack in which a load acts beyond an edge in the plan. Such a stack would also
-fall on hard contacts. So soft contacts may be the cause only if another load is nearer to its edge than the loss of
-this load."""
+"""Multiple of the loss that replaces ``SAFETY`` for a stack in which a load acts beyond an edge in the plan. A stack
+with a load beyond an edge would also fall on hard contacts. So soft contacts may be the cause only if some other load
+is nearer to its edge than that other load's loss."""
 
 KNIFE_EDGE_M: Final = 0.0004
-"""A load that is farther than this distance beyond an edge surely acts beyond it, m. The distance is half a millimetre
-in the plan, minus the amount by which simulated boxes are smaller than planned."""
+"""A load that is farther beyond an edge than this distance, m, surely acts beyond the edge. The distance is half a
+millimetre in the plan, minus the amount by which simulated boxes are smaller than planned."""
 
 NEAR_M: Final = 0.001
 """A load that acts less than this distance (m) inside the edge may have tipped over because of soft contacts, even if
@@ -107,8 +107,8 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
 
 
 def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two arrays (n,): the angle by which each box leans because the boxes below it lean, rad, and the distance by
-    which its centre moves sideways, m."""
+    """(n,) angle by which each box leans because the boxes below it lean, rad, and (n,) distance by which the centre of
+    each box moves sideways, m."""
     bottom, middle, half = bearing.boxes.bottom, bearing.boxes.target[:, 2], bearing.boxes.half_size[:, 2]
     below, moved = np.zeros((2, len(own_lean)))
     turned, shift = own_lean.copy(), own_lean * half
@@ -149,8 +149,9 @@ def contact_tilt_suspects(
     load: FloatArray,
     edge: FloatArray,
 ) -> list[bool]:
-    """For each world, whether it may be unstable because contacts are soft. Either its boxes lean too far, or a load
-    that acts inside the edge in the plan may have moved beyond it. ``outcomes`` must not be empty.
+    """For each world, whether it may be unstable because contacts are soft. A world may be unstable for this reason if
+    its boxes lean too far, or if a load that acts inside an edge in the plan may have moved beyond this edge.
+    ``outcomes`` must not be empty.
 
     Args:
         bearing: the supports of the boxes in all these worlds; worlds with errors have the places of

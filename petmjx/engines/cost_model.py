@@ -2,7 +2,7 @@
 
 On a CPU thread, a step of a pallet at rest takes one iteration of Newton's method. The cost of a step grows somewhat
 faster than the number of boxes. While boxes land or slide, a step takes more iterations. An iteration is expensive if
-boxes stand on several others, since such boxes tie the columns of a pallet into one system of equations. So the
+boxes stand on several other boxes, since this ties the columns of a pallet into one system of equations. So the
 additional cost of a landing grows with the square of the number of standing boxes, and with the number of these ties.
 If each box stands on only one other, as in a block of columns, landings cost next to nothing.
 
@@ -30,17 +30,17 @@ generated plans and of 63 third-party plans of 16 to 241 boxes. Physics ``refere
 steps."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
-"""Number of steps of the soft starts, which come before the first box of a placement. These steps are not part of the
-schedule."""
+"""Number of steps of the soft starts, which come before the first box of a placement. The steps of soft starts are not
+part of the schedule."""
 
 QUIET_STEPS = 220
 """Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. Static checks of 45 to
 241 boxes took 150 to 890 such steps. After EUMOS's profile, pallets that stand took 216 steps."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
-"""The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans took
-17 s, and 4,000 plans with the fixed schedule took 21 s. The adaptive schedule leaves out cheap steps, in which all
-boxes are at rest. In the remaining steps, boxes move and pallets collapse."""
+"""The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans with
+the adaptive schedule took 17 s, and 4,000 plans with the fixed schedule took 21 s. The adaptive schedule leaves out
+cheap steps, in which all boxes are at rest. In the remaining steps, boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
 """Over whole runs, the cost of a step on ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes,
@@ -57,19 +57,19 @@ REST_POWER = 1.25
 
 TYPICAL_TIES = 0.5
 """Assumed number of supports of a box beyond its first support, as a mean over the boxes of a plan, if the plan is
-unknown. This mean is 0.24 to 1.3 in 62 third-party plans of 45 to 241 boxes. In most generated plans, it is 0.1 or
+unknown. The mean is 0.24 to 1.3 in 62 third-party plans of 45 to 241 boxes. In most generated plans, the mean is 0.1 or
 less, since their boxes have many different heights."""
 
 SHAKEN_STEPS = 700
-"""In a drive, boxes are expected to slide or fall in at most this many steps. EUMOS's profile has fewer steps. A
-profile that tilts the carrier has 2,970 steps, and boxes are at rest in most of them. A drive that shakes boxes for
-many seconds takes up to ten times as long as expected."""
+"""A drive is expected to have at most this number of steps in which boxes slide or fall. EUMOS's profile has fewer
+steps than this number. A profile that tilts the carrier has 2,970 steps, and boxes are at rest in most of them. A drive
+that shakes boxes for many seconds takes up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
-"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker
-drive the pallet may creep. So a weaker drive is expected to take ``CREEPING`` times as many steps, and is begun
-earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives take 336 steps on average and at most 1,149; weak
-drives take 570 steps on average and at most 6,088."""
+"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a drive with a
+smaller acceleration, the pallet may creep. So a weaker drive is expected to take ``CREEPING`` times as many steps, and
+is begun earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives take 336 steps on average and at most
+1,149; weak drives take 570 steps on average and at most 6,088."""
 
 
 FALL_STEPS = 1350
@@ -77,8 +77,9 @@ FALL_STEPS = 1350
 two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these steps place boxes."""
 
 STATIC_FALL_STEPS = 400
-"""Number of steps of a static check in which boxes fall, until one has dropped and the world ends. If a check has fewer
-steps, boxes are expected to fall in all of them. 17 plans with loose boxes took 200 to 600 steps on ``mujoco``."""
+"""Number of steps of a static check in which boxes fall, until one has dropped and the world ends. If a static check
+has fewer steps, boxes are expected to fall in all its steps. 17 plans with loose boxes took 200 to 600 steps on
+``mujoco``."""
 
 FALL_BOXES = 7
 """Number of boxes that are placed during the ``FALL_STEPS`` steps of a fall, in the plans of the two shelf packers."""
@@ -98,23 +99,25 @@ scores, drives and searches of 5 to 60 boxes on epal-1 and gma-48x40, and in a g
 
 FEWEST_WALLS = 2
 """Smallest number of walls that make steps more expensive. A trailer's headboard, a single wall, costs nothing at
-first: a load touches it only after it has slid."""
+first: a load touches the headboard only after sliding."""
 
 REFERENCE_STEPS = 2.8
-"""Number of placing steps with physics ``reference``, relative to ``pallet``, with schedule ``adaptive``."""
+"""Number of steps of a placement with the physics ``reference``, relative to the physics ``pallet``, with the adaptive
+schedule."""
 
 WAY_STEPS = {Way.DROP: 3.1, Way.HAND: 4.0, Way.TINES: 7.0}
-"""Number of steps of a placement whose boxes fall or are carried to their places, relative to boxes that appear there.
-Measurements with plans of 14 and of 40 boxes agree within a tenth. Boxes carried by hand take a share of 0.285 of the
-fixed schedule's steps; the share is 0.45 with few boxes, and 0.24 with many."""
+"""Number of steps of a placement whose boxes fall or are carried to their places, relative to a placement whose boxes
+appear at their places. Measurements with plans of 14 and of 40 boxes agree within a tenth. Boxes carried by hand take a
+share of 0.285 of the fixed schedule's steps; the share is 0.45 with few boxes, and 0.24 with many."""
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
-"""The same ratio as ``WAY_STEPS``, for boxes whose places or sizes have errors. These boxes are moved apart and then
-appear, or are carried to their places and get stuck at their neighbours."""
+"""Number of steps of a placement with errors of places or sizes, relative to a placement whose boxes appear exactly at
+their places. Boxes with errors are moved apart and then appear, or are carried to their places and get stuck at their
+neighbours."""
 
 GIVING_STEPS = 1.4
-"""The same ratio as ``WAY_STEPS``, for plans with compliant boxes. A pile of boxes so soft that it does not come to
-rest takes up to fifteen times as many steps."""
+"""Number of steps of a placement with compliant boxes, relative to the same placement with rigid boxes. A pile of boxes
+so soft that it does not come to rest takes up to fifteen times as many steps."""
 
 
 @dataclass(frozen=True)
@@ -187,12 +190,12 @@ class Work:
         carried: number of placements with such errors in which boxes are carried to their places.
         drive_steps: steps of one drive, including ``rest_steps``; the mean over profiles.
         filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1.
-        giving: number of compliant boxes of each plan; empty: none.
+        giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
         ties: for each plan, the number of supports beyond a box's first, as a mean over its boxes
-            (petmjx.plans.loose_boxes); empty: ``TYPICAL_TIES``.
+            (petmjx.plans.loose_boxes); if empty, ``TYPICAL_TIES`` is used.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
-            (petmjx.plans.loose_boxes); 1 without such a box. Empty: the share is unknown, and no box is expected to tip
-            over.
+            (petmjx.plans.loose_boxes); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and no
+            box is expected to tip over.
     """
 
     sim: Simulation
@@ -238,8 +241,8 @@ class Work:
 
     @property
     def coupling(self) -> FloatArray:
-        """(n,) how strongly the boxes of each plan are tied together, about 0 to 1. The cost of landings grows with
-        this number. Of the powers of ``ties`` that were tried, the square root fits best."""
+        """(n,) how strongly the boxes of each plan are tied together, about 0 to 1. The more strongly boxes are tied
+        together, the more landings cost. Of the powers of ``ties`` that were tried, the square root fits best."""
         return np.sqrt(self.ties if len(self.ties) else np.full(len(self.boxes), TYPICAL_TIES))
 
     @property
@@ -332,9 +335,9 @@ class ThreadCosts:
         landing_s: additional time until a box has landed, s per box² of the standing boxes, at ``Work.coupling`` 1.
         static_s: additional time until all boxes of a static check have landed, s per box², at ``Work.coupling`` 1.
         shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, s per box².
-        fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. This time
-            hardly depends on the number of boxes. The time of a single fall varies from a tenth of this value to ten
-            times this value.
+        fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. The time of a
+            fall hardly depends on the number of boxes. The time of a single fall varies from a tenth of this value to
+            ten times this value.
         jammed: cost of a placement by hand with errors, relative to one without errors.
         hand_s: additional time of a step of a placement by hand, s.
         film_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive in film, s per box.

@@ -65,8 +65,8 @@ def choose(
         seconds: engine → expected time, s.
         threads: number of CPU threads that ``mujoco`` or ``mjx-warp-cpu`` would use.
         gpus: number of GPUs that ``mjx-warp`` would use.
-        why_no_gpu: function that returns the reason why ``mjx-warp`` cannot run, or None. If it is not given, this
-            machine is checked.
+        why_no_gpu: function that returns the reason why ``mjx-warp`` cannot run, or None. If ``why_no_gpu`` is not
+            given, this machine is checked.
         why_no_kernel: as ``why_no_gpu``, for ``mjx-warp-cpu``.
         compiles: whether ``mjx-warp-cpu`` would first have to be compiled.
     """

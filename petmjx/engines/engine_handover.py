@@ -114,8 +114,8 @@ class HandoverEngine(Engine, Generic[Faster]):
         return self._spent_s / self._expected_s if self._expected_s > 0 else 1.0
 
     def _hands_over(self, waiting: Callable[[], Sequence[Job]], sim: Simulation, progress: Progress) -> bool:
-        """Whether the jobs that have not begun go to the kernels. If True, the engine with the kernels has been
-        created.
+        """Whether the jobs that have not begun go to the kernels. If the result is True, the engine with the kernels
+        has been created.
 
         Args:
             waiting: function that returns the jobs that have not begun.

@@ -23,8 +23,8 @@ class JobBounds(NamedTuple):
         jobs: largest number of jobs that are ready at the same time.
         box_counts: all numbers of boxes that occur in the jobs' scenes.
         drive_steps: number of samples of the longest drive (motion of the carrier).
-        excitations: number of different excitations (motions as arrays). If None, each world may have its own
-            excitation.
+        excitations: number of different excitations (motions as arrays). If ``excitations`` is None, each world may
+            have its own excitation.
         wraps: whether stretch film is around the boxes in some drives.
     """
 
@@ -92,8 +92,9 @@ class JobStream(Generic[Tag]):
         """Add a job.
 
         Args:
-            bounded: if True, the job comes from the source, and the call waits while the stream is full. If False, the
-                job follows from an outcome: the call never waits, and the job is taken before the jobs of the source.
+            bounded: if True, the job comes from the source, and the call waits while the stream is full. If ``bounded``
+                is False, the job follows from an outcome: the call never waits, and the job is taken before the jobs of
+                the source.
 
         Returns:
             Whether the job was added. A closed stream accepts no jobs from the source.
@@ -188,7 +189,7 @@ class JobStream(Generic[Tag]):
 
         Args:
             in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes
-                outcomes calls ``wake`` after each change of this collection.
+                outcomes calls ``wake`` after each change of ``in_flight``.
 
         Returns:
             Whether to wait again: no job is ready, and jobs may still follow from outcomes.

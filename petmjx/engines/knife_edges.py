@@ -16,14 +16,14 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
 
 KNIFE_EDGE_M: Final = 0.0005
-"""A load nearer to an edge than this sets the flag, m. Plans have whole millimetres, and simulated boxes are smaller
-than planned by a tenth of a millimetre. In all verdicts in which other simulators disagreed, the centre of a box was
-nearer to an edge than this (docs/validation.md)."""
+"""A load that is nearer to an edge than this distance, m, sets the flag ``knife-edge``. Plans have whole millimetres,
+and simulated boxes are smaller than planned by a tenth of a millimetre. In all verdicts in which other simulators
+disagreed, the centre of a box was nearer to an edge than this distance (docs/validation.md)."""
 
 NEAR_M: Final = 0.001
-"""If the verdict contradicts statics, a load nearer to an edge than this also sets the flag, m. The verdict contradicts
-statics if the world stands with the load beyond the edge, or falls with the load inside it. (Small worlds whose boxes
-fall are also simulated again with stiffer contacts: petmjx.engines.contact_tilt.)"""
+"""If the verdict contradicts statics, a load that is nearer to an edge than this distance, m, also sets the flag. The
+verdict contradicts statics if the world stands with the load beyond the edge, or falls with the load inside it. (Small
+worlds whose boxes fall are also simulated again with stiffer contacts: petmjx.engines.contact_tilt.)"""
 
 _ROUNDING_M: Final = 1e-9
 """Largest rounding error of distances near an edge in tables, which store them as float32, m."""
@@ -100,8 +100,8 @@ def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float 
     stable world, inside in an unstable world. NaN does not set the flag.
 
     Args:
-        verdict: verdict of the world. If None, only ``KNIFE_EDGE_M`` is used.
-        rounding_m: largest rounding error of the distances, m. This error is added to both limits.
+        verdict: verdict of the world. If ``verdict`` is None, only ``KNIFE_EDGE_M`` is used.
+        rounding_m: largest rounding error of the distances, m. The rounding error is added to both limits.
     """
     away_m = np.abs(edge_m) - rounding_m
     is_near = away_m <= KNIFE_EDGE_M

@@ -53,7 +53,7 @@ def costs_here(work: Work, threads: int) -> Costs:
 
 
 def _traits(work: Work) -> Traits:
-    """The traits of the first kernel that a run needs on ``mjx-warp-cpu``."""
+    """The features for which the first kernel of a run on ``mjx-warp-cpu`` is compiled."""
     hands = work.carried > 0 or not work.sim.placing.appears
     film = work.filmed > 0 and work.drives > 0
     return hands, bool(work.compliant.any()), film, work.sim.physics.has_landings

@@ -348,7 +348,7 @@ class BoxMetrics:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy all metrics as one float64 array. Pickling eleven small arrays takes two and a half times as
-        long. Attributes that are not metrics are lost.
+        long as pickling one array. Attributes that are not metrics are lost.
         """
         values = [getattr(self, metric.attribute).ravel() for metric in box_metrics()]
         return _of_numbers, (type(self), np.concatenate(values, dtype=np.float64), self.max_tilt_deg.shape)

@@ -182,8 +182,8 @@ class OpenWorlds(ABC):
 
     A world follows the rules of placement (docs/rules.md): a box is placed when all boxes before it are at rest. When
     the last box is at rest, the world pauses, and more boxes can be added. What happens in a world depends only on its
-    scene. Neither the other worlds nor the number of calls that added its boxes have an influence. A world whose last
-    boxes do not come to rest pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
+    scene. Neither other worlds nor the number of calls that added the world's boxes have an influence. A world whose
+    last boxes do not come to rest pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
 
     This class checks the arguments for all engines; each engine implements the abstract methods.
 
@@ -249,8 +249,8 @@ class OpenWorlds(ABC):
 
         Args:
             until_lost: if True, a fork ends as soon as the pallet certainly does not stand: a box is tilted too far at
-                a sample, or a box is gone (``petmjx.engines.metrics.GONE_TILT``). Such a fork does not show how it
-                would have ended.
+                a sample, or a box is gone (``petmjx.engines.metrics.GONE_TILT``). A fork that ends so early does not
+                show how it would have continued.
 
         Raises:
             ValueError: a world has ended.
@@ -312,13 +312,13 @@ class OpenWorlds(ABC):
         return self._readings(worlds) if len(worlds) else Readings.of([], [])
 
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
-        """The outcomes that worlds have if no further boxes follow. A world may also be driven (moved by its carrier).
-        The worlds themselves do not change. ``Outcome.job`` is the index into ``worlds``.
+        """The outcomes that worlds have if no further boxes follow. If ``drives`` has a drive for a world, the world is
+        also shaken. The worlds themselves do not change. ``Outcome.job`` is the index into ``worlds``.
 
         Each outcome is the result of one simulation, as in ``Engine.run``. Unlike in ``petmjx.score``, no world is
         simulated again with other settings (docs/rules.md, section 9). If a placement before a drive has failed without
-        a dropped box, the world gets the same time to come to rest as without a drive. This wait may be some steps
-        shorter than in ``Engine.run``.
+        a dropped box, the world gets the same time to come to rest as without a drive. The time to come to rest may be
+        some steps shorter than in ``Engine.run``.
 
         Raises:
             ValueError: a world has no boxes.

@@ -2,8 +2,8 @@
 boxes that came to rest otherwise than planned, and loads so near the edges of their supports that the verdict is on a
 knife's edge. The checks also compute the margin of each world.
 
-If engines run in worker processes, each worker checks its own outcomes. If the run's own process checked them, the
-checks of small worlds would take almost half of its time.
+If engines run in worker processes, each worker checks its own outcomes. If the run's own process checked all outcomes,
+the checks of small worlds would take almost half of the time of this process.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ half a metre is 17 mm lower than the other side. Soft contacts alone tilt a box 
 unless the world has ``Flag.SINKING``."""
 
 LOWER_M: Final = 0.005
-"""A box also counts as leaning if it lies lower than planned by more than this, m. Soft contacts alone may lower a box
-by this distance, without a flag (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
+"""A box also counts as leaning if it lies lower than planned by more than this height, m. Soft contacts alone may lower
+a box by this distance, without a flag (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
 
 MOST_TOGETHER: Final = 256
 """Largest number of outcomes that are checked together. Checking 256 outcomes takes 0.1 to 0.2 s. Checking outcomes one
@@ -90,8 +90,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
     Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
     places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
-    In a chain, a world that still stands after a later leg (part of the journey) is left out. Such a world keeps the
-    distances and the flag of the previous leg.
+    In a chain, a world that still stands after a later leg (part of the journey) is left out. The world that is left
+    out keeps the distances and the flag of the previous leg.
     """
     scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
     valid = [

@@ -32,8 +32,8 @@ class Progress:
     Attributes:
         thread_s: CPU time that the threads of the engine ``mujoco`` spent on finished worlds, s.
         message: what the engine does at the moment, such as "compiling".
-        work_share: share of the run's work that is done, from 0 to 1. The run, not the engine, sets this share. If
-            None, the share of finished worlds is used.
+        work_share: share of the run's work that is done, from 0 to 1. The run, not the engine, sets ``work_share``. If
+            ``work_share`` is None, the share of finished worlds is used.
         at_hand: at least this number of outcomes will follow the last outcome without delay; None if the engine does
             not report this number. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work.
@@ -170,7 +170,7 @@ class Engine(MinimalEngine, Protocol):
 
     Attributes:
         devices: number of GPUs that simulate at the same time. The largest number of worlds that the engine gets at
-            once is multiplied by this number.
+            once is multiplied by ``devices``.
     """
 
     devices: int = 1
@@ -217,7 +217,8 @@ class Engine(MinimalEngine, Protocol):
 
         Returns:
             (n, s, k, 7) positions (m) and quaternions of the k boxes of n worlds, after each of the s steps in
-            ``bodies.steps``. NaN from the first step on in which numbers were not finite or buffers were too small.
+            ``bodies.steps``. The values of a world are NaN from the first step on in which numbers were not finite or
+            buffers were too small.
 
         Raises:
             InputError: this engine cannot release boxes.

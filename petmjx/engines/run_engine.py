@@ -138,7 +138,8 @@ def engine_for(
     hands_over: bool = False,
     earlier: str | None = None,
 ) -> Iterator[tuple[Engine, Choice]]:
-    """``resolve_engine`` as a context. At the end, it closes the engine, unless the engine is the user's own."""
+    """``resolve_engine`` as a context. The context closes the engine at its end, unless the engine is the user's
+    own."""
     engine, choice = resolve_engine(options, work, ahead=ahead, hands_over=hands_over, earlier=earlier)
     try:
         yield engine, choice

@@ -26,7 +26,7 @@ class Verdict(StrEnum):
 
 
 class Reason(StrEnum):
-    """Why a world is not stable. Empty for stable worlds."""
+    """Why a world is not stable. The reason of a stable world is empty."""
 
     NONE = ""
     NONFINITE = "nonfinite"
@@ -85,8 +85,8 @@ class Outcome:
     culprit."""
 
     job: int
-    """The stream number of the job (``JobStream``). If the jobs are a list, this number is the index of the job in the
-    list."""
+    """The stream number of the job (``JobStream``). If the jobs are a list, the stream number is the index of the job
+    in the list."""
     verdict: Verdict
     reason: Reason
     culprit: int
@@ -174,8 +174,9 @@ def judge(
     An engine calls this function with its measurements. Later checks that change the measurements or flags of the world
     call this function again.
 
-    Metrics may be float32 numbers. With the default thresholds, comparisons in float32 and in float64 agree. 20 is
-    exact in float32. The float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
+    Metrics may be float32 numbers. With the default thresholds, comparisons in float32 and in float64 agree. The
+    threshold of the tilt, 20°, is exact in float32. The float32 nearest to the threshold of the shift, 0.02 m, is below
+    0.02, and no other float32 lies between the two.
 
     Args:
         sank: whether boxes sank so far into their supports that the world is invalid. ``Flag.SINKING`` alone does not

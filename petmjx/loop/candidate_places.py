@@ -22,7 +22,7 @@ LARGEST_GAP_MM: Final = 1_000.0
 """Largest allowed free space between boxes. A larger space would leave no room for boxes on a pallet."""
 
 _AT_ONCE: Final = 100_000
-"""Number of pairs of a point and a box that are compared at a time. The tables of this number of pairs fit into the
+"""Number of pairs of a point and a box that are compared at a time. For this number of pairs, the tables fit into the
 cache of a CPU core."""
 
 _WORTH_A_THREAD: Final = 50_000
@@ -40,7 +40,7 @@ class Places(NamedTuple):
         corner_mm: (c, 3) position of the box's front-left-bottom corner at the place.
         support: (c,) share of the box's base that would rest on the carrier or on the tops of other boxes.
         centred: (c,) whether the centre of the box's base lies over the convex hull of the areas on which the box would
-            rest, as in the criterion ``centre``. None if ``centred`` was not requested.
+            rest, as in the criterion ``centre``. If it was not requested, ``centred`` is None.
     """
 
     row: NDArray[np.intp]
@@ -114,9 +114,9 @@ def _lowered_boxes(
     *,
     hulls: bool,
 ) -> _Lowered:
-    """Lower boxes at points of their pallets. Returns four values for each place: the index of the box, the box's
-    corner, the supported share of its base, and whether its centre is over the convex hull of the areas on which it
-    rests.
+    """At points of pallets, lower boxes until they rest on something. Returns four values for each place: the index of
+    the box, the box's corner, the supported share of its base, and whether its centre is over the convex hull of the
+    areas on which it rests.
 
     Args:
         points: (m, p) points as x + iy; ``low``, ``high``: (m, k, 3) lowest and highest corners of the boxes on the

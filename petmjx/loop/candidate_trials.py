@@ -57,8 +57,7 @@ class Errors:
         return len(self._variants)
 
     def scenes(self, scene: Scene) -> list[Scene]:
-        """Variants of a scene with errors, one variant for each draw of errors. The last box of the scene is the
-        candidate."""
+        """Variants of a scene, each changed by other random errors. The last box of the scene is the candidate."""
         standing = scene.n_boxes - 1
         return [apply(scene, _NAME, variant, self._sweep.seed, standing=standing) for variant in self._variants]
 
@@ -73,8 +72,8 @@ class PlacingErrors:
         self._change = replace(variant.placement, friction_rel=ZERO)
 
     def scene(self, scene: Scene, number: int, strength: float) -> Scene:
-        """The scene with errors of its last box. ``number`` selects the random errors, which are multiplied by
-        ``strength``. If the strength is 0, the scene is unchanged."""
+        """The scene, changed by random errors in the place, rotation, size and mass of its last box. ``number`` selects
+        the random errors, which are multiplied by ``strength``. If the strength is 0, the scene is unchanged."""
         if strength == 0:
             return scene
         errors: dict[str, Any] = {

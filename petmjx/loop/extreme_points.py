@@ -3,7 +3,7 @@
 Source: Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional bin packing", INFORMS
 Journal on Computing 20(3), 368–384. Each box has points of its own, which depend only on this box and on the boxes
 placed before it. Later boxes add points but do not change existing points. So if the last boxes are removed from a
-pallet, it has its previous points again.
+pallet, the pallet has its previous points again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Points:
     box placed earlier.
 
     Args:
-        gap_mm: free space behind each box along x and y, by which boxes count as larger.
+        gap_mm: free space behind each box along x and y; boxes are treated as larger by this space.
 
     Attributes:
         boxes: (n,) for each pallet, the number of boxes whose points are included.
@@ -74,11 +74,11 @@ class Points:
         self.boxes[pallets] += 1
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep only the points of the first ``count`` boxes of each of these pallets."""
+        """Keep only the extreme points of the first ``count`` boxes of each of these pallets."""
         self.boxes[pallets] = np.minimum(self.boxes[pallets], count)
 
     def copy(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
-        """Copy the points of the pallets ``sources`` to the pallets ``into``."""
+        """Copy the extreme points of the pallets ``sources`` to the pallets ``into``."""
         for values in (self.boxes, self._at, self._count):
             values[into] = values[sources]
 

@@ -55,8 +55,8 @@ ON_STEP: Final = 1e-6
 
 
 class _Argument(NamedTuple):
-    """An argument of ``release`` with a value for each box: the number of numbers in a value, and the limits of these
-    numbers."""
+    """Describes an argument of ``release`` that has a value for each box: how many numbers a value has, and the limits
+    of these numbers."""
 
     numbers: int
     low: float
@@ -83,8 +83,8 @@ class Trajectories:
 
     Attributes:
         times_s: (t,) times after the release, s.
-        pos_m: (n, t, 3) or (n, k, t, 3) centres of the boxes, m. NaN from the moment at which the numbers of a world
-            are no longer finite.
+        pos_m: (n, t, 3) or (n, k, t, 3) centres of the boxes, m. If a simulation fails, ``pos_m`` is NaN from the
+            moment at which the world's numbers are no longer finite.
         quat_wxyz: (n, t, 4) or (n, k, t, 4) orientations of the boxes, as quaternions of length 1. Of the two
             equivalent quaternions q and -q, the one nearer to the previous quaternion is given.
         engine: name of the engine that computed the trajectories.

@@ -49,8 +49,8 @@ CARD: Final = "card.json"
 README: Final = "README.md"
 
 _ROWS: Final = 10_000
-"""Number of labels in a part (a file written while labels are made), and in a row group of a table. Parts may also be
-smaller."""
+"""Number of labels in a part (a file written while labels are made), and in a row group of a table. A part may also
+have fewer labels."""
 
 SECONDS_PER_PART: Final = 60.0
 """Longest time after which the labels of finished episodes (orders packed to the end) are written as a part, s."""
@@ -89,7 +89,7 @@ def write_labels(
     Args:
         source: the file of the orders, or ``endless``, as stated on the card.
         resume: whether to continue with the unfinished labels in the folder, if there are any. ``count`` may be larger
-            than before.
+            than in the command that began the labels.
         progress: function that is called with the number of labels made so far, including those of unfinished episodes
             and of earlier commands.
 

@@ -148,8 +148,8 @@ class _CheckedParts(Parts):
 
 
 def n_unfinished(folder: Path) -> int:
-    """The number of labels in the parts of an unfinished set in a folder. 0 if there is no unfinished set, or if it has
-    no labels yet.
+    """The number of labels in the parts of an unfinished set in a folder. The number is 0 if there is no unfinished
+    set, or if it has no labels yet.
 
     Raises:
         InputError: the list is damaged.

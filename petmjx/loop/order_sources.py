@@ -94,7 +94,8 @@ class Orders:
             reading is taken.
 
     Attributes:
-        reading: how files of orders are read; for generated orders, the reading without any options.
+        reading: how files of orders are read; for generated orders, what :func:`order_reading` returns without any
+            options.
         have_strengths: whether the strength of some box may be known.
         lie: whether some box may stand on a side other than its base.
 

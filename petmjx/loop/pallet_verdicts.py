@@ -1,6 +1,7 @@
 """Verdicts on open pallets (pallets to which boxes can be added), as ``petmjx.score`` would give them. A score
-simulates a plan, and may repeat this with other settings (further attempts). If the result is bit-identical, the first
-attempt continues from the pallet's current state instead of simulating all placements again."""
+simulates a plan, and may simulate the plan again with other settings (further attempts). If this does not change a
+single bit of the result, the first attempt continues from the pallet's current state instead of simulating all
+placements again."""
 
 from __future__ import annotations
 

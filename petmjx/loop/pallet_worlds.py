@@ -24,8 +24,8 @@ class PalletWorlds:
     """n open pallets, simulated by an engine. Only one thread at a time may call the methods.
 
     Attributes:
-        worlds: the worlds. World i is pallet i, world n + i is pallet i before its last box, and the last world stays
-            empty.
+        worlds: the worlds. World i has pallet i in its current state, world n + i has pallet i as it was before its
+            last box, and the last world stays empty.
         boxes: the boxes of the pallets, as the caller requested them.
         bounds: the bounds by which clear cases are decided without a simulation.
         dead: (n,) whether each pallet has fallen.

@@ -10,12 +10,14 @@ two conditions. First, the weight of the new box, and the loads of all boxes tha
 boxes' bearings. Second, no other load on the pallet may be near the edge of a bearing.
 
 A box falls beyond doubt if its weight acts well outside its bearing, and no body is near enough to catch the box before
-it has turned too far. Neighbours could hold the falling box only by friction. This friction is limited, because the
-only force that presses the box against its neighbours is the friction under the box. If boxes of the pallet have moved,
-they are treated as larger by the distance that they have moved. All other placements are undecided.
+it has turned too far. Neighbours could hold the falling box only by friction. The friction at the neighbours is
+limited, because the only force that presses the box against its neighbours is the friction under the box. If boxes of
+the pallet have moved, they are treated as larger by the distance that they have moved. All other placements are
+undecided.
 
-These decisions are valid for rigid boxes and for usual thresholds of verdicts (see ``decidable``). The required
-distances are chosen so that simulations agree with the decisions; ``python -m benchmarks loop bounds`` compares both.
+Decisions without a simulation are valid for rigid boxes and for usual thresholds of verdicts (see ``decidable``). The
+required distances are chosen so that simulations agree with the decisions; ``python -m benchmarks loop bounds``
+compares both.
 """
 
 from __future__ import annotations
@@ -44,9 +46,9 @@ STANDS: Final = 1
 FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
-"""Required distance inside a bearing for loads that a placement does not change, as a fraction of the required distance
-for loads that the placement changes. If a load acts nearer to the edge than required, the box may seem to rest while it
-already begins to turn."""
+"""Loads that a placement does not change need not act as far inside the edges of their bearings as loads that the
+placement changes, but only this fraction of that distance. If a load acts nearer to the edge than required, the box may
+seem to rest while it already begins to turn."""
 
 MOST_LOAD: Final = 100.0
 """Largest load on a box that carries the new box, as a multiple of the carrying box's own mass. Contacts are soft: a
@@ -57,18 +59,20 @@ MOST_SLENDER: Final = 8.0
 is, the more soft contacts let it lean."""
 
 HANGING_SHARE: Final = 0.05
-"""Smallest distance outside the bearing at which the weight of a falling box must act, as a share of the box's shorter
-side. At this distance, the box turns within a second, so the simulation does not take it for a box at rest."""
+"""The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
+this share of the box's shorter side. At this distance, the box turns within a second, so the simulation does not take
+it for a box at rest."""
 
 HANGING_MM: Final = 10.0
-"""Smallest distance outside the bearing at which the weight of a falling box must act, mm. Of this distance and the one
-from ``HANGING_SHARE``, the larger is required."""
+"""The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
+this length, mm. The larger of this length and of the distance that ``HANGING_SHARE`` gives is required."""
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
 """A box is lost if, before a body catches it, it turns by ``TURN_DEG``, or its middle moves down and sideways by
-``GONE_MM``. The weight of a lost box is farther beyond the edge than at first, so the box does not come back. These
-values exceed the largest allowed thresholds of verdicts by a quarter and by a half."""
+``GONE_MM``. The weight of a lost box is farther beyond the edge than at first, so the box does not come back.
+``TURN_DEG`` exceeds the largest allowed tilt threshold by a quarter, and ``GONE_MM`` exceeds the largest allowed shift
+threshold by a half."""
 
 NEAR_MM: Final = 2.0
 """Two boxes with a planned gap of up to this width may touch, because boxes of a pallet at rest can be up to 1 mm off
@@ -95,8 +99,8 @@ ROUNDING_MM2: Final = 1e-4
 this value, the corner counts as being on the edge."""
 
 _AT_ONCE: Final = 512
-"""Number of placements that are decided at a time. The tables of this number of placements fit into the cache of a CPU
-core."""
+"""Number of placements that are decided at a time. For this number of placements, the tables fit into the cache of a
+CPU core."""
 
 _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 """Carriers that are simulated as one piece. Carriers of boards are excluded, because single boards can tip."""
@@ -124,8 +128,8 @@ def decidable(sim: Simulation) -> bool:
 
 def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
     """(m, k) upper bound for the distance of any corner of each box from its planned position, mm. The distance is 0 if
-    the box rests at its planned place: its shift is below the smallest shift that counts, and its tilt was always below
-    ``CALM_DEG``."""
+    the box rests at its planned place, that is, if its shift is below the smallest shift that counts and its tilt was
+    always below ``CALM_DEG``."""
     with np.errstate(invalid="ignore"):  # values after the last box of a pallet are NaN
         m, k = readings.max_tilt_deg.shape
         tilted = np.fmax(readings.max_tilt_deg, tilt_deg(readings.quat.reshape(-1, 4)).reshape(m, k))
@@ -154,7 +158,8 @@ class Bounds:
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
         self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests.
-        self._least: FloatArray = np.zeros((n, 1))  # (n, k) required distance of each box's load inside its bearing, mm
+        # (n, k) how far inside the edges of its bearing the load of each box must act, mm
+        self._least: FloatArray = np.zeros((n, 1))
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         """Keep only the first ``count`` boxes of each of these pallets."""
@@ -245,7 +250,8 @@ class Bounds:
 
 
 def _least_margin(boxes: Placements) -> FloatArray:
-    """(m,) smallest distance inside the bearing that is required of the load of each box, mm."""
+    """(m,) how far inside the edges of its bearing (the hull of its contacts) the load of each box must at least act,
+    mm."""
     return np.asarray(np.minimum(MARGIN_M * MM_PER_M, MARGIN_SHARE * boxes.size_mm[:, :2].min(axis=1)))
 
 
@@ -277,14 +283,13 @@ class _Turns(NamedTuple):
     apart: FloatArray
 
     def take(self, rows: NDArray[np.intp]) -> _Turns:
-        """The turns of the boxes in the given rows."""
+        """How the boxes in the given rows turn."""
         return _Turns(self.rows[rows], self.towards[rows], self.edge[rows], self.outside[rows], self.apart[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class _Rests:
-    """How m new boxes rest on the bodies below them. The pallet of each new box is considered with a given number of
-    its first boxes.
+    """How m new boxes rest on the bodies below them. Of each pallet, only a given number of first boxes is considered.
 
     Attributes:
         low, high: (m, k, 3) lowest and highest corners of the boxes on the pallets, mm; ``here``: (m, k) whether each
@@ -379,8 +384,8 @@ class _Rests:
 
     def _turn_straight(self, turns: _Turns, least: FloatArray) -> NDArray[np.bool_]:
         """(r,) whether each box turns about a single edge along x or y, without turning sideways at the same time. For
-        such a turn, the edge must extend on both sides of the weight by more than ``least`` (r,), so that the box is
-        balanced along the edge."""
+        a turn about a single edge, the edge must extend on both sides of the weight by more than ``least`` (r,), so
+        that the box is balanced along the edge."""
         middle = (self.start[turns.rows, :2] + self.end[turns.rows, :2]) / 2
         foot = middle - turns.outside[:, None] * turns.towards
         edges = self.edges[turns.rows]
@@ -398,7 +403,8 @@ class _Rests:
         box, because the edge about which the box turns may slide.
 
         Args:
-            least, friction: see ``_turn_straight`` and ``falls``.
+            least: as in ``_turn_straight``.
+            friction: the coefficient of friction between boxes.
         """
         rows, towards, edge, outside, apart = turns
         z, height = self.start[rows, 2], self.end[rows, 2] - self.start[rows, 2]
@@ -431,10 +437,10 @@ class _Rests:
         the turning box by friction.
 
         The force between a wall and the box is at most the friction under the box, which is μ times the box's weight.
-        The friction at the wall is at most μ times this force. The lever arm of the friction at the wall is at most the
-        distance from the edge to the farthest point at which the box and the wall touch. A wall behind the box and a
-        wall at its side share the friction under the box, so the two walls together hold at most √2 times as much as
-        one wall. If there are walls on both sides, the box may be jammed.
+        The friction at the wall is at most μ times the force between the wall and the box. The lever arm of the
+        friction at the wall is at most the distance from the edge to the farthest point at which the box and the wall
+        touch. A wall behind the box and a wall at its side share the friction under the box, so the two walls together
+        hold at most √2 times as much as one wall. If there are walls on both sides, the box may be jammed.
 
         Args:
             wall: (r, k) whether each box of the pallet may touch the turning box.
@@ -477,9 +483,9 @@ def _margin(edges: FloatArray, place_mm: FloatArray) -> FloatArray:
 
 
 def _hull_edges(corners: FloatArray) -> FloatArray:
-    """(m, e, 3) edges of the convex hulls of (m, c, 2) points, in the form of ``_Rests.edges``. An edge leads from a
-    corner of the hull to the farthest point for which all other points are on the left of the edge. If a hull has fewer
-    than e edges, the remaining edges are infinitely far away.
+    """(m, e, 3) edges of the convex hulls of (m, c, 2) points, as (d, n_x, n_y): a point p is inside an edge by the
+    distance d − n · p. An edge leads from a corner of the hull to the farthest point for which all other points are on
+    the left of the edge. If a hull has fewer than e edges, the remaining edges are infinitely far away.
     """
     m = len(corners)
     along = corners[:, None] - corners[:, :, None]  # vectors from the first to the second corner: (m, first, second, 2)

@@ -40,7 +40,7 @@ CAREFUL_SUPPORT: Final = 0.75
 """Smallest share of the base that must be supported at the places of the careful packer."""
 
 LOWEST: Final = 4
-"""Number of lowest places from which the careful packer chooses at random."""
+"""The careful packer chooses at random from this number of lowest places."""
 
 SCORING_SHARE: Final = 8
 """The next boxes are placed when at most 1 / ``SCORING_SHARE`` of the pallets still wait for their label. So a pallet
@@ -52,15 +52,15 @@ of pallets."""
 
 SURE_SHARE: Final = 0.8
 """Expected number of labels for each box that is still to be placed. For some boxes there is no place, and others are
-tried twice. The number is cautious: if a further episode had to begin at the end because there were too few labels,
-everything would wait for its boxes, which are placed one after another."""
+tried twice. The number is cautious: if a further episode had to begin at the end because there were too few labels, all
+work would wait for the boxes of this episode, which are placed one after another."""
 
 GROUPS_ON_GPU: Final = 2
 """Number of groups into which pallets on a GPU are divided. While the GPU simulates one group, the CPU checks the
 results of the other group and chooses its next places."""
 
 PALLETS_ON_GPU: Final = 4096
-"""Default number of pallets that are packed at the same time on a GPU. Half of this number keeps the GPU busy, and the
+"""Default number of pallets that are packed at the same time on a GPU. Half of these pallets keep the GPU busy, and the
 two groups take turns."""
 
 PALLETS_ON_CPU: Final = 64
@@ -149,8 +149,8 @@ class Labeller:
 
     Args:
         orders: source of the orders (lists of boxes to pack).
-        pallets: number of pallets that are packed at the same time. Labels do not depend on this number. The default is
-            ``PALLETS_ON_GPU`` or ``PALLETS_ON_CPU``.
+        pallets: number of pallets that are packed at the same time. Labels do not depend on the number of pallets. The
+            default is ``PALLETS_ON_GPU`` or ``PALLETS_ON_CPU``.
         groups: number of groups into which the pallets are divided. Each group has a thread of its own. The default is
             ``GROUPS_ON_GPU`` on a GPU, else 1.
         explore: share of boxes that are tried at a random place first.
@@ -332,7 +332,8 @@ class _Schedule:
         return taken
 
     def _n_lacking(self) -> float:
-        """Number of labels that further episodes must give. 0 if there is no place for any box of any order."""
+        """Number of labels that further episodes must give. The number is 0 if there is no place for any box of any
+        order."""
         self._end_first()
         if self._n_barren >= 2 * self._labeller.orders.count:
             return 0

@@ -67,7 +67,7 @@ class PlacementResults:
         return PlacementResults(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
     def with_share(self, share: FloatArray) -> Self:
-        """These results, with ``share`` replaced."""
+        """A copy of these results with another ``share``."""
         return replace(self, share=share)
 
     @classmethod

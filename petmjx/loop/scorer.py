@@ -52,8 +52,8 @@ class Scorer(Closable):
     ``S = petmjx.Scorer(engine="mujoco", threads=2); S.score(plans).worlds.verdict``
 
     Several threads may use the same object. On the engine ``mujoco``, calls from several threads share the CPU. On
-    ``mjx-warp``, they run one after another. Nothing is written to disk. A Ray or Dask actor can hold a Scorer
-    (examples/ray_scorer.py, examples/dask_scorer.py).
+    ``mjx-warp``, calls from several threads run one after another. Nothing is written to disk. A Ray or Dask actor can
+    hold a Scorer (examples/ray_scorer.py, examples/dask_scorer.py).
 
     Args:
         engine: ``mujoco``, ``mjx-jax``, ``mjx-warp``, or an engine of your own. ``auto`` means ``mjx-warp`` if there is

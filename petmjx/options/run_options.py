@@ -104,9 +104,9 @@ def _is_path(value: Any) -> Any:
 File = Annotated[Path, BeforeValidator(_is_path)]
 """The type of options whose value is a path."""
 
-Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
+Anchor = Literal["corner", "centre", "base-centre", "far-corner", "top-centre"]
 """The point of a box to which the coordinates in a plan refer. ``far-corner`` is the corner with the largest x, y and
-z."""
+z. ``top-centre`` is the middle of the top, where a robot's suction gripper holds the box."""
 
 
 READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
@@ -214,7 +214,7 @@ class RunOptions(CheckedRecord):
     anchor: Annotated[Anchor | None, CliFlag("--anchor", "POINT", default=f"corner; {_OR_BY_FILE}")] = Field(
         None,
         description="which point of a box the plans give: corner, the one with the smallest x, y and "
-        "z; centre; base-centre, the centre of its base; or far-corner",
+        "z; centre; base-centre, the centre of its base; far-corner; or top-centre, the centre of its top",
     )
     up: Annotated[Literal["y", "z"] | None, CliFlag("--up", "y|z", default=_BY_FILE)] = Field(
         None, description="the vertical axis of files of other tools"

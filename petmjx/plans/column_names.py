@@ -35,13 +35,16 @@ LENGTH_UNITS: Final = {
     "metros": 1000.0,
     "in": 25.4, "inch": 25.4, "inches": 25.4, "zoll": 25.4, "pouces": 25.4, "pulgadas": 25.4, "pollici": 25.4,
     "cale": 25.4, "ft": 304.8, "feet": 304.8, "foot": 304.8,
+    "mmt": 1.0, "cmt": 10.0, "dmt": 100.0, "mtr": 1000.0, "inh": 25.4, "fot": 304.8,
     "um": 0.001, "tick": 1 / 16000, "ticks": 1 / 16000,
 }  # fmt: skip
-"""Name of a unit of length → millimetres. A tick is the unit of packvium's files, 1/16000 mm."""
+"""Name of a unit of length → millimetres. A tick is the unit of packvium's files, 1/16000 mm. Codes such as
+MMT are those of UN/ECE Recommendation 20, which EDI uses."""
 MASS_UNITS: Final = {
     "kg": 1.0, "kgs": 1.0, "kilogram": 1.0, "kilograms": 1.0, "kilo": 1.0, "kilos": 1.0, "kilogramm": 1.0,
     "g": 0.001, "gr": 0.001, "gram": 0.001, "grams": 0.001, "gramm": 0.001, "grammes": 0.001, "gramos": 0.001,
     "lb": 0.45359237, "lbs": 0.45359237, "pound": 0.45359237, "pounds": 0.45359237, "pfund": 0.5,
+    "kgm": 1.0, "grm": 0.001, "lbr": 0.45359237, "tne": 1000.0,
     "oz": 0.028349523125, "t": 1000.0, "tonne": 1000.0, "tonnes": 1000.0,
 }  # fmt: skip
 """Name of a unit of mass → kilograms."""
@@ -62,6 +65,12 @@ _SIZES: Final = {
 }
 _X, _Y, _Z = ("x", "y", "z")
 _AXES: Final = {_X: 0, _Y: 1, _Z: 2}
+_AXIS_WORDS: Final = {
+    "abscisse": _X, "abscissa": _X, "ascissa": _X, "abscisa": _X, "abszisse": _X, "odcieta": _X,
+    "ordonnee": _Y, "ordinate": _Y, "ordinata": _Y, "ordenada": _Y, "rzedna": _Y,
+    "cote": _Z, "kote": _Z, "quota": _Z, "cota": _Z, "applicate": _Z,
+}  # fmt: skip
+"""Words that name an axis without its letter."""
 _POSITION: Final = word_set(
     "pos position positions posn coord coords coordinate coordinates koordinate koordinaten loc location "
     "placement place posizione posicion pozycja poz coordonnee coordonnees coordenada coordenadas coordinata "
@@ -86,9 +95,20 @@ _DIMENSIONS: Final = word_set(
 _HALF: Final = word_set("half halfsize halfextents halfextent")
 _BOUNDS: Final = word_set("bbox aabb bounds")
 _CONTAINER: Final = word_set(
-    "container containers bin bins pallet pallets palette paletten paleta palet pale palety bancale bancali truck "
-    "carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw camion"
+    "container containers bin bins pallet pallets palette paletten paleta palet pale palety palete paletes bancale "
+    "bancali truck carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw "
+    "camion"
 )
+PALLET_WORDS: Final = word_set(
+    "pallet pallets palette paletten palet paleta pale palety palete bancale bancali pal palno palnr palletno palletid "
+    "palid lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
+)
+"""Words that mean a pallet in names of columns that otherwise have no known meaning, and in types of records."""
+TITLE_WORDS: Final = PALLET_WORDS | word_set(
+    "order auftrag bestellung lieferung tour commande livraison pedido ordine zamowienie delivery shipment load plan "
+    "stack"
+)
+"""Words in titles of sections that hold the boxes of one plan."""
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "weight": word_set(
         "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wg wgt bruttogewicht kg"
@@ -98,7 +118,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "rotation": word_set(
         "rotation rotated rotationtype rot rt orientation orient orientierung ausrichtung drehung gedreht rotacion "
         "rotazione rotacja orientacion orientazione orientacja tourne girado ruotato obrot angle winkel yaw "
-        "turned ori theta"
+        "turned ori theta gedraaid gekanteld rotacionado virado girato volteado otoceno obrocony"
     ),
     "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "
@@ -115,12 +135,13 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "article": word_set(
         "article articles artikel artikelnr artikelnummer sku skus product products produkt produkte produit articulo "
         "articolo artykul producto prodotto material materialnr ref reference referencia riferimento type typ tipo "
-        "kind name names bezeichnung description beschreibung partno article_id codice codigo code kod item"
+        "cargo goods kind name names bezeichnung description beschreibung partno article_id codice codigo code kod item"
     ),
     "item_id": word_set(
         "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
         "caja cajas bulto bultos collo colli kolli kollo scatola cartone boite caisse kartonu paczka paczki pudelko "
-        "pudelka caixa doos ctn parcel package kiste barcode label ean sscc lpn handle partno partnumber"
+        "pudelka caixa doos ctn parcel package kiste barcode label ean sscc lpn handle partno partnumber "
+        "piece serial serialno serialnumber doosnr"
     ),
     "group": word_set("group productgroup gruppe warengruppe category kategorie categorie categoria"),
     "plan": word_set("plan plans planid load stack batch solution pattern") | _CONTAINER,
@@ -252,6 +273,8 @@ _SIDES: Final[dict[str, tuple[Kind, str]]] = {
     "top": ("high", "z"),
 }  # fmt: skip
 """Names of the sides of a box → the coordinate that a column with this name has."""
+_OF_SIDE: Final = re.compile(r"^(?:(?:distance|dist|offset)[ _]+)?(?:from|to)[ _]+(?:the[ _]+)?")
+"""The words before a side in names such as "From left" and "Distance from the floor"."""
 _NEAR_SIDES: Final = frozenset(("left", "front", "bottom"))
 
 
@@ -261,16 +284,27 @@ def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     Single letters are interpreted together: L, B and H are length, width and height, but B, H and T are width, height
     and depth.
     """
+    return list(_meanings_of(tuple(names)))
+
+
+@lru_cache(maxsize=1 << 8)
+def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
     meanings = [_meaning(name) for name in names]
     if not any(meaning is not None and meaning.kind in ("size", "sizes", "high") for meaning in meanings):
         meanings = [_meaning(_SCALE.sub(" size", name)) for name in names]
     bases = [split_unit(name.rpartition(".")[2])[0].strip(" .:") for name in names]
-    sides = {base.lower(): index for index, base in enumerate(bases) if base.lower() in _SIDES}
+    named_sides = [_OF_SIDE.sub("", base.lower()).replace("floor", "bottom") for base in bases]
+    sides = {side: index for index, side in enumerate(named_sides) if side in _SIDES}
     if sides.keys() >= _NEAR_SIDES:
         for side, column in sides.items():
             kind, axis = _SIDES[side]
             unit = split_unit(names[column])[1]
             meanings[column] = ColumnMeaning(kind, axis, unit if unit in LENGTH_UNITS else "")
+    halves = {base.lower(): index for index, base in enumerate(bases) if base.lower() in ("hx", "hy", "hz")}
+    if len(halves) == 3:
+        for base, column in halves.items():
+            unit = split_unit(names[column])[1]
+            meanings[column] = ColumnMeaning("size", base[1], unit if unit in LENGTH_UNITS else "", half=True)
     single = {index: base for index, base in enumerate(bases) if len(base) == 1 and base.lower() not in _AXES}
     for letters, axes in _LETTERS:
         strict = letters != tuple(letter.lower() for letter in letters)
@@ -338,6 +372,8 @@ def _meaning(name: str) -> ColumnMeaning | None:
     contained = bool(_CONTAINER.intersection(tail[:-1])) and tail[-1] not in _CONTAINER
     meaning = _geometry(tail, path, index, of_sharp)
     if meaning is not None:
+        if meaning.kind in ("size", "sizes") and _CONTAINER.intersection(path) and not _BOX.intersection(path):
+            contained = True  # "pallet.length"
         return replace(meaning, unit=length_unit, of_container=contained)
     kind = _kind_of(tail, path)
     if kind is None:
@@ -394,6 +430,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         return ColumnMeaning("low" if int(index) < 3 else "high", str(int(index) % 3))
     if everything & {"quaternion", "quat", "quaternions", "orientation"} and (axis or last == "w" or index):
         return ColumnMeaning("quaternion", index or axis or last)
+    if axis is None and len(tail) == 1 and last in _AXIS_WORDS:
+        return ColumnMeaning("position", _AXIS_WORDS[last])
     is_dims = bool(words & _DIMENSIONS or context & _DIMENSIONS)
     if "masse" in words and not of_sharp and not index and axis is None:
         is_dims = bool((words | context) & (_DIMENSIONS - {"masse"}))
@@ -465,7 +503,7 @@ _NO_WEIGHT: Final = word_set("max limit capacity total maximum tare tara dim dim
 _UNLOADING: Final = word_set(
     "unload unloading unpack unpacking entladen entladung ausladen dechargement descarga scarico"
 )
-_CODES: Final = word_set("item code codice codigo kod")
+_CODES: Final = word_set("item cargo code codice codigo kod")
 """Words that may stand beside words for boxes in names of columns with their ids."""
 _FIRST: Final[tuple[Kind, ...]] = (
     "weight", "density", "volume", "quantity", "layers", "rotation", "strength", "group", "sequence",
@@ -486,6 +524,8 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
                 return "plan"  # order_id is the customer's order
             if kind == "quantity" and words & {"id", "nr", "no", "name"}:
                 break
+            if kind == "volume" and words & {"id", "nr", "no", "number"}:
+                return "item_id"  # "Volume nº" is the number of a parcel
             if kind == "sequence" and words & _UNLOADING:
                 return None  # the order in which boxes leave the pallet
             if kind == "weight" and words & _NO_WEIGHT:

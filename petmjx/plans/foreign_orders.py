@@ -14,14 +14,16 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.options.run_options import RunOptions
+from petmjx.plans.box_list import BoxList
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.foreign_formats import BoxSource, sources_of_bytes, sources_of_frame
-from petmjx.plans.foreign_plans import bytes_of, with_items_of
+from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.item_columns import BOX_PROPERTIES, ItemColumns, has_sizes_of_items, item_columns, with_rows
+from petmjx.plans.item_joins import bytes_of, with_items_of
 from petmjx.plans.item_orders import DELI, EURO, PG, SIZES, ForeignOrders, OrderReading, orders_of_items
-from petmjx.plans.nested_json import BoxList
+from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.order_generator import Item, Order, target_named
 from petmjx.plans.order_texts import SET_ITEMS, order_source
+from petmjx.plans.python_objects import sources_of_frame
 from petmjx.plans.raw_cells import cell_number, cell_triple
 from petmjx.plans.raw_tables import RawTable
 

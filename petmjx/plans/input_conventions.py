@@ -20,6 +20,7 @@ ANCHORS: Final[Mapping[Anchor, tuple[float, float, float]]] = {
     "centre": (0.5, 0.5, 0.5),
     "base-centre": (0.5, 0.5, 0.0),
     "far-corner": (1.0, 1.0, 1.0),
+    "top-centre": (0.5, 0.5, 1.0),
 }
 """Name of a point of a box → its offset from the front-left-bottom corner, as shares of the box's extents."""
 

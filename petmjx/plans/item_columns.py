@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import GROSS, IGNORED, ROLES, Extraction
+from petmjx.plans.box_columns import GROSS
+from petmjx.plans.box_list import BoxList
+from petmjx.plans.column_extraction import IGNORED, ROLES, ColumnExtraction
 from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, split_unit, word_set, words_of
-from petmjx.plans.foreign_formats import BoxSource
-from petmjx.plans.nested_json import BoxList
+from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.order_generator import MOST_ITEMS
 from petmjx.plans.plan_fields import sparse_fault
 from petmjx.plans.raw_cells import cell_number, cell_text, number_fault_of
+from petmjx.plans.size_and_place_columns import size_choices
 
 ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
 """Roles of columns that only orders have, in addition to ``ROLES``. ``quantity`` is the number of boxes in a row of the
@@ -172,7 +174,7 @@ _PIECES_OF: Final = re.compile(
 """A number of pieces with its unit."""
 
 
-class _ItemExtraction(Extraction):
+class _ItemExtraction(ColumnExtraction):
     """The columns of one source while their meanings are being determined, including columns that only orders have."""
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str = "", masses: str = "") -> None:
@@ -383,7 +385,7 @@ class _ItemExtraction(Extraction):
 
     def sizes(self) -> tuple[FloatArray, str, tuple[str, ...]] | None:
         """(n, 3) length, width and height, their unit, and the names of their columns; None if there are no sizes."""
-        choices = self.size_choices()
+        choices = size_choices(self)
         if not choices:
             return None
         values, axes, unit, _, columns = choices[0]

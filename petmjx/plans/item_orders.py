@@ -20,12 +20,12 @@ from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, OWN_COLUMNS
-from petmjx.plans.foreign_formats import KnownForm
-from petmjx.plans.foreign_plans import USUAL_KG_M3
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.item_columns import TWO_WAYS, ItemColumns
+from petmjx.plans.known_forms import KnownForm
 from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, target_extent_mm, target_named
 from petmjx.plans.order_texts import LENGTHS, MPV, THPACK
+from petmjx.plans.placed_boxes import USUAL_KG_M3
 from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM, positive_fault
 from petmjx.plans.plausibility import deck_cost, density_cost, side_cost
 from petmjx.plans.raw_cells import thousands_faults

@@ -15,10 +15,11 @@ from typing import Any, Final
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.foreign_formats import BoxSource, KnownForm
-from petmjx.plans.nested_json import BoxList
+from petmjx.plans.box_list import BoxList
+from petmjx.plans.known_forms import BoxSource, KnownForm
 from petmjx.plans.raw_cells import cell_number
-from petmjx.plans.raw_tables import MOST_ROWS, RawTable, decoded_text
+from petmjx.plans.raw_tables import MOST_ROWS, RawTable
+from petmjx.plans.text_tables import decoded_text
 
 SET_ITEMS: Final = 50
 """Number of boxes per order if a file is one long list of boxes that are not divided into orders."""

@@ -155,8 +155,8 @@ class Plan:
             mass_kg: (n,) masses, kg, instead of weights.
             units: the unit of all these lengths (mm, cm, m or in) and the unit of all masses (kg, g, lb or t), such as
                 "cm,g".
-            anchor: the point of a box that the coordinates describe: ``corner``, ``centre``, ``base-centre`` or
-                ``far-corner``.
+            anchor: the point of a box that the coordinates describe: ``corner``, ``centre``, ``base-centre``,
+                ``far-corner`` or ``top-centre``.
             columns: further fields as lists of n values.
 
         Raises:

@@ -44,7 +44,7 @@ from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.plan_validation import PlanError, parse_plan
 
 if TYPE_CHECKING:
-    from petmjx.plans.foreign_plans import ForeignPlans
+    from petmjx.plans.foreign_plan_builder import ForeignPlans
     from petmjx.plans.placement_table import Table, TableError
     from petmjx.plans.readings import Reading, Wishes
 
@@ -99,8 +99,8 @@ def load_plans(
         units: unit of the plans' lengths (mm, cm, m or in) and unit of their masses (kg, g, lb or t), such as "cm,g";
             None: mm and kg, or for files of other tools the most plausible units.
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
-            ``base-centre`` or ``far-corner`` (with the largest x, y and z); None: the corner, or for files of other
-            tools the most plausible point.
+            ``base-centre``, ``far-corner`` (with the largest x, y and z) or ``top-centre``; None: the corner, or for
+            files of other tools the most plausible point.
         up: the vertical axis in files of other tools; None: the most plausible axis. ``up`` and all arguments after it
             apply only to files of other tools.
         sizes: ``placed``: sizes of boxes as placed; ``item``: sizes before boxes are turned.
@@ -304,8 +304,8 @@ class _PlanLoader:
     def _read_foreign_frame(self, frame: SupportsArrow, source: str = FRAME) -> InputError | None:
         """Read a data frame with other column names than petmjx's. Returns the reason if it cannot be read, else
         None."""
-        from petmjx.plans.foreign_formats import sources_of_frame
         from petmjx.plans.foreign_plans import plans_of_sources
+        from petmjx.plans.python_objects import sources_of_frame
 
         try:
             self._take_foreign(source, partial(plans_of_sources, sources_of_frame(frame), None, source))
@@ -319,8 +319,8 @@ class _PlanLoader:
         Raises:
             InputError: the object contains no plans.
         """
-        from petmjx.plans.foreign_formats import sources_of_object
         from petmjx.plans.foreign_plans import plans_of_sources
+        from petmjx.plans.python_objects import sources_of_object
 
         self.most_skipped = MOST_LINES
         try:

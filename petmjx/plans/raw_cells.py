@@ -32,6 +32,10 @@ _DECIMAL_REPR: Final = re.compile(r"""^Decimal\(\s*['"]?([^'"]*)['"]?\s*\)$""")
 _WITH_UNIT: Final = re.compile(r"^([+-]?[\d.,' \u00a0\u202f\u2019]*\d(?:[eE][+-]?\d+)?)\s*([a-zA-Zµ\"″]{1,12})\.?$")
 _PLAIN: Final = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _GROUPS: Final = re.compile(r"^[+-]?\d{1,3}([.,' \u00a0\u202f\u2019])\d{3}(?:\1\d{3})*(?:([.,])\d+)?$")
+_FRACTION: Final = re.compile(
+    r"^([+-]?)(?:(\d{1,4})[ -])?(\d{1,2})/(2|4|8|16|32|64)\s*(\"|″|in\.?|inch|inches)?$", re.IGNORECASE
+)
+"""A length as tape measures in inches show it: "23 5/8", "3/4"."""
 _LONGEST_NUMBER: Final = 60
 
 
@@ -52,6 +56,9 @@ def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
     if not isinstance(cell, str) or len(cell) > _LONGEST_NUMBER:
         return None
     text = cell.strip()
+    if "/" in text and (fraction := _FRACTION.match(text)) is not None:
+        value = int(fraction[2] or 0) + int(fraction[3]) / int(fraction[4])
+        return CellNumber(-value if fraction[1] == "-" else value, "in" if fraction[5] else "")
     if (wrapped := _DECIMAL_REPR.match(text)) is not None:
         text, decimal = wrapped[1].strip(), "."
     unit = ""
@@ -76,6 +83,38 @@ def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
     if not _PLAIN.match(text):
         return CellNumber(float(text), unit) if text.lower() in ("nan", "inf", "-inf", "infinity") else None
     return CellNumber(float(text), unit)
+
+
+_GROUPS_AND_DECIMALS: Final = {
+    mark: re.compile(rf"^[+-]?\d{{1,3}}(?:{re.escape(other)}\d{{3}})+{re.escape(mark)}\d+$")
+    for mark, other in ((",", "."), (".", ","))
+}
+"""Decimal sign → numbers that have it after groups of thousands: "1.234,5"."""
+_ONLY_GROUPS: Final = {",": re.compile(r"^[+-]?\d{1,3}(?:\.\d{3})+$"), ".": re.compile(r"^[+-]?\d{1,3}(?:,\d{3})+$")}
+
+
+def has_groups_with_decimals(rows: Sequence[Sequence[Any]], decimal: str) -> bool:
+    """Whether a number of a table has marks between its thousands and decimals, "1.234,5". Then "1.200" is 1200 in this
+    table."""
+    pattern = _GROUPS_AND_DECIMALS.get(decimal)
+    return pattern is not None and any(isinstance(cell, str) and pattern.match(cell) for row in rows for cell in row)
+
+
+_LEAST_GROUPED: Final = 3
+
+
+def are_grouped(cells: Sequence[Any], decimal: str) -> bool:
+    """Whether the points of a column can only separate thousands, since numbers of the file have decimal commas: the
+    column has no comma, and at least three numbers like "1.200"."""
+    texts = [cell for cell in cells if isinstance(cell, str)]
+    grouped = [text for text in texts if _ONLY_GROUPS[","].match(text)]
+    return decimal == "," and len(grouped) >= _LEAST_GROUPED and not any("," in text for text in texts)
+
+
+def without_groups(cell: Any, decimal: str) -> Any:
+    """A cell without marks between its thousands, if it is a number without decimals: "1.200" → "1200"."""
+    is_grouped = isinstance(cell, str) and _ONLY_GROUPS[decimal].match(cell)
+    return re.sub(r"[.,]", "", cell) if is_grouped else cell
 
 
 def number_fault_of(cell: Any, decimal: str) -> str:

@@ -11,10 +11,12 @@ from typing import Final
 import numpy as np
 
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import BoxColumns, Geometry, role_of
+from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.column_extraction import role_of
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plausibility import Layout
 from petmjx.plans.readings import Wishes
+from petmjx.plans.size_and_place_columns import Geometry
 
 _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (0, 2, 1)])
 """py3dbp's ``rotation_type`` → which of width, height and depth lies along each of the three axes (as in its function
@@ -23,7 +25,9 @@ _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (
 _PERMUTATIONS: Final = np.array(list(permutations(range(3))))
 """Number of a permutation of the sizes, in the order in which programs list them → which of the sizes lies along each
 axis."""
-_ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5}
+_ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5, "top-centre": 3.0}
+_GUESSED_TURNS: Final = 2.0
+"""Cost of a reading in which a column of unknown meaning has rotations."""
 _FIRM: Final = 3.0
 """Cost of a reading that contradicts a known fact about a form."""
 _WORDS: Final = ("length", "width", "height", "depth")
@@ -193,13 +197,14 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
             continue
         if rule == "py3dbp" and number and not form.rule and "type" not in columns.turns.column.lower():
             continue
-        rules.append((rule, 0.5 * bool(number) * (rule != "swap back")))
+        guess = _GUESSED_TURNS * columns.turns.is_guess
+        rules.append((rule, 0.5 * bool(number) * (rule != "swap back") + guess))
     if wishes.sizes == "item":
         return rules
     placed = _FIRM if named_rule == "item" else 0.0
     turned = _FIRM if named_rule == "placed" else 0.0
     if not named_rule:
-        hint = _sizes_by_article(columns, geometry)
+        hint = _sizes_by_article(columns, geometry) or _sizes_by_length(columns, geometry)
         placed, turned = placed + (2.5 if hint == "item" else 0.0), turned + (2.5 if hint == "placed" else 0.0)
     return [("none", placed), *((rule, prior + turned) for rule, prior in rules)]
 
@@ -227,13 +232,39 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
     return "item" if n_same > 3 * n_other else "placed" if n_other > 3 * n_same else ""
 
 
+_LEAST_BY_LENGTH: Final = 3
+_MOSTLY_LONGER: Final = 0.9
+"""Smallest number of turned and of unturned boxes, and smallest share of them whose length exceeds their width, from
+which sizes are told apart."""
+
+
+def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
+    """Whether sizes are those of the placed box or those of the item. The length of an item is rarely smaller than its
+    width. So lengths that are larger than widths also if boxes are turned are those of items. "" if this is unknown."""
+    turns = columns.turns
+    if turns is None or not {"length", "width"} <= set(geometry.axes):
+        return ""
+    length, width = (geometry.size[:, geometry.axes.index(side)] for side in ("length", "width"))
+    is_turned = turns.codes % 2 == 1 if turns.letters is None else turns.letters[:, 0] == geometry.axes.index("width")
+    differ = np.isfinite(length - width) & (length != width)
+    shares = []
+    for group in (is_turned & differ, ~is_turned & differ):
+        if np.count_nonzero(group) < _LEAST_BY_LENGTH:
+            return ""
+        shares.append(float(np.mean(length[group] > width[group])))
+    turned_share, unturned_share = shares
+    if unturned_share < _MOSTLY_LONGER:
+        return ""
+    return "item" if turned_share >= _MOSTLY_LONGER else "placed" if turned_share <= 1 - _MOSTLY_LONGER else ""
+
+
 def _anchors(geometry: Geometry, known: str, wishes: Wishes) -> list[tuple[str, float]]:
     if wishes.anchor:
         return [(wishes.anchor, 0.0)]
     if geometry.anchor:
         return [(geometry.anchor, 0.0)]
     if geometry.turn is not None and not known:
-        return [("centre", 0.0), ("base-centre", 1.2), ("corner", 1.8)]
+        return [("centre", 0.0), ("base-centre", 1.2), ("corner", 1.8), ("top-centre", 2.4)]
     if known:
         return [(anchor, 0.0 if anchor == known else _FIRM + prior) for anchor, prior in _ANCHOR_PRIOR.items()]
     return list(_ANCHOR_PRIOR.items())

@@ -40,6 +40,9 @@ overlap, or if a quarter of them float."""
 WEAK_LEAD: Final = 3.0
 """A weak reading wins only if its cost is lower than the cost of every other reading by at least this value. If a plan
 really has odd boxes, other readings make it even odder."""
+_UNUSUAL: Final = 1.0
+"""A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
+weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -153,24 +156,21 @@ def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tu
         masses = {mass_unit: 0.0} if mass_unit else dict(_MASS_PRIOR)
     costs = []
     deck = _deck_of(judged, wishes)
+    largest_side, smallest_side, unit_density = float(size.max()), float(size.min()), math.nan
+    if columns.weight is not None and not columns.weight_is_density:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            densities = columns.weight[judged.rows] / volume
+        densities = densities[np.isfinite(densities) & (densities > 0)]
+        unit_density = float(np.median(densities)) if len(densities) else math.nan  # in the file's units
     for length, length_prior in lengths.items():
         factor = LENGTH_UNITS[length]
         mean_mm = side * factor
         cost = length_prior + side_cost(mean_mm)
         cost += deck_cost(deck[0] * factor, deck[1])
-        largest = float(size.max()) * factor
-        cost += 20.0 * (largest > 6_000.0) + 20.0 * (float(size.min()) * factor < 1.0)
+        cost += 20.0 * (largest_side * factor > 6_000.0) + 20.0 * (smallest_side * factor < 1.0)
         for mass, mass_prior in masses.items():
-            density = math.nan
-            total = cost + mass_prior
-            if columns.weight is not None and not columns.weight_is_density:
-                kg = columns.weight[judged.rows] * MASS_UNITS[mass]
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    densities = kg / (volume * (factor / 1000.0) ** 3)
-                densities = densities[np.isfinite(densities) & (densities > 0)]
-                if len(densities):
-                    density = float(np.median(densities))
-                    total += density_cost(density)
+            density = unit_density * MASS_UNITS[mass] / (factor / 1000.0) ** 3
+            total = cost + mass_prior + (0.0 if math.isnan(density) else density_cost(density))
             if (length in ("in", "ft")) != (mass == "lb") and len(masses) > 1:
                 total += 0.7
             costs.append((total, length, mass, density, mean_mm))
@@ -207,15 +207,16 @@ def choose_reading(
     judged = _judged_candidates(columns, wishes, sample)
     best = judged[0]
     tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)
-    lead = max(tie, WEAK_LEAD * (best.layout_cost > WEAK))
+    is_weak = best.layout_cost > WEAK
+    unusual = best.candidate.prior - min(one.candidate.prior for one in judged) >= _UNUSUAL
+    lead = max(tie, WEAK_LEAD * is_weak, best.layout_cost * (is_weak and unusual))
     close = [
         other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
     ]
     readings = [_reading(one, columns, wishes) for one in (best, *close)]
     reading = readings[0]
     if len(judged) > 1 and close:
-        weak = best.layout_cost > WEAK
-        raise AmbiguousFile(tie_text(readings, weak), readings[:4])
+        raise AmbiguousFile(tie_text(readings, is_weak), readings[:4])
     units = _units_of(best, columns, wishes)
     if len(units) > 1:
         first, second = units[0], units[1]

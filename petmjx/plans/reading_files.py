@@ -13,7 +13,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_name
 from petmjx.common.units import LENGTHS_MM, MASSES_KG, plan_units
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.box_columns import ROLES
+from petmjx.plans.column_extraction import ROLES
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.readings import ORIGINS, ROTATION_RULES, Reading, Wishes

@@ -153,6 +153,7 @@ _ANCHOR_WORDS: Final = {
     "centre": "centres",
     "base-centre": "centres of bases",
     "far-corner": "far corners",
+    "top-centre": "centres of tops",
 }
 
 

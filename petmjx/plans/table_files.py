@@ -214,7 +214,7 @@ def read_parquet(path: Path) -> Table:
 
 
 def parquet_frame(path: Path) -> pa.Table:
-    """Read all columns of a Parquet file.
+    """Read all columns of a Parquet file. A column that contains a table becomes several columns: "position.x".
 
     Raises:
         TableError: the file is damaged or too large. The error does not name the file.
@@ -224,7 +224,10 @@ def parquet_frame(path: Path) -> pa.Table:
         try:
             with pq.ParquetFile(stream) as file:
                 names = file.schema_arrow.names
-            return read_within(stream, names)
+            rows = read_within(stream, names, nested=True)
+            while any(pa.types.is_struct(field.type) for field in rows.schema):
+                rows = rows.flatten()
+            return rows
         except OversizedFile as error:
             raise TableError(str(error)) from error
         except (pa.ArrowException, OSError) as error:

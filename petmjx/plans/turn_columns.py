@@ -29,6 +29,7 @@ class Turns:
             written as letters.
         words: the words for rotations 0 and 1, or all words if there is no rule; empty: the cells have numbers or words
             of known meaning.
+        is_guess: whether the name of the column is unknown, so that only the cells suggest rotations.
     """
 
     column: str
@@ -36,6 +37,7 @@ class Turns:
     codes: NDArray[np.int64]
     letters: NDArray[np.int64] | None = None
     words: tuple[str, ...] = ()
+    is_guess: bool = False
 
 
 def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[int, str], None]) -> Turns | None:
@@ -52,6 +54,7 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
     filled_cells = [cell for cell in cells if cell not in (None, "")]
     if not filled_cells:
         return None
+    cells = _with_yes_and_no(cells)
     letters = [letters_of(cell) for cell in cells]
     codes = np.full(len(cells), -1, np.int64)
     if sum(turn is not None for turn in letters) * 2 > len(filled_cells):
@@ -103,6 +106,13 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
     return Turns(name, rules, codes)
 
 
+def are_yes_or_no(cells: Sequence[Any]) -> bool:
+    """Whether cells are yes or no, and some of them are yes."""
+    texts = {cell_text(cell).lower() for cell in cells}
+    words = texts - {"", "-", "0", "1", "x", "none", "original"}
+    return bool(words) and words <= _YES | _NO and texts <= _YES | _NO and bool(texts & _YES) and bool(texts & _NO)
+
+
 def letters_of(cell: Any) -> tuple[int, int, int] | None:
     """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. None if the letters name no
     orientation."""
@@ -114,9 +124,24 @@ def letters_of(cell: Any) -> tuple[int, int, int] | None:
 
 
 _YES: Final = frozenset(
-    ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "x", "y", "j", "1")
+    ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "sim", "x", "y", "j", "1")
 )
-_NO: Final = frozenset(("false", "no", "nein", "non", "nie", "original", "none", "n", "0", "", "-"))
+_NO: Final = frozenset(
+    ("false", "no", "nein", "non", "nie", "nee", "não", "nao", "original", "none", "n", "0", "", "-")
+)
+
+
+_YES_AND_NO: Final = tuple(map(frozenset, ("sn", "on", "tn", "vf", "tf", "wf")))
+"""Initials of yes and no, or true and false, in Spanish, Portuguese and Italian (S and N, V and F), French (O and N),
+Polish (T and N), English (T and F) and German (W and F)."""
+
+
+def _with_yes_and_no(cells: Sequence[Any]) -> Sequence[Any]:
+    """Cells, in which initials of yes and no become true and false. The initials must be the only texts."""
+    texts = {cell_text(cell).lower() for cell in cells}
+    if texts not in _YES_AND_NO:
+        return cells
+    return [cell_text(cell).lower() not in ("n", "f") for cell in cells]
 
 
 def _turn_number(cell: Any, decimal: str) -> float | None:
@@ -207,14 +232,22 @@ def is_matrix(cell: Any) -> bool:
 
 
 def matrix_of(cell: Any) -> FloatArray | None:
-    """The matrix of a pose, (4, 4) or (3, 4), in a cell; None if there is none."""
+    """The matrix of a pose, (4, 4) or (3, 4), in a cell; None if there is none. A matrix that is listed column by
+    column (three.js, USD) is transposed."""
     try:
         array = np.asarray(cell, dtype=float)
     except (TypeError, ValueError):
         return None
     if array.shape == (16,):
         array = array.reshape(4, 4)
+    if array.shape == (4, 4) and _ends(array.T) and not _ends(array):
+        array = array.T
     return array if array.shape in ((4, 4), (3, 4)) and np.isfinite(array).all() else None
+
+
+def _ends(matrix: FloatArray) -> bool:
+    """Whether the last row of a (4, 4) matrix is 0, 0, 0, 1."""
+    return bool((matrix[3] == (0, 0, 0, 1)).all())
 
 
 def bad_member(cell: Any) -> str:

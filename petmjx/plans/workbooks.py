@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
@@ -16,7 +17,9 @@ from petmjx.common.safe_read import allowed_bytes
 from petmjx.common.text import printable_name
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_cells import cell_number
-from petmjx.plans.raw_tables import MOST_COLUMNS, MOST_ROWS, RawTable, tables_of_rows, tables_of_text
+from petmjx.plans.raw_tables import MOST_COLUMNS, MOST_ROWS, RawTable
+from petmjx.plans.table_sections import tables_of_rows
+from petmjx.plans.text_tables import tables_of_text
 
 
 def tables_of_xlsx(data: bytes | bytearray) -> list[RawTable]:
@@ -177,19 +180,30 @@ def value_of_xml(text: str) -> Any:
     except ElementTree.ParseError as error:
         line, column = error.position
         raise InputError(f"not XML at line {line}, column {column + 1}") from error
-    return {_name_of(root): _value_of(root, 0)}
+    return {_name_of(root): _value_of(root, 0, _repeated_names(root))}
+
+
+def _repeated_names(root: ElementTree.Element) -> set[tuple[str, str]]:
+    """(name of an element, name of its children) for children that occur several times in at least one element of this
+    name. They are a list in all such elements, also where there is only one of them."""
+    repeated: set[tuple[str, str]] = set()
+    for element in root.iter():
+        counts = Counter(map(_name_of, element))
+        repeated |= {(_name_of(element), name) for name, count in counts.items() if count > 1}
+    return repeated
 
 
 _DEEPEST: Final = 50
 """Largest depth of elements that are read."""
 
 
-def _value_of(element: ElementTree.Element, depth: int) -> Any:
+def _value_of(element: ElementTree.Element, depth: int, repeated: set[tuple[str, str]]) -> Any:
     fields: dict[str, Any] = {_local_name(name): value for name, value in element.attrib.items()}
     children: dict[str, list[Any]] = {}
     for child in element if depth < _DEEPEST else ():
-        children.setdefault(_name_of(child), []).append(_value_of(child, depth + 1))
-    fields |= {name: values if len(values) > 1 else values[0] for name, values in children.items()}
+        children.setdefault(_name_of(child), []).append(_value_of(child, depth + 1, repeated))
+    lists = {name for name in children if (_name_of(element), name) in repeated}
+    fields |= {name: values if name in lists else values[0] for name, values in children.items()}
     text = (element.text or "").strip()
     if not fields:
         return text or None

@@ -259,7 +259,7 @@ class RunOptionsGiven(TypedDict, total=False):
     ray: str | None
     limit: int | None
     units: str | None
-    anchor: Literal["corner", "centre", "base-centre", "far-corner"] | None
+    anchor: Literal["corner", "centre", "base-centre", "far-corner", "top-centre"] | None
     up: Literal["y", "z"] | None
     sizes: Literal["placed", "item"] | None
     columns: dict[str, str] | str | None

@@ -43,7 +43,7 @@ class Report:
         versions: name of a package → its version. The packages are Python, petmjx and petmjx's dependencies.
         devices: one line about the CPU, and one about each GPU.
         engines: one report per engine.
-        caches: content of a cache → its folder, and a reason if this is not the requested folder.
+        caches: content of a cache → folder of the cache, and a reason if the cache is not in the requested folder.
     """
 
     versions: dict[str, str]
@@ -133,7 +133,7 @@ def _caches() -> dict[str, str]:
 
 
 def _cache(kind: Kind) -> str:
-    """The folder of a cache, and a reason if this is not the requested folder."""
+    """The folder of a cache, and a reason if the cache is not in the requested folder."""
     if fault := why_no_folder(kind):
         return fault
     fault = why_not_written(kind)

@@ -11,8 +11,8 @@ from typing import Any, Final
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
-from petmjx.plans.foreign_plans import has_named_places
 from petmjx.plans.item_columns import TWO_WAYS
+from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_orders import OrderReading
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import load_plans
@@ -57,7 +57,7 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
     """Two texts about a file without plans: how the file would be read as orders, and the error of its first order.
 
     The first text is "" if the file has no orders. If there are two equally plausible readings, the first text names
-    both. The second text is "" unless no order is usable. A file with columns of places should contain plans. If these
+    both. The second text is "" if any order is usable. A file with columns of places should contain plans. If these
     plans cannot be read, the file is not read as orders either, since this would hide the reason.
     """
     errors: list[InputError] = []
@@ -122,8 +122,8 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
 
 
 def _why_worse(reading: Reading, other: Reading) -> str:
-    """Why another reading is less plausible than the chosen reading: which part of its cost is larger, that of the
-    boxes' places or that of names, units and usual values."""
+    """Why another reading is less plausible than the chosen reading: because of the boxes' places, or because of names,
+    units and usual values."""
     extra_cost, of_layout = other.cost - reading.cost, other.layout_cost - reading.layout_cost
     cause = "by its boxes" if of_layout > extra_cost / 2 else "by names, units and usual values"
     return (

@@ -22,7 +22,7 @@ from petmjx.runs.simulate import RunStart
 from petmjx.runs.study import FinishedWorld
 
 REFRESH_S: Final = 0.5
-"""Time after which the bar is redrawn, s, even if no world has finished, since its message may have changed."""
+"""Time after which the bar is redrawn, s, even if no world has finished, since the bar's message may have changed."""
 
 LINE_S: Final = 10.0
 """Time between two lines if there is no terminal, s."""

@@ -89,8 +89,8 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
 
 
 def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
-    """Lines that name plans of which most failed worlds have a box that could not be placed, and plans whose share
-    depends on how boxes are placed."""
+    """Lines that name the plans for which, in most failed worlds, a box could not be placed, and the plans whose share
+    of standing worlds depends on how boxes are placed."""
     missed = summary["n_not_placed"] > summary["n_fell"]
     if missed.any():
         plan_names = _plan_id_list(summary.loc[missed, "plan_id"].tolist())

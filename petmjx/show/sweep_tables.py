@@ -81,8 +81,8 @@ def _headers(names: Sequence[str]) -> list[TableColumn]:
 def shares_table(summary: pd.DataFrame) -> FittedTable:
     """A table of the share of worlds that stand, over all plans, for each value of each axis that has several values.
 
-    The column before a share gives the number of worlds of which it is a share: worlds with a verdict, or worlds to
-    which EUMOS's limits were applied.
+    The column before a share gives the number of worlds from which the share is computed: worlds with a verdict, or
+    worlds to which EUMOS's limits were applied.
     """
     overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1

@@ -23,15 +23,15 @@ from petmjx.world.stackable_scenes import stacked_values
 
 HAND_RATE_1_S: Final = 50.0
 """Natural angular frequency of the hand's spring with a box, 1/s. The spring is critically damped: a box that is pushed
-away returns within about 3 / 50 s. The value is the inverse of the time constant of contacts with the physics
-``pallet``, since a stiffer hand would work against the contacts. For a box of mass m, the spring's stiffness is m · 50²
-/ s²: a box that is 1 mm behind on its path is pushed with 2.5 N per kg of its mass."""
+away returns within about 3 / 50 s. The value is the inverse of the time constant that contacts have in the physics
+``pallet``. A stiffer hand would work against the contacts. For a box of mass m, the spring's stiffness is m · 50² / s²:
+a box that is 1 mm behind on its path is pushed with 2.5 N per kg of its mass."""
 
 MOST_RATE_PER_STEP: Final = 0.1
-"""Largest product of the natural frequency and the timestep. The hand's forces are computed at the beginning of a step.
-With semi-implicit Euler, the hand's motion is stable if the product h of natural frequency and timestep is below 2 (√2
-− 1) = 0.83 (Jury's criterion for z² − (2 − 2h − h²) z + 1 − 2h). With h = 0.1, the simulated motion differs from the
-continuous motion by at most a tenth."""
+"""Largest product of the natural frequency of the hand's spring and the timestep. The hand's forces are computed at the
+beginning of a step. With semi-implicit Euler, the hand's motion is stable if the product h of natural frequency and
+timestep is below 2 (√2 − 1) = 0.83 (Jury's criterion for z² − (2 − 2h − h²) z + 1 − 2h). With a product of 0.1, the
+simulated motion differs from the continuous motion by at most a tenth."""
 
 MOST_WAY_S: Final = 2.0
 """Longest duration of an approach, s. If an approach would take longer, because the box starts high, the box moves
@@ -39,16 +39,16 @@ faster."""
 
 MOST_STUCK_S: Final = 0.5
 """Longest time for which the hand holds a box at the end of its path, waiting for the box to come to rest, s. Setting
-the box down may then take up to the same time again."""
+the box down may then take as long again."""
 
 AT_PLACE_M: Final = 0.0002
-"""Distance from the end of the path within which a box counts as arrived, m. Contacts give way by a tenth of a
-millimetre, so a box might never come nearer than that."""
+"""A box that is nearer to the end of its path than this distance, m, counts as arrived. Contacts give way by a tenth of
+a millimetre, so a box might never come nearer to the end of its path than a tenth of a millimetre."""
 
 MISSED_M: Final = 0.01
-"""Distance from its place, m, beyond which a box that the hand releases counts as not placed. If there is room, boxes
-are released within 5 mm of their places. A box that comes to stand on the edge of a neighbour is too high by the
-neighbour's height, or by half of this height."""
+"""If the hand releases a box farther from its place than this distance, m, the box counts as not placed. If there is
+room, boxes are released within 5 mm of their places. A box that comes to stand on the edge of a neighbour is too high
+by the neighbour's height, or by half of this height."""
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
@@ -63,11 +63,11 @@ fast that it does not count as quiet (at rest)."""
 
 FREE_M: Final = 0.0003
 """Largest overlap of two boxes that is ignored, m. The value is twice the distance by which soft contacts may move
-neighbours that stand flush. An overlap of this size does not visibly push neighbours apart."""
+neighbours that stand flush. Such a small overlap does not visibly push neighbours apart."""
 
 MOST_TILTED: Final = 0.5
-"""Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. So the tilt
-of a released box does not count as a sign of failure."""
+"""Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. With this
+limit, the tilt of a box that tines have just released does not count as a sign of failure."""
 
 MOST_SIDESTEPS: Final = 8
 """Largest number of times that the start of a path is moved aside because a box is in the way. If a box is still in the
@@ -81,7 +81,8 @@ CLEARANCE_M: Final = 0.001
 """Height of a box's bottom above the highest obstacle, m, if the box must start above obstacles."""
 
 BESIDE_M: Final = 0.005
-"""Largest overlap of two boxes along an axis, in the plan, at which they count as side by side along this axis, m."""
+"""If two boxes overlap along an axis by no more than this length, m, in the plan, they count as side by side along this
+axis."""
 
 
 class ApproachPath(NamedTuple):
@@ -238,15 +239,16 @@ def free_begin(
     """(3,) position of a box's middle at the start of its path, m, at which the box overlaps no other box.
 
     The result is ``begin`` if there is room, else a position beside ``begin``, else a position above ``begin``. The box
-    is moved aside from the first box that it overlaps, along x or y, whichever overlap is smaller. The box is moved
-    aside at most ``MOST_SIDESTEPS`` times. If the box would be moved by more than ``most_m`` in all, or still overlaps
-    a box, it is moved up from ``begin`` instead. ``begin`` is between the carrier's walls, and a box that is moved
-    aside by up to ``most_m`` stays between the walls.
+    is moved aside from the first box that it overlaps, along the axis (x or y) along which the overlap is smaller. The
+    box is moved aside at most ``MOST_SIDESTEPS`` times. If the box would be moved by more than ``most_m`` in all, or
+    still overlaps a box, it is moved up from ``begin`` instead. ``begin`` is between the carrier's walls, and a box
+    that is moved aside by up to ``most_m`` stays between the walls.
 
     Args:
         begin: (3,) preferred position at the start, m.
         own_reach: (3,) half extents of the box along x, y and z, m.
-        pos, reaches: (k, 3) middles, and half extents along x, y and z, of the boxes that already stand, m.
+        pos: (k, 3) middles of the boxes that already stand, m.
+        reaches: (k, 3) half extents along x, y and z of the boxes that already stand, m.
         most_m: (2, 2) largest distance by which the box may be moved aside, m: axis 0 is the negative and the positive
             direction, axis 1 is x and y.
     """
@@ -281,7 +283,7 @@ def _overlap(
 
 
 def _approaches(scene: Scene, room: Room | None) -> tuple[FloatArray, FloatArray]:
-    """The directions and the unit vectors of ``_approaches_of`` for the boxes of one scene."""
+    """For the boxes of one scene, the directions and the unit vectors that ``_approaches_of`` computes."""
     return _approaches_of(_neighbour_mask(scene.target, scene.half_size, scene.placing, room), scene.approach)
 
 
@@ -297,8 +299,8 @@ def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> 
 
     Args:
         beside: (…, n, 2, 2) whether each side of a box has a neighbour, from ``_neighbour_mask``.
-        approaches: (n, 2) directions that the plan gives; a row of 0 is no direction. None if the plan gives no
-            directions.
+        approaches: (n, 2) directions that the plan gives; a row of 0 is no direction. ``approaches`` is None if the
+            plan gives no directions.
     """
     towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
     if approaches is not None:

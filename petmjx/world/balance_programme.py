@@ -3,16 +3,16 @@
 The load of a box is its own weight plus the weight that rests on it. The box is in balance if its load acts inside the
 edges of its supports, that is, within their convex hull. Statics does not determine how several supports share a load.
 So a load may be beyond an edge if supports share loads in one way, and inside if they share loads in another way. Rigid
-boxes stand if there is a way of sharing with which all loads are inside.
+boxes stand if their supports can share the loads so that all loads act inside the edges.
 
 The unknowns of the programme are forces at the corners of all contact areas of boxes with several supports. The forces
 must push, and must balance every box. The programme chooses the forces with which the load nearest to an edge is as far
-inside as possible. If no forces keep all loads inside, the programme minimises the distances beyond edges. (Livesley
-1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in
+inside as possible. If no forces keep all loads inside, the programme minimises the distances of loads beyond edges.
+(Livesley 1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in
 Engineering 12(12), uses forces of this kind.)
 
-A box with one support passes its whole load to this support. The programme contains the edges of a single support, but
-its force is not an unknown.
+A box with one support passes its whole load to this support. For a box with one support, the programme contains the
+support's edges, but the support's force is not an unknown.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from petmjx.world.load_sharing import IntArray
 from petmjx.world.supports import Bearing
 
 FAR_M: Final = 0.1
-"""Distance inside the edges, m, that is enough: the programme does not move loads further inside."""
+"""The programme moves no load further inside the edges than this distance, m."""
 
 BEYOND_M: Final = 1e-6
 """Distance beyond an edge, m, that a load must exceed in the programme's result to count as beyond the edge. The
 solver's tolerance is a tenth of this distance."""
 
 _OUTSIDE: Final = 10.0
-"""Cost of a load that is a metre beyond an edge in the programme, as a multiple of the gain of a metre inside an edge.
-A metre of an unbalanced moment (moment / load) costs this multiple of a metre beyond an edge."""
+"""What each metre that a load is beyond an edge costs in the programme, as a multiple of what each metre inside an edge
+gains. Each metre of an unbalanced moment (moment / load) costs this multiple of what a metre beyond an edge costs."""
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Inward normals of a rectangle's edges: of the two edges at the lowest corner, then of the two at the highest."""
@@ -45,7 +45,8 @@ def balanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray] | None:
     """(n, 3) loads that balance the boxes of one scene as well as possible, and (n,) the distances by which these loads
-    are still beyond edges, m. None if no load that is beyond an edge depends on how supports share loads.
+    are still beyond edges, m. The result is None if another sharing of loads among supports could not change any load
+    that is beyond an edge.
 
     Args:
         bearing: the contacts between boxes and their supports in one scene.
@@ -59,7 +60,8 @@ def balanced_loads(
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
     # For each box with several supports: the loads that depend on how these supports share the box's load. The loads of
-    # all boxes below depend on this sharing. The box's own load is included, since the equations also contain it.
+    # all boxes below also depend on how these supports share the load. The load of the box with several supports is
+    # included, since the equations also contain this load.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True
@@ -109,11 +111,11 @@ def _solved_loads(
     load: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads of one scene, and (n,) distances by which these loads are beyond edges, m. None if the programme has
-    no solution.
+    """(n, 3) loads of one scene, and (n,) distances by which these loads are beyond edges, m. The result is None if the
+    programme has no solution.
 
-    The loads of the boxes ``changed`` are those of the programme. The loads of all other boxes are those in ``load``.
-    The unknowns of the programme are
+    The programme determines the loads of the boxes ``changed``. The loads of all other boxes are those in ``load``. The
+    unknowns of the programme are
 
     - the forces at the four corners of each contact in ``contacts``,
     - the distance by which each load is beyond an edge,
@@ -180,8 +182,8 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
 def _least(
     cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
 ) -> FloatArray | None:
-    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound. None if the solver HiGHS
-    finds no solution."""
+    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound. The result is None if the
+    solver HiGHS finds no solution."""
     # SciPy is imported here, since its import takes a second and few plans need it.
     from scipy.optimize import Bounds, LinearConstraint, milp
     from scipy.sparse import csc_array

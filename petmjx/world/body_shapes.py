@@ -98,7 +98,7 @@ class Body:
 
     @property
     def n_boards(self) -> int:
-        """Number of shapes that are not walls. These shapes come before the walls."""
+        """Number of shapes that are not walls. In arrays, shapes that are not walls come before the walls."""
         return len(self.half_size) - len(self.walls)
 
     def without_walls(self, sides: Collection[Side]) -> Body:
@@ -173,7 +173,8 @@ class Room:
         wall's inner face.
 
         Args:
-            place, half: (…, n, 3) middles of the boxes, and half extents along x, y and z, m.
+            place: (…, n, 3) middles of the boxes, m.
+            half: (…, n, 3) half extents of the boxes along x, y and z, m.
             least_m: length by which a box must reach below the wall's top, m. A box that reaches less far down is above
                 the wall.
         """
@@ -185,7 +186,8 @@ class Room:
         """(…, n, 2, 2) length by which each box reaches beyond the inner face of each wall, m; 0 if the box does not
         reach the face.
 
-        A box whose middle is beyond the inner face, or that is wholly behind the wall, has a depth, too.
+        The length is also positive if the box's middle is beyond the inner face, or if the box is wholly behind the
+        wall.
 
         Args:
             place, half, least_m: as in ``gaps``.
@@ -195,7 +197,7 @@ class Room:
         return depth
 
     def _inwards(self, place: FloatArray, half: FloatArray, least_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(…, n, 2, 2) distances of boxes' middles from walls' inner faces, m, positive inside the room, and
+        """(…, n, 2, 2) distances of boxes' middles from walls' inner faces, m, positive between the walls, and
         (…, n, 2, 2) whether each box reaches below the top of each wall."""
         inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
         return inwards, (place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m
@@ -235,6 +237,6 @@ class Shapes:
     surface: NDArray[np.intp]
 
     def of(self, body: int) -> range:
-        """The range of rows in which the arrays have the shapes of one body."""
+        """The rows of this object's arrays that belong to one body."""
         begin, end = np.searchsorted(self.body, [body, body + 1]).tolist()
         return range(begin, end)

@@ -32,8 +32,8 @@ class Pallet:
     Attributes:
         boards: corner and size of each board, mm.
         masses_kg: mass of each board.
-        frictions: coefficient of sliding friction of each board. None stands for ``Physics.carrier_friction``. If
-            ``frictions`` is empty, all boards have ``Physics.carrier_friction``.
+        frictions: coefficient of sliding friction of each board. An entry None stands for ``Physics.carrier_friction``.
+            If ``frictions`` is empty, all boards have ``Physics.carrier_friction``.
         materials: material of each board. If ``materials`` is empty, all boards are wooden.
     """
 
@@ -200,7 +200,7 @@ gets under them."""
 
 
 def has_walls(sim: Simulation) -> bool:
-    """Whether the carrier has walls, even if all of them are open."""
+    """Whether the carrier has walls; open walls count, too."""
     return bool(walls_of(sim.carrier, sim.walls).sides)
 
 

@@ -3,14 +3,14 @@
 A load F on top of a box of stiffness k compresses the box by F/k. In this model, half of the compression is at the top
 face, and half at the bottom face. So a box sinks by m·g/2k under its own weight. A face is a bed of springs (Winkler
 1867, "Die Lehre von der Elasticität und Festigkeit") with a stiffness of 2k/A per area, where A is the area of the
-face. If two faces press on one another, their beds of springs are in series. The stiffness of the contact is that of
-the common area of the two faces in the plan. So a box sinks deeper if less of its base is supported, and a narrow box
-presses deeper into its support.
+face. If two faces press on one another, their beds of springs are in series. The contact has the stiffness of the area
+that the two faces share in the plan. So a box sinks deeper if less of its base is supported, and a narrow box presses
+deeper into its support.
 
 At rest, MuJoCo's contact of impedance d and time constant τ is the spring f = x / (τ²·ζ²·(1 − d)·A), where A is the sum
-of the inverse masses (petmjx/world/contact_laws.py). So each stiffness corresponds to an impedance. If a stiffness
-would need an impedance below ``LEAST_IMPEDANCE``, the contact has ``LEAST_IMPEDANCE`` and a longer time constant. No
-box can be stiffer than the contacts of ``Physics``.
+of the inverse masses (petmjx/world/contact_laws.py). By this formula, each stiffness f / x corresponds to an impedance
+d. If a stiffness would need an impedance below ``LEAST_IMPEDANCE``, the contact has ``LEAST_IMPEDANCE`` and a longer
+time constant. No box can be stiffer than the contacts of ``Physics``.
 """
 
 from __future__ import annotations
@@ -33,29 +33,29 @@ LEAST_IMPEDANCE: Final = 0.5
 millimetre per second."""
 
 LEAST_SHARE: Final = 0.05
-"""Smallest common area of two faces that is used, as a share of the smaller face. Position errors can make two boxes
-overlap by a thin strip, which does not behave like a bed of springs."""
+"""The common area of two faces that touch is taken to be at least this share of the smaller face. Position errors can
+make two boxes overlap by a thin strip, which does not behave like a bed of springs."""
 
 
 POINTS_PER_BED: Final = 4
 """Number of contacts between two faces that press on one another, if at least one of the boxes is compliant."""
 
 EDGE_SHARE: Final = 2 / 3
-"""Smallest pressed share of the common area of two faces. If less of the area is pressed, the springs are as stiff as
-if ``EDGE_SHARE`` of the area were pressed. Without this limit, a load near an edge would sink without limit. A real
-carton spreads such a load, and its edges carry more than its middle. The limit has no effect on a load that is at most
-0.28 × the width away from the middle."""
+"""Down to this share, the stiffness of a contact falls with the pressed share of the common area of the two faces. If
+less of the area is pressed, the springs are as stiff as if ``EDGE_SHARE`` of the area were pressed. Without this limit,
+a load near an edge would sink without limit. A real carton spreads such a load, and its edges carry more than its
+middle. The limit has no effect if the load acts at most 0.28 × the width away from the middle of the area."""
 
 OUTWARD: Final = 0.6
-"""Factor for the outward move of the pressure. If the pressed share of a face is below ``EDGE_SHARE``, the pressure
-moves towards the deepest edge, by this factor × (``EDGE_SHARE`` / share − 1) × the distance to that edge. If a quarter
-of the face is pressed, the pressure reaches the edge. For the force F, the stiffness k and the width L of the common
-area, the lean is then 12 F / (k·L). At this lean, of the nine points of Simpson's rule only those at one edge carry
-load."""
+"""Factor by which the pressure on a face moves outward if only a small share of the face is pressed. If the pressed
+share of a face is below ``EDGE_SHARE``, the pressure moves towards the deepest edge, by this factor × (``EDGE_SHARE`` /
+share − 1) × the distance to that edge. If a quarter of the face is pressed, the pressure reaches the edge. For the
+force F, the stiffness k and the width L of the common area, the lean is then 12 F / (k·L). With a lean of 12 F / (k·L),
+only those of the nine points of Simpson's rule that are at one edge carry load."""
 
 FACE_COSINE: Final = 0.5
-"""Smallest cosine of the angle between one face's normal and the other face's reversed normal at which two faces press
-on one another. At a smaller cosine, an edge presses on a body."""
+"""Two faces press on one another if the cosine of the angle between one face's normal and the other face's reversed
+normal is at least this value. If the cosine is smaller, an edge presses on a body."""
 
 
 @dataclass(frozen=True)

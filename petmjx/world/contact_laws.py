@@ -6,9 +6,9 @@ its depth x follows from (MuJoCo's documentation, chapter Computation, solver pa
     k · d(x)² · x / (1 − d(x)) = A · f,   k = 1 / (d₁ · τ · ζ)²
 
 A is the sum of the inverse masses of the two bodies. d₁ is the impedance at depths beyond ``solimp``'s width, τ the
-time constant and ζ the damping ratio. At depths beyond the width, x = (1 − d₁) · τ² · ζ² · A · f. So the contacts of a
-light box give way under a heavy load, even if they are meant to be stiff. With the physics ``pallet`` and four contacts
-per face, contacts give way by 0.003 mm × (mass on the box) / (mass of the box).
+time constant and ζ the damping ratio. At depths x beyond the width of ``solimp``, x = (1 − d₁) · τ² · ζ² · A · f. So
+the contacts of a light box give way under a heavy load, even if they are meant to be stiff. With the physics ``pallet``
+and four contacts per face, contacts give way by 0.003 mm × (mass on the box) / (mass of the box).
 
 **Sliding.** In Coulomb's law, friction does not change the pressure of a sliding contact. The coefficient of kinetic
 friction may be smaller than that of static friction.
@@ -30,9 +30,10 @@ for Nonsmooth Dynamical Systems", 2008, section 3.9):
     aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − slack, 0)
 
 The excess e depends on accelerations and forces, which in turn depend on e. So the excess is found by iteration. The
-iteration starts with the accelerations of the previous step. For boxes that slide steadily, the excess at the start is
-already right. If a box slides while it lands, friction ends part of the slip, and the excess becomes smaller. Without
-the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as far.
+iteration starts with the accelerations of the previous step. For boxes that slide steadily, the excess with which the
+iteration starts is already right. If a box slides while it lands, friction ends part of the slip, and the excess
+becomes smaller. Without the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two
+to three times as far.
 
 The correction is the same on all engines: petmjx/engines/mujoco/slip.py, petmjx/engines/mjx/slip.py, and in the kernels
 petmjx/engines/warp/kernels/constraint.py and ``respond`` in petmjx/engines/warp/solver/contact.cuh.
@@ -127,9 +128,10 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 SLACK_M_S2: Final = 5.0
 """Part of the excess e of a sliding contact (see the module's docstring) that is not corrected, m/s²: the excess of a
-slip of 1 cm/s if the time constant of friction is 4 ms. This excess raises a contact by less than a hundredth of a
-millimetre, a depth at which contacts are soft. With this slack, pallets at rest are bit-identical with and without the
-correction. Stiff contacts are not soft at any depth, and therefore have no slack."""
+slip of 1 cm/s if the time constant of friction is 4 ms. An excess of ``SLACK_M_S2`` raises a contact by less than a
+hundredth of a millimetre, a depth at which contacts are soft. Since this part (the slack) is left out, pallets at rest
+are bit-identical with and without the correction. Stiff contacts are soft at no depth, so their whole excess is
+corrected."""
 
 STICKS_M_S: Final = 0.01
 """Slip speed up to which a contact has its static friction, m/s. At twice this speed and above, the contact has its
@@ -139,13 +141,14 @@ at rest are far slower (``petmjx.Quiet``)."""
 RELAXATION: Final = 0.8
 """Share of the change of an excess e (see the module's docstring) that one iteration applies. Let p be μ² × (inverse
 mass along the tangent) / (inverse mass along the normal). If the whole change were applied, the iteration would
-converge only if p is below 1. Tall boxes with friction above 0.5 have a larger p. With this share, the iteration also
-converges for p up to 1.5, and takes hardly more steps."""
+converge only if p is below 1. For tall boxes with friction above 0.5, p is larger than 1. With the share
+``RELAXATION``, the iteration also converges for p up to 1.5, and otherwise takes hardly more rounds than with the whole
+change."""
 
 ENOUGH_M_S2: Final = 0.1
-"""Largest change of any reference acceleration along a normal at which the iteration ends, m/s²: a hundredth of
-gravity. With a limit of 5 m/s², a box that tipped against its neighbour slid twice as far as with 0.1 m/s². With a
-limit of 1 m/s², the box slid 3 % less far."""
+"""The iteration ends when no reference acceleration along a normal changes by more than this value, m/s²: a hundredth
+of gravity. With a limit of 5 m/s², a box that tipped against its neighbour slid twice as far as with 0.1 m/s². With a
+limit of 1 m/s², this box slid 3 % less far than with 0.1 m/s²."""
 
 MOST_ROUNDS: Final = 6
 """Largest number of iterations per step. An iteration updates the excess between two calls of a solver. Bricks that
@@ -168,7 +171,8 @@ remain, other contacts have changed the excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
-    """Part of the excess of a sliding contact that is not corrected, m/s²; infinite if no contact is corrected."""
+    """Part of the excess e of a sliding contact (see the module's docstring) that is not corrected, m/s²; infinite if
+    no contact is corrected."""
     if physics.cone is not Cone.ELLIPTIC or not physics.slip_correction:
         return math.inf
     return 0.0 if is_stiff(physics) else SLACK_M_S2
@@ -180,14 +184,14 @@ def kinetic_share(physics: Physics) -> float:
 
 
 def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> FloatArray:
-    """(k,) share of the change of each contact's excess that the next iteration applies.
+    """(k,) share of the change of each contact's excess e (see the module's docstring) that the next iteration applies.
 
     The share is the one with which the last iteration would have left no change, provided that the change is a linear
     function of the excess (Aitken's delta-squared process).
 
     Args:
-        share: (k,) share that the last iteration applied.
-        change: (k,) change of the excess that remains now, m/s².
+        share: (k,) share of the change that the last iteration applied.
+        change: (k,) change of the excess that the last iteration has left to be made, m/s².
         last: (k,) change of the excess before the last iteration, m/s²; 0 before the first iteration.
     """
     left = np.divide(change, last, out=np.zeros_like(change), where=np.abs(last) > LEAST_M_S2)
@@ -204,10 +208,10 @@ FAST_M_S: Final = 0.1
 
 AT_REST: Final = 2.0
 """Depth of contacts at the end of a landing, as a multiple of ``solimp``'s width. The depth of contacts at rest is 1.3
-times the width. The deeper contact at the end of a landing allows for contacts that push a little while a box rises out
-of them. With this value, the restitution of boxes that fall 10 mm differs by at most 0.03 from the restitution that was
-set (0.1 to 0.3), at whatever moment of a timestep the boxes land. With a restitution of 0.1, a box that fell 10 mm
-rises by a tenth of a millimetre."""
+times the width. Contacts still push a little while a box rises out of them, so a landing ends with a deeper contact.
+With this value, the restitution of boxes that fall 10 mm differs by at most 0.03 from the restitution that was set (0.1
+to 0.3), at whatever moment of a timestep the boxes land. With a restitution of 0.1, a box that fell 10 mm rises by a
+tenth of a millimetre."""
 
 _LONGER: Final = 2.0
 """Duration of a landing as a multiple of ``landing_s``. The multiple exceeds 1, since a second corner of the box may

@@ -10,10 +10,10 @@ A box that holds down other boxes may be placed too late, when these have alread
 built, although all loads of the complete plan are inside. Therefore, the load of every box is checked after each
 placement that changes this load.
 
-As long as no support would have to pull, the part of one box's weight that another box carries does not depend on
-further boxes. So the weight of each box is distributed to the boxes below only once. The load of a box after a
-placement is the sum of the parts of all placed boxes. Only for boxes with a support that would pull, and for the boxes
-below them, loads are computed anew after each placement.
+As long as no support would have to pull, the part of one box's weight that another box carries does not depend on any
+third box. So the weight of each box is distributed to the boxes below only once. The load of a box after a placement is
+the sum of the parts of all placed boxes. Only for boxes with a support that would pull, and for the boxes below them,
+loads are computed anew after each placement.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class Edges(NamedTuple):
     The distance is NaN if the box has no support or is not placed.
 
     Attributes:
-        by_weight: (n,) distance of each box's own weight alone.
-        by_load: (n,) distance of each box's load, which includes its own weight.
+        by_weight: (n,) distance at which each box's own weight alone acts from the nearest edge.
+        by_load: (n,) distance at which each box's load, which includes its own weight, acts from the nearest edge.
     """
 
     by_weight: FloatArray
@@ -163,8 +163,8 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
 
 MOST_PROGRAMMES: Final = 2
 """Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
-milliseconds, and more if a hundred boxes have several supports. After all further placements, loads that seem to be
-beyond edges are ignored, since only a programme could prove that they are beyond edges."""
+milliseconds, and more if a hundred boxes have several supports. After all other placements, loads that seem to be
+beyond edges are ignored, since only a programme could prove that no sharing keeps these loads inside."""
 
 
 class BuildingLoads(NamedTuple):
@@ -188,8 +188,8 @@ class BuildingLoads(NamedTuple):
 
 
 class LeastBuildingEdge(NamedTuple):
-    """Two loads of a plan while it is built: the load with the smallest distance from an edge, and the load nearest to
-    an edge.
+    """Two loads of a plan while it is built: the load with the smallest signed distance from an edge, and the load that
+    is nearest to an edge on either side.
 
     Distances are positive inside an edge and negative beyond it. So the smallest distance is that of the load furthest
     beyond an edge. The load nearest to an edge may be on either side of the edge. If a plan has no loads, distances are
@@ -369,7 +369,7 @@ def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
-    """(p, 3) running sums of the parts of each lower box, which start anew at the pairs ``begins``."""
+    """(p, 3) running sums of the parts that each lower box carries; a new sum starts at each pair in ``begins``."""
     sums, count = part.copy(), np.diff(begins)
     longest = np.argsort(-count, kind="stable")
     place = begins[:-1][longest]

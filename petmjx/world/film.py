@@ -39,7 +39,8 @@ RATE_1_S: Final = 100.0
 the box by 1 mm."""
 
 MOST_RATE_PER_STEP: Final = 0.2
-"""Largest product of the natural frequency and the timestep. With a larger product, the spring would be unstable."""
+"""Largest product of the natural frequency of a box that film holds and the timestep. With a larger product, the spring
+would be unstable."""
 
 SIDES: Final = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
 """Axis and sign of the outward normal of each side of the load."""
@@ -81,7 +82,7 @@ def _film(scene: Scene) -> Film:
     at_level = (low[:, 2] <= begin + 1e-6) & (high[:, 2] >= end - 1e-6)
     full = at_level.any(axis=1)
     at_level, height = at_level[full], (end - begin)[full]
-    of_sides = np.zeros((len(height), len(SIDES), scene.n_boxes))  # (level, side, box) force on a box, N
+    of_sides = np.zeros((len(height), len(SIDES), scene.n_boxes))  # force on a box, N; axes: level, side, box
     for number, (axis, sign) in enumerate(SIDES):
         reach = sign * (high if sign > 0 else low)[:, axis]
         outermost = np.where(at_level, reach, -np.inf).max(axis=1, keepdims=True)

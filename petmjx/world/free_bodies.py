@@ -86,7 +86,7 @@ class FreeBodies:
         scenes: n scenes. Boxes are released at ``start_pos`` with orientation ``start_quat``. Carriers do not move.
         velocity: (n, k, 6) velocities of the boxes at release: 3 components along the world's axes, m/s, then 3 about
             the boxes' own axes, rad/s.
-        steps: (s,) numbers of steps after which the poses are recorded, rising. After 0 steps, these are the poses at
+        steps: (s,) numbers of steps after which the poses are recorded, rising. The number 0 stands for the poses at
             release.
         on_plane: whether boxes touch only the floor, so that engines may ignore the carrier.
     """
@@ -102,7 +102,7 @@ class FreeBodies:
         return int(self.velocity.shape[1])
 
     def part(self, worlds: slice) -> FreeBodies:
-        """The bodies of the given worlds alone."""
+        """These bodies, but only those of the given worlds."""
         return replace(self, scenes=self.scenes[worlds], velocity=self.velocity[worlds])
 
     @property

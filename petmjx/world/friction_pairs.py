@@ -31,8 +31,8 @@ two shapes, as is usual in MuJoCo."""
 
 
 USUAL: Final = -1.0
-"""Marks an entry of another table without a value. For this entry, ``Physics`` gives the value: restitution, landing
-time, or kinetic friction as a share of static friction."""
+"""Marks an entry without a value in a table of restitutions, of landing times or of kinetic friction. For this entry,
+``Physics`` gives the value: restitution, landing time, or kinetic friction as a share of static friction."""
 
 
 def no_landings(n_surfaces: int = MOST_SURFACES) -> FloatArray:

@@ -33,8 +33,8 @@ class OpenScenes:
         n = len(scenes)
         self._blank, self._carrier = blank, scenes[0].carrier
         self._scenes = list(scenes)
-        """The scene of each world when the scene was last requested. Boxes that were added after the last request are
-        only in the arrays."""
+        """The scene of each world, as of the last request for this scene. Boxes that were added after the last request
+        are only in the arrays."""
         self._count = np.zeros(n, np.int64)
         self._half_size, self._target = (np.full((n, _FIRST_ROOM, 3), np.nan) for _ in range(2))
         self._mass: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
@@ -76,8 +76,8 @@ class OpenScenes:
             table[np.asarray(into, np.intp)] = table[np.asarray(sources, np.intp)]
 
     def stacks(self, worlds: Sequence[int]) -> Stacks:
-        """The boxes of the given worlds, in arrays with as many columns as the fullest world has boxes. A world may be
-        named several times."""
+        """The boxes of the given worlds, in arrays with as many columns as the fullest world has boxes. ``worlds`` may
+        contain a world several times."""
         rows = np.asarray(worlds, np.intp)
         width = int(self._count[rows].max(initial=0))
         half_size, target, mass = (table[rows, :width] for table in self._columns)

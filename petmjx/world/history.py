@@ -94,8 +94,8 @@ class History:
         carrier_quat: (f, 4) orientation of the carrier as a quaternion (w, x, y, z).
         drive: (f, 3) force on the carrier, N, or acceleration of the carrier, m/s²; zero without a drive.
         drive_kind: "force" or "acceleration"; "" without a drive.
-        lin_acc, ang_acc: (f, n, 3) linear accelerations, m/s², and angular accelerations, rad/s², of the boxes; None if
-            details were not recorded.
+        lin_acc: (f, n, 3) linear accelerations of the boxes, m/s²; None if details were not recorded.
+        ang_acc: (f, n, 3) angular accelerations of the boxes, rad/s²; None if details were not recorded.
         penetration_m: (f, n) depth of the deepest contact of each box, m; None if details were not recorded.
         contacts: the contacts in all frames; None if details were not recorded.
     """

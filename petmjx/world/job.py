@@ -51,7 +51,7 @@ class Drive:
     """Time that the boxes have to come to rest after the last sample of the excitation, s."""
     allowed_sway_m: float = 0.0
     """Distance, m, by which a culprit (the box that failed first) must have swayed before it counts as lost because it
-    tilts too far. While the culprit has swayed less, the pallet may still pass the test."""
+    tilts too far. While the culprit has swayed less than this distance, the pallet may still pass the test."""
 
     def unit(self, total_mass: float) -> float:
         """Factor that converts the excitation's samples to N (forces) or to m/s² (accelerations; the factor is 1).
@@ -114,7 +114,7 @@ class Job:
             are where the placement left them.
         keep_state: whether the outcome must have the state in which the placement has settled. A job with
             ``keep_state`` and no drive may end once the placement has settled, without the time to come to rest.
-        record: which history of the world to record; no other result changes.
+        record: what to record as the world's history; recording changes no other result.
         has_errors: whether the boxes' places differ from the planned places, so that a box may stand on a neighbour
             that is a little higher (``petmjx.engines.contact_tilt``).
     """

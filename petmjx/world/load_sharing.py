@@ -1,10 +1,10 @@
 """Load sharing: the forces with which several supports carry a box, if supports can push but not pull.
 
-The pressure of a box on a bed of equal springs is a linear function of the place (petmjx.world.supports), here called a
+The pressure of a box on a bed of equal springs is a linear function of x and y (petmjx.world.supports), here called a
 plane. If a load is far from the middle of the supports, this pressure is negative at the opposite end, where springs
 would pull. Real supports only push. So the forces are those pushing forces, each within its contact area, that balance
 the load with the least energy of the springs (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans
-les systèmes élastiques"). If the plane's pressure is nowhere negative, the plane gives these forces.
+les systèmes élastiques"). If the plane's pressure is nowhere negative, its forces already have the least energy.
 
 A contact has the force F and the moments Mx, My about the middle of its area A, whose half lengths are a and b. The
 energy is
@@ -96,8 +96,8 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
 def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
     """(c, 3) forces at contacts in the coordinates z of this module's docstring.
 
-    For each box, the pressure plane is searched whose projections onto the cones of the box's contacts balance the
-    box's load. The forces are these projections.
+    For each box, this function searches for the pressure plane with which the projections onto the cones of the box's
+    contacts balance the box's load. The forces are these projections.
     """
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

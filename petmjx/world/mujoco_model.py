@@ -170,8 +170,8 @@ class _Partner:
     skin_m: float
     surface: int = 0
     face: Face | None = None
-    """Properties of the geom's shape that determine how stiff its contacts are (petmjx/world/compliance.py). None for
-    the floor, and if the scene has no compliant boxes."""
+    """Properties of the geom's shape that determine how stiff its contacts are (petmjx/world/compliance.py). The value
+    is None for the floor, and if the scene has no compliant boxes."""
 
 
 def _declare_pairs(
@@ -228,8 +228,8 @@ def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, l
 
 
 def _faces(scene: Scene, held: bool) -> list[Face | None]:
-    """The ``Face`` of each shape, which determines how stiff the shape's contacts are. A list of None if the scene has
-    no compliant boxes."""
+    """The ``Face`` of each shape, which determines how stiff the shape's contacts are. If the scene has no compliant
+    boxes, every entry is None."""
     if scene.stiffness is None:
         return [None] * len(scene.shapes.body)
     carrier, shapes = scene.carrier, scene.shapes

@@ -39,8 +39,9 @@ class WorldKey:
 
 
 def rngs(keys: Iterable[WorldKey], purpose: str) -> Iterator[np.random.Generator]:
-    """The generator of each key for a purpose. A generator is valid until the next generator is requested: a single
-    generator is reset for each key, which takes a quarter of the time of making a new generator."""
+    """Yields one generator of random numbers for each key, all for the same purpose. A generator is valid until the
+    next generator is requested: a single generator is reset for each key, which takes a quarter of the time of making a
+    new generator."""
     bits = np.random.Philox(key=0)
     generator, fresh = np.random.Generator(bits), bits.state
     for key in keys:

@@ -20,7 +20,8 @@ Edge = tuple[float, float, float]
 point of the edge."""
 
 LEAST_EDGE_M: Final = 1e-9
-"""Shortest edge, m. Shorter edges are left out, since rounding determines their direction."""
+"""Shortest edge, m. Edges that are shorter than ``LEAST_EDGE_M`` are left out, since rounding determines their
+direction."""
 
 _STRAIGHT_M: Final = 1e-12
 """Distance of a corner from a line, m, below which the corner counts as on the line: such a distance is rounding."""

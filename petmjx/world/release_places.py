@@ -49,7 +49,7 @@ class Release(NamedTuple):
             this support has moved vertically, the box is released higher or lower by the same distance.
         pos: (n, 3) middles of the boxes at release if their supports are at their planned places, m.
         most_followed_m: largest distance by which a box is released higher or lower because its support has moved, m.
-            This distance is larger than ``MOST_FOLLOWED_M`` if boxes are compliant.
+            ``most_followed_m`` is larger than ``MOST_FOLLOWED_M`` if boxes are compliant.
     """
 
     support: NDArray[np.intp]

@@ -73,8 +73,8 @@ class Scene:
         floor_z: height of the floor, m.
         mass_center: (n, 3) vectors from the boxes' middles to their centres of mass, along the boxes' axes, m. If
             ``mass_center`` is None, the centres of mass are in the middles.
-        inertia_box: (n, 3) half extents of solid boxes with the same inertia (see ``Body``), m. If ``inertia_box`` is
-            None, the boxes are solid.
+        inertia_box: (n, 3) half extents of solid boxes that have the same inertia as the scene's boxes (see ``Body``),
+            m. If ``inertia_box`` is None, the boxes are solid.
         surface: (n,) surface number of each box. If ``surface`` is None, every box has the number 0.
         pair_friction: (k, k) coefficient of sliding friction between two surfaces, or
             ``petmjx.world.friction_pairs.LARGER``. If ``pair_friction`` is None, the larger coefficient of the two
@@ -334,8 +334,8 @@ def half_size_and_target(
 
 
 def _stiffness(plan: Plan) -> NDArray[np.float64] | None:
-    """(n,) stiffness of each box, N/m; inf if the plan gives no stiffness for the box. None if the plan gives no
-    stiffness at all."""
+    """(n,) stiffness of each box, N/m; inf if the plan gives no stiffness for the box. The result is None if the plan
+    gives no stiffness at all."""
     if plan.stiffness_n_mm is None:
         return None
     return np.where(np.isnan(plan.stiffness_n_mm), np.inf, plan.stiffness_n_mm * MM_PER_M)

@@ -65,9 +65,9 @@ edges is increased instead."""
 
 CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
-"""``solref`` and ``solimp`` of contacts of soft boxes. These contacts are as stiff as the timestep allows, since the
-lightest points have only a 216th of the mass of a box. Under 1,000 times the box's own weight, its contacts are 0.1 mm
-deep."""
+"""``solref`` and ``solimp`` of contacts of soft boxes. Contacts of soft boxes are as stiff as the timestep allows,
+since the lightest points have only a 216th of the mass of a box. If a load of 1,000 times a box's own weight presses on
+the box, its contacts are 0.1 mm deep."""
 
 _ALONE: Final = 1e9
 """Weight (``solmix``) of soft boxes when MuJoCo mixes the contact laws of the two shapes that touch. Rigid shapes have
@@ -215,7 +215,7 @@ def _add_points(spec: mujoco.MjSpec, box: str, places: FloatArray, mass: FloatAr
         body.explicitinertial = True
         body.mass = mass[number]
         body.ipos, body.iquat = np.zeros(3), np.array(IDENTITY_QUAT)
-        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # without effect: the body cannot rotate
+        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # the value has no effect, since the body cannot rotate
         for axis in np.eye(3):
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         bodies.append(body)
@@ -297,7 +297,8 @@ class SoftFriction:
     of_carrier: float | None
 
     def of_geom(self, body: str) -> float | None:
-        """Coefficient for the geoms of a body, given the body's name. None if the geoms keep their own coefficients."""
+        """Coefficient for the geoms of a body, given the body's name. The result is None if the geoms keep their own
+        coefficients."""
         if body == "carrier":
             return self.of_carrier
         return float(self.of_boxes[int(body.removeprefix("box_"))]) if body.startswith("box_") else None

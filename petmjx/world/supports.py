@@ -36,8 +36,8 @@ TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Largest distance between two faces that count as touching, m. The warnings about plans use the same distance."""
 
 LEANS_M: Final = Thresholds().shift_m
-"""Largest gap between a box and a wall that can stop the box from tipping, m. A box that tips over this gap moves by
-less than the shift threshold."""
+"""Largest gap between a box and a wall that can stop the box from tipping, m. A box that tips across a gap of this
+width moves by less than the shift threshold."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
 
@@ -53,8 +53,8 @@ class Boxes:
         mass: (n,) masses of the boxes, kg.
         mass_center: (n, 3) vector from each box's middle to its centre of mass, m.
         carrier_mass: (n,) mass of the carrier in each box's scene, kg.
-        held: (n, 2, 2) largest distance of a box's load beyond its supports at which a wall still keeps the box from
-            tipping, m. Axis 1 is the low and the high end, axis 2 is x and y.
+        held: (n, 2, 2) how far beyond a box's supports its load may act while a wall still keeps the box from tipping,
+            m. Axis 1 is the low and the high end, axis 2 is x and y.
     """
 
     first: IntArray
@@ -115,14 +115,14 @@ class Boxes:
 
 
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
-    """(n, 2, 2) largest distance of a box's load beyond its supports at which a wall keeps the box from tipping, m
+    """(n, 2, 2) how far beyond a box's supports its load may act while a wall keeps the box from tipping, m
     (``Boxes.held``), in a scene with walls. ``target`` has the (n, 3) middles of the boxes, m.
 
     If the load W of a box acts at a distance e beyond an edge of the supports, the box tips until it touches the wall
-    on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. This point is a
-    height h above the box's bottom. The wall then presses on the box with the force W·e/h, which friction at the edge
-    must balance. So the wall holds the box up to e = µ·h. This formula assumes a smooth wall and a support that does
-    not move.
+    on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. The point at which
+    the box touches the wall is a height h above the box's bottom. The wall then presses on the box with the force
+    W·e/h, which friction at the edge must balance. So the wall holds the box up to e = µ·h. The formula e = µ·h assumes
+    a smooth wall and a support that does not move.
     """
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
@@ -191,7 +191,7 @@ class Bearing:
 
         Args:
             load: (n, 3 or 4) loads of all boxes, as in ``loads``.
-            together: (k,) all contacts of some boxes, in order. Each of these boxes has several supports.
+            together: (k,) all contacts of some boxes that have several supports, in order.
         """
         upper, low, high = self.upper[together], self.low.take(together, axis=0), self.high.take(together, axis=0)
         under = load.take(upper, axis=0)[:, :3]
@@ -274,8 +274,8 @@ class Bearing:
     def rectangles(self) -> tuple[FloatArray, FloatArray]:
         """(n, 2) lowest and (n, 2) highest corner (x, y) of the rectangle in which the load of a box must act, m.
 
-        Within the rectangle, the support or a wall keeps the box from tipping. Boxes with no support or several
-        supports have NaN.
+        While the load acts inside the rectangle, the support or a wall keeps the box from tipping. The corners of boxes
+        with no support or several supports are NaN.
         """
         low, high = np.full((len(self.boxes.mass), 2), np.nan), np.full((len(self.boxes.mass), 2), np.nan)
         alone = np.flatnonzero(self.n_supports == 1)
@@ -421,8 +421,8 @@ class Bearing:
         """(k, 3, 3) a matrix for each of the k contacts ``together``. The matrix maps the load of the upper box (mass
         and first moments) to the part of the load that the contact carries."""
         boxes, upper = self.boxes, self.upper[self.together]
-        # Places are relative to the upper box's middle, in units of its half extents. Such coordinates keep the 3 × 3
-        # systems well conditioned.
+        # Places are relative to the upper box's middle, in units of its half extents. Relative coordinates keep the 3 ×
+        # 3 systems well conditioned.
         origin, scale = boxes.target.take(upper, axis=0)[:, :2], boxes.half_size.take(upper, axis=0)[:, :2]
         low = (self.low.take(self.together, axis=0) - origin) / scale
         high = (self.high.take(self.together, axis=0) - origin) / scale
@@ -513,7 +513,7 @@ def find_bearings(
     boxes, most_gap_m = Boxes.of(scenes, targets), np.broadcast_to(most_gap_m, len(scenes))
     first, counts = boxes.first, np.diff(boxes.first)
     plain = np.array([is_plain(scene) for scene in scenes], bool)
-    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # empty, since scenes may lack contacts
+    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # an empty part, since scenes may have no contacts
     for k in np.flatnonzero(~plain).tolist():
         one = find_bearing(replace(scenes[k], target=targets[k]), float(most_gap_m[k]))
         lower = np.where(one.lower == CARRIER, CARRIER, one.lower + first[k])

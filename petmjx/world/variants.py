@@ -2,8 +2,8 @@
 
 A variant has two halves. The *placement* of a variant is the changes that act while boxes are placed, or before
 (friction, mass, sizes, placement errors). The *drive* of a variant is what shakes the finished pallet (profile,
-strength, direction). Worlds of a plan with the same ``placement_key`` have the same placement. This placement is
-simulated once, and each of these worlds starts from the settled state.
+strength, direction). Worlds of a plan with the same ``placement_key`` have the same placement. The placement that
+several worlds have in common is simulated once, and each of these worlds starts from the settled state.
 
 The scenes of many variants of a plan are made together (``apply_all``). Making scenes together takes 0.05 ms per scene.
 Making them one by one would take ten times as long: as long as a GPU needs to simulate a small world.
@@ -94,8 +94,9 @@ class PlacementChange:
     For an attribute that is a ``Distribution``, a separate error is drawn for each box, except for ``friction_rel``.
 
     Attributes:
-        box_friction_factor, carrier_friction_factor: factors on the three friction coefficients of boxes, and of the
-            carrier. MuJoCo uses the larger coefficient of two touching geoms, so reducing only one changes little.
+        box_friction_factor: factor on the three friction coefficients of boxes.
+        carrier_friction_factor: factor on the three friction coefficients of the carrier. MuJoCo uses the larger
+            coefficient of two touching geoms, so reducing only one of the two factors changes little.
         mass_factor: factor on the mass of every box. The carrier's mass does not change.
         friction_rel: relative change of the friction of boxes and carrier, in addition to the factors (0.1 = 10 %
             more). One error is drawn for the whole world, since all cartons of a pallet are of the same board and in
@@ -103,7 +104,8 @@ class PlacementChange:
         mass_rel: relative change of a box's mass, in addition to the factor.
         size_mm: change of each dimension of a box, mm.
         size_rel: relative change of each dimension of a box (0.01 = 1 % larger).
-        x_mm, y_mm, yaw_deg: errors of a box's place along x and y, mm, and of its rotation about the vertical, degrees.
+        x_mm, y_mm: errors of a box's place along x and y, mm.
+        yaw_deg: error of a box's rotation about the vertical, degrees.
         drop_height_mm: height above its place at which a box is released, mm. Negative random heights count as 0.
         placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``. If ``placing_name`` is None, the
             option ``placing`` applies.
@@ -271,8 +273,8 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: 
         plan_id: id of the plan, which the random numbers depend on.
         variant: the variant.
         seed: seed of the random numbers.
-        standing: number of boxes, from the first on, that already stand. These boxes keep their sizes, places and
-            masses.
+        standing: number of boxes, from the first on, that already stand. Boxes that already stand keep their sizes,
+            places and masses.
 
     Returns:
         The changed scene, or ``scene`` itself if nothing changes.
@@ -482,9 +484,9 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
 
     Boxes are set down from the bottom up. Box A is below box B if A's planned top is not above B's planned bottom (with
     a tolerance of ``STEP_TOLERANCE_M``), and the two overlap seen from above, at their planned or actual places. The
-    planned gap between a box and the highest box below is kept. This gap is 0.1 mm because of the reduction of sizes,
-    or more for a box that floats in the plan. If the two boxes overlap vertically in the plan, they do not overlap
-    afterwards.
+    planned gap between a box and the highest box below is kept. The planned gap is 0.1 mm because of the reduction of
+    sizes, or more for a box that floats in the plan. If the two boxes overlap vertically in the plan, they do not
+    overlap afterwards.
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
@@ -500,7 +502,7 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     centre_z = planned_bottom + half_z
     bears: NDArray[np.bool_] = np.any(below, axis=0)
     left: NDArray[np.bool_] = np.any(bears, axis=1)
-    while left.any():  # each pass sets down all boxes whose boxes below are in place
+    while left.any():  # each pass sets down every box below which all boxes are in place
         boxes = np.flatnonzero(left & ~np.any(bears & left, axis=1))
         left[boxes] = False
         actual_top = np.where(below[:, boxes], (centre_z + half_z)[:, None], -math.inf).max(axis=2)

@@ -13,9 +13,12 @@ from typing import Any
 
 import numpy as np
 import openpyxl
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import petmjx
+from petmjx.plans.raw_cells import cell_number
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
 
@@ -176,6 +179,38 @@ TABLES = {
         lambda k, box: [NAMES[k], "({}, {}, {})".format(*box), "({3}, {4}, {5})".format(*box), box[6]],
         mark="\t",
     ).replace("\0", ",").replace(";", "\t"),
+    "half sizes": table("Volume nº,cx,cy,cz,hx,hy,hz,mass",
+                        lambda k, box: [NAMES[k], *centre(box), *(side / 2 for side in box[3:6]), box[6]]),
+    "names of axes": table("Colis;Abscisse (mm);Ordonnée (mm);Cote (mm);Longueur;Largeur;Hauteur;Poids", named).replace(
+        ",", ";"
+    ),
+    "middles of tops": table(
+        "name,tcp_x,tcp_y,tcp_z,A,length,width,height,mass",
+        lambda k, box: [NAMES[k], *centre(box)[:2], box[2] + box[5], 90 * TURNED[k], *before_turn(k, box), box[6]],
+    ),
+    "a column of thousands": table(
+        f"box;x;y;z;{SIZES.replace(',', ';')};weight",
+        lambda k, box: [NAMES[k], *(f"{value:.1f}".replace(".", ",") for value in box[:6]), f"{box[6]:.3f}"],
+        mark=";",
+    ).replace("weight", "weight [g]"),
+    "distances from sides": table(f"piece,{SIZES},from left,from front,from floor,weight",
+                                  lambda k, box: [NAMES[k], *box[3:6], *box[:3], box[6]]),
+    "answers under an unknown name": table(
+        f"name,x,y,z,{SIZES},mass,dönük,fragile",
+        lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "yes" if TURNED[k] else "no", k],
+    ),
+    "initials of yes and no": table(
+        f"name,x,y,z,{SIZES},peso,girado",
+        lambda k, box: [NAMES[k], *box[:3], *(before_turn(k, box) if k == 6 else box[3:6]), box[6], "NS"[k == 6]],
+    ),
+    "places in brackets": "\n".join(
+        ["box   pos(x,y,z)      dim(l, w, h)     kg"]
+        + [f"{NAMES[k]}   ({x},{y},{z})    ({x_size}, {y_size}, {z_size})    {kg}"
+           for k, (x, y, z, x_size, y_size, z_size, kg) in enumerate(PILE)]
+    ),
+    "remarks around boxes": table(f"box,x,y,z,{SIZES},weight", named).replace("a,", "Boxes: 8,,,,,,,\na,", 1)
+    + "Cube utilization: 81.2 %,,,,,,,\n",
+    "a remark between boxes": table(f"box,x,y,z,{SIZES},weight", named).replace("f,", "checked by A,,,,,,,\nf,", 1),
     "sections of layers": table(f"box,x,y,z,{SIZES},weight", named, mark=";").replace("e;", "Layer 2;;;;;;;\ne;", 1)
     .replace("a;", "Layer 1;;;;;;;\na;", 1),
     "Markdown": "\n".join(
@@ -198,6 +233,7 @@ TABLES = {
 }  # fmt: skip
 
 
+"""Tables of the pile."""
 WITHOUT_IDS = ("a column of units", "rows in two units", "far corners with sizes", "sides", "corners in turns")
 
 
@@ -300,6 +336,85 @@ def nested(tag: str, value: Any) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?><{tag} xmlns="urn:packer">{boxes}</{tag}>'
 
 
+def upwards_y(box: list[float]) -> tuple[list[float], list[float]]:
+    """The centre and the sizes of a box before its turn, in metres, with y upwards."""
+    x, y, z = (value / 1e3 for value in centre(box))
+    return [x, z, y], [box[4] / 1e3, box[5] / 1e3, box[3] / 1e3]
+
+
+def matrix_of_turn(at: Sequence[float], scale: Sequence[float] = (1, 1, 1)) -> list[float]:
+    """A matrix, column by column, that turns a box by 90° about the second axis, after scaling it."""
+    return [0, 0, -scale[0], 0, 0, scale[1], 0, 0, scale[2], 0, 0, 0, *at, 1]
+
+
+def in_lists(box: list[float]) -> dict[str, Any]:
+    """A collision object whose only shape and its pose are in lists."""
+    pose = with_pose(box)
+    return {"primitives": [pose["primitive"]], "primitive_poses": [pose["pose"]], "mass": pose["mass"]}
+
+
+def three_js(instances: bool = False) -> Any:
+    """A scene of three.js whose boxes are in a group, with lights and a floor."""
+    places = [upwards_y(list(map(float, box))) for box in PILE]
+    shift = [-0.6, 0.2, -0.4]
+    matrices = [matrix_of_turn([a - b for a, b in zip(at, shift, strict=True)]) for at, _ in places]
+    meshes = [
+        {"type": "Mesh", "name": name, "matrix": matrix, "geometry": f"of {name}", "userData": {"weight": box[6]}}
+        for name, matrix, box in zip(NAMES, matrices, PILE, strict=True)
+    ]
+    geometries = [
+        {"uuid": f"of {name}", "type": "BoxGeometry", "width": size[0], "height": size[1], "depth": size[2]}
+        for name, (_, size) in zip(NAMES, places, strict=True)
+    ]
+    if instances:
+        scaled = [matrix_of_turn([a - b for a, b in zip(at, shift, strict=True)], size) for at, size in places]
+        meshes = [
+            {
+                "type": "InstancedMesh",
+                "geometry": "cube",
+                "count": 8,
+                "instanceMatrix": {"array": [value for matrix in scaled for value in matrix]},
+            }
+        ]
+        geometries = [{"uuid": "cube", "type": "BoxGeometry"}]
+    group = {"type": "Group", "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, *shift, 1], "children": meshes}
+    floor = {
+        "type": "Mesh",
+        "name": "ground",
+        "geometry": "plane",
+        "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+    }
+    return {
+        "metadata": {"version": 4.6, "type": "Object", "generator": "Object3D.toJSON"},
+        "geometries": [*geometries, {"uuid": "plane", "type": "PlaneGeometry", "width": 9, "height": 9}],
+        "object": {"type": "Scene", "children": [{"type": "AmbientLight"}, floor, group]},
+    }  # fmt: skip
+
+
+def gltf() -> Any:
+    """A scene in glTF: one unit cube and one mesh with extents, in a node that moves them."""
+    places = [upwards_y(list(map(float, box))) for box in PILE]
+    nodes: list[Any] = []
+    for name, (at, size), box in zip(NAMES, places, PILE, strict=True):
+        quarter = [0, math.sqrt(0.5), 0, math.sqrt(0.5)]
+        node = {"name": name, "translation": at, "rotation": quarter, "extras": {"weight_kg": box[6]}}
+        # the second mesh is a cube of 2 m whose corner is the origin
+        cube = {"mesh": 0, "scale": size}
+        corner = [at[0] - size[2] / 2, at[1] - size[1] / 2, at[2] + size[0] / 2]
+        far = {"mesh": 1, "scale": [side / 2 for side in size], "translation": corner}
+        nodes.append(node | (far if len(nodes) % 2 else cube))
+    meshes = [{"primitives": [{"attributes": {"POSITION": number}}]} for number in range(2)]
+    accessors = [{"min": [-0.5] * 3, "max": [0.5] * 3}, {"min": [0, 0, 0], "max": [2, 2, 2]}]
+    root = {"children": list(range(8)), "translation": [-0.6, 0.0, -0.4]}
+    return {"asset": {"version": "2.0"}, "nodes": [*nodes, root], "meshes": meshes, "accessors": accessors}
+
+
+def by_matrices(box: list[float]) -> dict[str, Any]:
+    at, size = upwards_y(box)
+    return {"matrix": matrix_of_turn(at), "geometry": dict(zip(("width", "height", "depth"), size, strict=True)),
+            "weight": box[6]}  # fmt: skip
+
+
 def scene() -> Any:
     """A scene as exported by three.js and Unity: scaled unit cubes, given by their centres in metres, with y upwards.
     It has no cube for the container."""
@@ -326,6 +441,33 @@ def with_units() -> Any:
 
 DOCUMENTS = {
     "scales of cubes": scene(),
+    "a three.js scene": three_js(),
+    "a shape in a list": {"collision_objects": boxes_by(in_lists)},
+    "codes of units": boxes_by(lambda box: {
+        **{name: {"value": value, "uom": "MMT"} for name, value in plain(box).items() if name != "weight"},
+        "gross-weight": {"value": box[6], "uom": "KGM"}}),
+    "lists by name": {"fields": list(FIELDS), "boxes": dict(zip(NAMES, map(list, PILE), strict=True))},
+    "zeros are not written": boxes_by(lambda box: {
+        "at": {axis: value for axis, value in zip("xyz", box, strict=False) if value}, **sized(box)}),
+    "events": [{"event": "start", "pallet": {"length": 1200, "width": 800}},
+               *({"event": "place", "box": box} for box in boxes_by(plain)), {"event": "end", "boxes": 8}],
+    "extents that are half sizes": boxes_by(
+        lambda box: {"Location": dict(zip("XYZ", centre(box), strict=True)), "MassKg": box[6],
+                     "BoxExtent": dict(zip("XYZ", (side / 2 for side in box[3:6]), strict=True))}, ids="ActorLabel"),
+    "data classes": "\n".join(
+        f"Box(name='{NAMES[k]}', position=Point(x={x}, y={y}, z={z}), size=({length}, {width}, {height}), weight={kg})"
+        for k, (x, y, z, length, width, height, kg) in enumerate(PILE)),
+    "poses as text": "<sdf><world>" + "".join(
+        f"<model name='{box['id']}'><pose>{' '.join(map(str, box['at']))} 0 0 1.5708</pose>"
+        f"<link><mass>{box['kg']}</mass><box><size>{box['width']} {box['length']} {box['height']}</size></box></link>"
+        "</model>"
+        for box in boxes_by(lambda box: {**plain(box), "at": centre(box), "kg": box[6]})) + "</world></sdf>",
+    "layers of one element": "<Pallet>" + "".join(
+        f"<Layer z='{z}'>" + "".join(
+            f"<Box x='{box[0]}' y='{box[1]}' length='{box[3]}' width='{box[4]}' height='{box[5]}' weight='{box[6]}'/>"
+            for box in group) + "</Layer>"
+        for z, group in ((0, PILE[:3]), (0, PILE[3:4]), (300, PILE[4:]))) + "</Pallet>",
+    "matrices by columns": {"boxes": boxes_by(by_matrices)},
     "columns by labels": by_columns(),
     "units beside the boxes": with_units(),
     "units in the boxes": boxes_by(in_units),
@@ -360,17 +502,75 @@ DOCUMENTS = {
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_documents_in_further_conventions(name: str, tmp_path: Path) -> None:
     content = DOCUMENTS[name]
-    up = {"up": "y"} if name == "scales of cubes" else {}  # the boxes of the scene would also stand with z upwards
-    plan_set = load(tmp_path, "pile.json", content if isinstance(content, str) else json.dumps(content), **up)
+    plan_set = load(tmp_path, "pile.json", content if isinstance(content, str) else json.dumps(content))
     assert not plan_set.skipped
     (plan,) = plan_set.plans
     check_pile(plan)
+
+
+def test_scenes_without_weights_or_with_meshes_that_are_scaled(tmp_path: Path) -> None:
+    plan_set = load(tmp_path, "scene.json", json.dumps(three_js(instances=True)))
+    check_pile(plan_set.plans[0], weights=False)
+    assert "1 mesh that is no box left out" in notes_of(plan_set)
+    check_pile(load(tmp_path, "scene.gltf", json.dumps(gltf())).plans[0])
 
 
 def test_stacks_give_their_places(tmp_path: Path) -> None:
     (plan,) = load(tmp_path, "pile.json", json.dumps(stacks())).plans
     order = [NAMES.index(name) for name in plan.item_ids]
     np.testing.assert_allclose(plan.corner_mm, np.array(PILE)[order, :3])
+
+
+def test_fields_of_several_numbers(tmp_path: Path) -> None:
+    fields = [("name", "U4"), ("pos", "f8", (3,)), ("dim", [("l", "f8"), ("w", "f8"), ("h", "f8")]), ("kg", "f4")]
+    rows = [(name, box[:3], box[3:6], box[6]) for name, box in zip(NAMES, PILE, strict=True)]
+    np.save(tmp_path / "pile.npy", np.array(rows, dtype=fields))
+    at = [dict(zip("xyz", map(float, box), strict=False)) for box in PILE]
+    columns = {"name": list(NAMES), "position": at, "size": [list(map(float, box[3:6])) for box in PILE]}
+    pq.write_table(pa.table({**columns, "weight": [float(box[6]) for box in PILE]}), tmp_path / "pile.parquet")
+    for file in ("pile.npy", "pile.parquet"):
+        (plan,) = petmjx.load_plans(tmp_path / file).plans
+        check_pile(plan)
+        assert plan.item_ids == tuple(NAMES)
+
+
+def test_a_damaged_text_of_an_array_is_named(tmp_path: Path) -> None:
+    array = np.array([(name, *box) for name, box in zip(NAMES, PILE, strict=True)],
+                     dtype=[("name", "U4"), *((field, "f8") for field in FIELDS)])  # fmt: skip
+    np.save(tmp_path / "pile.npy", array)
+    content = bytearray((tmp_path / "pile.npy").read_bytes())
+    begin = len(content) - array.itemsize
+    content[begin : begin + 4] = b"\xff" * 4
+    (skipped,) = load(tmp_path, "pile.npy", bytes(content)).skipped
+    assert skipped.message.endswith("row 7: name is damaged")
+
+
+def test_bodies_of_one_load(tmp_path: Path) -> None:
+    bodies = "".join(
+        f'<body name="{NAMES[k]}" pos="{x / 1e3} {y / 1e3} {z / 1e3}"><geom type="box" mass="{box[6]}" '
+        f'size="{box[3] / 2e3} {box[4] / 2e3} {box[5] / 2e3}"/></body>'
+        for k, box in enumerate(PILE)
+        for x, y, z in [centre(list(map(float, box)))]
+    )
+    pallet = '<body name="pallet" pos="0 0 .1"><freejoint/><geom type="box" size=".6 .4 .05" pos=".6 .4 -.05"/>'
+    scene = f"<mujoco><worldbody>{pallet}{bodies}</body></worldbody></mujoco>"
+    (plan,) = load(tmp_path, "scene.xml", scene).plans
+    check_pile(plan)
+
+
+def test_an_implausible_reading_of_an_unusual_kind_is_asked_about(tmp_path: Path) -> None:
+    """The places are those of corners of tops, which petmjx does not try. As far corners, half of the boxes overlap."""
+    tops = table(f"name,x,y,z,{SIZES},mass", lambda k, box: [NAMES[k], *box[:2], box[2] + box[5], *box[3:]])
+    (skipped,) = load(tmp_path, "pile.csv", tops).skipped
+    assert "no reading is plausible; the best are" in skipped.message
+
+
+@pytest.mark.parametrize(
+    ("cell", "value", "unit"), [("23 5/8", 23.625, ""), ('3/4"', 0.75, "in"), ("1-1/2 in", 1.5, "in")]
+)
+def test_fractions_of_inches(cell: str, value: float, unit: str) -> None:
+    assert cell_number(cell) == (value, unit)
+    assert cell_number(cell.replace("/", "/7")) is None
 
 
 def test_pairs_of_sizes_and_places_in_an_array(tmp_path: Path) -> None:
@@ -406,6 +606,14 @@ BOX_ROWS = [["box", *FIELDS], *(named(number, list(box)) for number, box in enum
         ("numbered.json", {"tool": "a", "pallet_1": boxes_by(plain), "pallet_2": boxes_by(plain)},
          ("pallet_1", "pallet_2")),
         ("remarks.xlsx", sheets(A=BOX_ROWS, B=[[*row, "remark"] for row in BOX_ROWS]), ("A", "B")),
+        ("titles.csv", table(f"box;x;y;z;{SIZES.replace(',', ';')};weight".replace(";", ","), named, mark=";")
+         .replace("a;", "Pallet A;Customer: X;;;;;;\na;", 1) + "Pallet;2;Weight;63 kg;;;;\n"
+         + table("", named, mark=";").partition("\n")[2], ("Pallet A", "Pallet 2")),
+        ("types of rows.csv", table(f"type,name,x,y,z,{SIZES},weight", lambda k, box: ["box", *named(k, box)])
+         .replace("box,a", "pallet,A,0,0,-100,1200,800,100,20\nbox,a", 1) + "pallet,B,0,0,-100,1200,800,100,20\n"
+         + table("", lambda k, box: ["box", *named(k, box)]).partition("\n")[2], ("A", "B")),
+        ("lists by name.json", {name: {"fields": list(FIELDS), "boxes": dict(zip(NAMES, map(list, PILE), strict=True))}
+                                for name in "AB"}, ("A", "B")),
         ("stacks.csv", table(f"stack,box,x,y,z,{SIZES},weight", lambda k, box: [1, *named(k, box)])
          + table("2", lambda k, box: [2, *named(k, box)]).partition("\n")[2], ("stacks/1", "stacks/2")),
         ("loads.json", {"loads": [{"load_id": name, "x": 0, "y": 1000 * number, "z": 0, "length": 1200, "width": 800,
@@ -468,7 +676,20 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
          '[4] (e): rotation[2] must be a number, got "9O"'),
         (table(f"stack,box,x,y,z,{SIZES},kg", lambda k, box: [k % 2, *named(k, box)]),
          "stack may name pallets, or stacks of one pallet; say which with --columns plan=stack or --columns plan=-"),
+        (f"{table(f'box,x,y,z,{SIZES},weight', named)}".replace("e,", "Cube: 81.2 %,,,,,,,\ne,", 1),
+         "row 6: is no box: Cube: 81.2 %"),
+        (table(f"name,{SIZES},mass,across,along,up", lambda k, box: [NAMES[k], *box[3:], *box[:3]]),
+         "has sizes of boxes, but no places (x, y, z): name their columns with --columns x=NAME,y=NAME,z=NAME, or"),
+        (DOCUMENTS["data classes"].replace("z=300", "z=3OO", 1),
+         "line 5, column 42: is no object as Python prints it: invalid decimal literal"),
+        (json.dumps(DOCUMENTS["zeros are not written"]).replace('"y": 400', '"y": 0', 1), "[0] (a): at.x is missing"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
+        (json.dumps(three_js()).replace("-0.6, 0.2, -0.4, 1]", '-0.6, "O.2", -0.4, 1]', 1),
+         "object.children[2]: matrix must be 16 numbers, got O.2 as number 13"),
+        (json.dumps(gltf()).replace("0.7071067811865476", "null", 1),
+         "nodes[0] (a): rotation must be 4 numbers, got None as number 1"),
+        (json.dumps(boxes_by(by_matrices)).replace("-1", "-7", 1),
+         "[0] (a): matrix scales the box by 7, unlike the matrices of other rows"),
     ],
 )  # fmt: skip
 def test_a_damaged_value_is_named_with_its_place(text: str, fault: str, tmp_path: Path) -> None:

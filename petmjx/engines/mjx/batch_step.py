@@ -23,9 +23,9 @@ from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30
 """Largest number of line search iterations. Under ``vmap``, MJX's own solver (used with pyramidal cones) always takes
-this number of iterations. With 10 iterations, the force on a box differed from that in C MuJoCo by more than 50 N in
-2.2 % of the steps of small piles: the solver had given up while boxes landed. With 30 iterations, this happened in 0.2
-% of the steps."""
+the largest number of iterations. With 10 iterations, the force on a box differed from that in C MuJoCo by more than 50
+N in 2.2 % of the steps of small piles: the solver had given up while boxes landed. With 30 iterations, this happened in
+0.2 % of the steps."""
 
 
 class StepResult(NamedTuple):
@@ -53,7 +53,8 @@ class PaddedModel:
     Model fields that differ between worlds are passed to each step. Contacts have fixed slots, so nothing can overflow.
 
     Attributes:
-        carrier, bodies: index of the carrier's body, and number of bodies.
+        carrier: index of the carrier's body.
+        bodies: number of bodies.
 
     Args:
         capacity: largest number of boxes of a world.
@@ -106,8 +107,8 @@ class PaddedModel:
     ) -> StepResult:
         """Simulate one step of all worlds.
 
-        Between stiff contacts, accelerations may become NaN in float32. In this case, the step uses the accelerations
-        from which the solver started, and the forces of the previous step.
+        Between stiff contacts, accelerations may become NaN in float32. If accelerations are NaN, the step uses the
+        accelerations from which the solver started, and the forces of the previous step.
 
         Args:
             fields: model fields that differ between worlds.
@@ -129,8 +130,8 @@ class PaddedModel:
     def _ready(
         self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
     ) -> tuple[Any, Float[Array, " geom"], Bodies, Problem, Float[Array, "contact 3"], Landing | None]:
-        """What the solver needs of one world: contacts, heights of geoms, bodies, the problem, and the reference
-        accelerations of contacts."""
+        """What the solver needs to know about one world: contacts, heights of geoms, bodies, the problem, and the
+        reference accelerations of contacts."""
         model, links = self._model_of(fields), self._links
         bodies = Bodies.of(model, inputs)
         data = mjx.collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))

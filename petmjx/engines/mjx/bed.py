@@ -1,7 +1,7 @@
 """Contacts of compliant boxes in MJX's data: the area in which the faces of two boxes press on one another.
 
-Twin of petmjx/engines/mujoco/bed.py, without shared arithmetic. The face of one box is clipped along the sides of the
-other face, and then to the area in which the faces press.
+This module does the same as petmjx/engines/mujoco/bed.py, but shares no arithmetic with it. The face of one box is
+clipped along the sides of the other face, and then to the area in which the faces press.
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ def _cut(
     part = here / jnp.where(crosses, here - ahead, 1.0)
     points = jnp.stack([corners, corners + part[:, None] * (corners[following] - corners)], axis=1)
     stay = jnp.stack([kept & (here >= 0), crosses], axis=1).reshape(-1)
-    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # rows beyond the last row are dropped
+    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # points without a row are dropped
     left = jnp.zeros((k + 1, 2)).at[row].set(points.reshape(-1, 2), mode="drop")
     return left, jnp.arange(k + 1) < stay.sum()
 

@@ -2,8 +2,8 @@
 
 MJX computes all this for trees of joints of any kind. A pallet consists of free bodies, so few lines are enough, and
 programs are half as large. The formulas are those of MuJoCo's documentation ("Computation"). A free body has six
-velocities: three of its origin, in world axes, and three of its rotation, in its own axes. The origin is the centre of
-mass, and the axes are those of its inertia, so the mass matrix is diagonal.
+velocities: three of its origin, in world axes, and three of its rotation, in its own axes. The origin of a body is its
+centre of mass, and the axes of a body are its principal axes, so the mass matrix is diagonal.
 
 The functions are for one world; use them under ``jax.vmap``.
 """
@@ -98,7 +98,8 @@ class ContactRows(NamedTuple):
 
 
 class Links:
-    """Which geoms and which moving bodies touch in each contact of MJX. They are the same in all steps.
+    """Which geoms and which moving bodies touch in each contact of MJX. A contact has the same geoms and bodies in all
+    steps.
 
     Args:
         model: the MJX model of all worlds. All contacts have three rows.
@@ -132,7 +133,7 @@ class Links:
         return {"geom_xpos": place + einsum("gij,gj->gi", turn, model.geom_pos), "geom_xmat": turn}
 
     def along(self, jacobian: Float[Array, "pair constraint 12"], velocities: Velocities) -> Rows:
-        """The rates of change of all rows with these velocities or accelerations: the Jacobian times them."""
+        """The Jacobian times these velocities or accelerations, that is, the rates of change of all rows."""
         of_bodies = jnp.pad(velocities.reshape(-1, 6), ((0, 1), (0, 0)))
         of_pairs = of_bodies[self.sides].reshape(-1, 12)
         return einsum("prv,pv->pr", jacobian, of_pairs).reshape(-1, 3)
@@ -169,8 +170,8 @@ class Links:
 def _springs(
     contact: Any, timestep_s: Float[Array, ""]
 ) -> tuple[Float[Array, " contact"], Rows, Float[Array, " contact"]]:
-    """Stiffness along the normal (1/s²), damping of each row (1/s), and impedance of contacts. Source: MuJoCo's
-    documentation, "Modeling", section "Solver parameters"."""
+    """Stiffness along the normal (1/s²), damping of each row (1/s), and impedance of contacts. The formulas are those
+    of MuJoCo's documentation, "Modeling", section "Solver parameters"."""
     differs = (contact.solreffriction != 0).any(-1, keepdims=True)
     tangent = jnp.where(differs, contact.solreffriction, contact.solref)
     law = jnp.stack([contact.solref, tangent, tangent], axis=1)

@@ -1,5 +1,5 @@
-"""Shift, tilt, drop, excess and speed of boxes (JAX). Twin of petmjx/engines/mujoco/box_motion.py, without shared
-arithmetic."""
+"""Shift, tilt, drop, excess and speed of boxes (JAX). This module does the same as petmjx/engines/mujoco/box_motion.py,
+but shares no arithmetic with it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Contact laws of compliant boxes, for all worlds of a batch. Twin of petmjx/world/compliance.py, without shared
-arithmetic."""
+"""Contact laws of compliant boxes, for all worlds of a batch. This module does the same as petmjx/world/compliance.py,
+but shares no arithmetic with it."""
 
 from __future__ import annotations
 

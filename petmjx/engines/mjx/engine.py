@@ -37,8 +37,8 @@ from petmjx.world.job import ACCELERATION, Job
 MOST_WORLDS = 256
 """Largest number of worlds in a batch on a GPU or another accelerator if the user does not set ``lanes``.
 
-On a CPU, if ``lanes`` is not set, each world is a separate batch, and each thread simulates a batch: XLA needs eight
-times as long there for eight worlds as for one, and worlds that do not wait for each other need fewer steps.
+On a CPU, if ``lanes`` is not set, each world is a separate batch, and each thread simulates a batch: on a CPU, XLA
+needs eight times as long for eight worlds as for one, and worlds that do not wait for each other need fewer steps.
 """
 
 FEWEST_WORLDS = 8
@@ -50,7 +50,8 @@ class ProgramKey:
     """The values on which a compiled program depends.
 
     Attributes:
-        capacity, worlds: number of boxes per world, and number of worlds, for which there is room.
+        capacity: number of boxes for which each world has room.
+        worlds: number of worlds for which a batch has room.
         boards: number of shapes of each carrier.
         drive: kind of the excitation; None: the program is for the placement.
         profiles: shape of the table of profiles.
@@ -303,7 +304,7 @@ def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
 
 
 def _load(jobs: Sequence[Job], some: list[int], room: int, group: Group, sim: Simulation) -> Batch:
-    """A batch of the jobs ``some``, with ``room`` rows. Padding rows have already ended."""
+    """A batch of the jobs ``some``, with ``room`` rows. Rows that are padding hold worlds that have already ended."""
     timetable = build_timetable(sim, group.capacity)
     batch = load([jobs[index] for index in some], room, group.capacity, sim, timetable, (0, group.profile_steps))
     status = np.array(batch.table.status)

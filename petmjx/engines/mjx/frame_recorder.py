@@ -18,7 +18,7 @@ from petmjx.world.job import Job
 
 
 class Trail(NamedTuple):
-    """The steps of a chunk, for each world. All values hold after a step and the rules that follow it.
+    """The steps of a chunk, for each world. All values are those after a step and after the rules that follow the step.
 
     ``ran``: whether the step was taken; ``fresh``: whether a box was just placed.
     """
@@ -95,7 +95,8 @@ class Recorder:
         return Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
 
     def history(self, row: int, world: State, time_s: Callable[[int], float]) -> History | None:
-        """The history of a world that has ended; None if it was not recorded. The call drops the world's frames.
+        """The history of a world that has ended; None if it was not recorded. The recorder then forgets the world's
+        frames.
 
         Args:
             world: the last state of the world: one row, on the host.
@@ -109,7 +110,7 @@ class Recorder:
             frames.insert(0, _of_state(job, job.start))
         last = _of_state(job, world)
         if not frames or frames[-1].step[-1] != last.step[0]:
-            frames.append(last)  # the host ended the world
+            frames.append(last)  # the host ended the world outside a step
         parts: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in frames]) for name in Frames._fields
         }

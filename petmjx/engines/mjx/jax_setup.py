@@ -25,8 +25,8 @@ CPU_COMPILER_OPTIONS = {
     # With the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool: with jaxlib
     # 0.10.2 on two cores, 7 of 7 runs hung with this scheduler, and none of 4 runs without it.
     "xla_cpu_enable_concurrency_optimized_scheduler": False,
-    # With the newer emitters of fused loops, compiling the programs of 12 plans takes 91 s of CPU time. Without
-    # them, it takes 59 s (jaxlib 0.10.2). The programs run equally fast.
+    # With the newer emitters of fused loops, compiling the programs of 12 plans takes 91 s of CPU time. Without these
+    # emitters, compiling takes 59 s (jaxlib 0.10.2). The programs run equally fast.
     "xla_cpu_use_fusion_emitters": False,
 }
 """XLA's options for large programs on a CPU. An option is left out if the installed jaxlib does not have it."""

@@ -13,16 +13,16 @@ from petmjx.options.simulation import Simulation
 
 
 def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
-    """Whether each box trembles. Right after a placement, no box counts as trembling, since too few looks have been
-    taken."""
+    """Whether each box trembles. Right after a placement, no box counts as trembling, since the boxes have been checked
+    too few times."""
     return (state.trembles == 1) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
 
 
 def after_look(
     state: State, worlds: Worlds, looks: Bool[Array, " world"], speed: Float[Array, "world box"], sim: Simulation
 ) -> State:
-    """The states after a look for trembling in the worlds marked by ``looks``. ``speed``: speeds of the boxes' fastest
-    points, m/s."""
+    """The states after a check for trembling boxes in the worlds marked by ``looks``. ``speed``: speeds of the boxes'
+    fastest points, m/s."""
     rule = sim.quiet
     period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s
     look = state.tremble_looks

@@ -1,7 +1,7 @@
 """Contact law of landing boxes, for all worlds of a batch.
 
-Twin of petmjx/world/contact_laws.py and petmjx/engines/mujoco/landing.py, which explain the law. This module shares no
-arithmetic with them.
+petmjx/world/contact_laws.py explains the law. This module does the same as petmjx/engines/mujoco/landing.py, but shares
+no arithmetic with it.
 """
 
 from __future__ import annotations

@@ -8,7 +8,8 @@ H = M + Jᵀ·s″·J; a line search follows.
 ``mjx.solve`` (3.17) does the same, but treats s″ and J as dense matrices: an iteration multiplies (3·contacts)² ·
 velocities numbers, and the program has an instruction per contact that fills in s″. Under ``vmap``, the line search of
 ``mjx.solve`` always takes its largest number of iterations. But s″ consists of blocks of 3 × 3, and a contact touches
-two bodies. So here all products run over pairs of geoms, which have four contacts each, and the line search ends early.
+two bodies. So in this module, all products run over pairs of geoms, which have four contacts each. The line search ends
+as soon as the slope is small enough.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ Scalar = Float[Array, ""]
 
 
 class Problem(NamedTuple):
-    """What the solver needs of one world. The rows of a contact are its normal and its two tangents.
+    """What the solver needs to know about one world. The rows of a contact are its normal and its two tangents.
 
     Attributes:
         mass: the diagonal of the mass matrix.
@@ -45,7 +46,8 @@ class Problem(NamedTuple):
         sliding: coefficients of sliding friction.
         mu: coefficient of the regularised cone.
         least: smallest change of the cost, and smallest gradient, for which another iteration is worth while.
-        iterations, evaluations: largest number of iterations, and of evaluations in a line search.
+        iterations: largest number of iterations.
+        evaluations: largest number of evaluations in a line search.
     """
 
     mass: Velocities
@@ -190,8 +192,8 @@ class BlockSolver:
     def solve(self, problem: Problem, pull: Rows, start: Velocities) -> tuple[Velocities, Rows, Rows]:
         """The accelerations, the contact forces (N), and the residuals J·a − pull (m/s²).
 
-        Like MuJoCo's solver, it ends if the change of the cost or the gradient is below ``problem.least``, or after
-        ``problem.iterations`` iterations.
+        Like MuJoCo's solver, this solver ends if the change of the cost or the gradient is below ``problem.least``, or
+        after ``problem.iterations`` iterations.
 
         Args:
             pull: reference accelerations of the rows, m/s².
@@ -223,7 +225,8 @@ class BlockSolver:
         return self._valued(problem, start)
 
     def _valued(self, problem: Problem, now: _Iterate) -> _Iterate:
-        """The state with the same accelerations, and with the forces, gradient and cost that belong to them."""
+        """The state with the same accelerations, and with the forces, gradient and cost that follow from these
+        accelerations."""
         cones = Cones.of(problem, now.residual)
         force = cones.force(problem)
         push = einsum("prv,pr->pv", problem.jacobian, force.reshape(len(self.links.sides), -1))
@@ -239,8 +242,8 @@ class BlockSolver:
         linear = now.inertial @ direction
 
         def evaluated(before: _Search) -> _Search:
-            """The search after an evaluation: its next step is Newton's, if that lies within the bracket, and otherwise
-            the middle of the bracket.
+            """The state of the search after an evaluation. The next step is Newton's step if it lies within the
+            bracket, and otherwise the middle of the bracket.
             """
             step = before.step
             cones = Cones.of(problem, now.residual + step * way)
@@ -300,8 +303,8 @@ def _couplings(sides: NDArray[np.integer], bodies: int) -> tuple[NDArray[np.int6
 
     Returns:
         Two tables. (coupling, k): the pairs of geoms of each pair of moving bodies; rows are padded with the number of
-        all pairs. (body, body): the block in the list of all bodies' own blocks, all couplings, all couplings
-        transposed, and a block of zeros.
+        all pairs. (body, body): the index of the Hessian's block for two bodies in this list: all bodies' own blocks,
+        all couplings, all couplings transposed, and a block of zeros.
     """
     pairs_by_bodies: dict[tuple[int, int], list[int]] = {}
     for pair, (one, two) in enumerate(sides.tolist()):

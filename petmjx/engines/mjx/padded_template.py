@@ -1,7 +1,7 @@
 """The padded template for a capacity: one compiled MuJoCo model for all plans of up to ``capacity`` boxes.
 
-Sizes, masses, frictions and gravity differ from world to world. So these values are not in the template, but in
-overrides of model fields for each world. Only ``override_fields`` computes these overrides.
+Sizes, masses, frictions and gravity differ from world to world. So the values that differ are not in the template, but
+in overrides of model fields for each world. Only ``override_fields`` computes these overrides.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ CONTACTS_PER_PAIR = 4
 
 PARKING_HEIGHT_M = 50.0
 PARKING_PITCH_M = 8.0
-"""Distance between boxes that are not yet placed. These boxes hang in a row at ``PARKING_HEIGHT_M``. At this distance
-no two bounding spheres meet (the largest BED-BPP item is under 1 m), and float32 still resolves positions to 0.05
-mm."""
+"""Distance between boxes that are not yet placed. Boxes that are not yet placed hang in a row at ``PARKING_HEIGHT_M``.
+At this distance no two bounding spheres meet (the largest BED-BPP item is under 1 m), and float32 still resolves
+positions to 0.05 mm."""
 
 
 def padded_template(

@@ -22,6 +22,6 @@ MOST_THREADS: Final = 8
 
 
 def gather_rows(arrays: Iterable[NDArray[Any]], source: NDArray[np.int64]) -> list[NDArray[Any]]:
-    """For each array, the rows whose numbers are in ``source``. Many of these numbers are equal."""
+    """For each array, the rows whose numbers are in ``source``. ``source`` contains many numbers more than once."""
     threads = MOST_THREADS if len(source) >= MANY else 1
     return on_threads(partial(np.take, indices=source, axis=0), [*arrays], threads)

@@ -54,8 +54,9 @@ class BatchRollout:
         worlds: Worlds,
         profiles: Float[Array, "profile step 3"],
     ) -> tuple[State, Float[Array, "world constraint"], Trail]:
-        """The states and constraint forces after a chunk, and its ``Trail``. The trail is always kept: the program must
-        be the same with and without a recorder, since another program might round differently."""
+        """The states and constraint forces after a chunk of steps, and the poses and forces in each step (``Trail``).
+        The trail is always kept: the program must be the same with and without a recorder, since another program might
+        round differently."""
         held, physics = self.model.held, self.rules.sim.physics
         fields = override_fields(worlds, self.model.model, held=held, physics=physics, gives=self.gives)
         faces = Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]) if self.gives else None
@@ -132,7 +133,8 @@ class BatchRollout:
         def moved(
             row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
         ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
-            """The values after a step, for running worlds and boxes in play. All other values stay the same."""
+            """The values after a step, for worlds that still run and boxes that are already placed. All other values
+            stay the same."""
             new_carrier, new_boxes = self._split(row, carrier)
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
 
@@ -157,9 +159,10 @@ class BatchRollout:
         return after, stepped.forces, stepped.top_force
 
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
-        """Whether the largest forces include the step after ``before`` although no sample is due. While a drive acts,
-        the largest forces include every step. Without a drive, two conditions must hold: a box is fast, and a box rises
-        or a look for quiet is due. ``rising``: the largest upward acceleration, m/s²."""
+        """Whether the largest forces include the step that follows the state ``before``, although no sample is due.
+        While a drive acts, the largest forces include every step. Without a drive, two conditions must hold: a box is
+        fast, and either a box rises or a check whether the pallet is quiet is due. ``rising``: the largest upward
+        acceleration, m/s²."""
         rules, step = self.rules, before.step + 1
         if not rules.sim.waits_for_rest:
             return jnp.zeros_like(before.running)
@@ -187,7 +190,8 @@ class BatchRollout:
     def _join(
         self, carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
     ) -> Float[Array, "world coordinate"]:
-        """Generalised coordinates: those of the carrier, unless it is held, and then those of the boxes."""
+        """Generalised coordinates: first those of the carrier (left out if the carrier is held), then those of the
+        boxes."""
         flat = boxes.reshape(len(boxes), -1)
         return flat if self.model.held else jnp.concatenate([carrier, flat], axis=-1)
 

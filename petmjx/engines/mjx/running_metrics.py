@@ -19,13 +19,13 @@ from petmjx.options.simulation import Thresholds
 
 
 class Sample(NamedTuple):
-    """Values of boxes at a sample or a look: centres, m; tilts, degrees; accelerations, m/s² and rad/s²; forces on
+    """Values of boxes at a sample or a check: centres, m; tilts, degrees; accelerations, m/s² and rad/s²; forces on
     tops, N.
 
     Attributes:
         sampled: whether the box has a sample in this step.
         presses: whether the largest force on the box's top includes this step.
-        tilts: whether the largest tilt of the box includes this step, at a sample or at a look in a drive.
+        tilts: whether the largest tilt of the box includes this step, at a sample or at a check during a drive.
         looked: whether the box is checked. Boxes are also checked at the end of their world.
         rested: whether the mean force on the box's top at rest includes this step. ``rests``: whether each world is in
             its rest window.
@@ -48,7 +48,7 @@ class Sample(NamedTuple):
 
 class Metrics(NamedTuple):
     """Running statistics of boxes over all samples since each box was placed, and the first sign of failure. Tilt and
-    sway also include looks in a drive."""
+    sway also include checks during a drive."""
 
     max_tilt: Float[Array, "world box"]
     max_lin_acc: Float[Array, "world box"]
@@ -64,7 +64,8 @@ class Metrics(NamedTuple):
     sign_placed: Int[Array, " world"]
 
     def with_sample(self, sample: Sample, worlds: Worlds, *, driven: bool) -> Metrics:
-        """The metrics after one more sample. ``driven``: whether worlds are shaken. The first sign is not changed."""
+        """The metrics after one more sample. ``driven``: whether worlds are shaken. The first sign of failure is not
+        changed."""
 
         def largest(old: Array, new: Array, where: Array) -> Array:
             return jnp.where(where, jnp.maximum(old, new), old)
@@ -88,8 +89,8 @@ class Metrics(NamedTuple):
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
-        """Whether a box of each world has failed for good: it has dropped, or was tilted too far at a look. A large
-        shift is not a final failure: the shift is judged at rest, and may decrease until then."""
+        """Whether a box of each world has failed for good: the box has dropped, or was tilted too far at a check. A
+        large shift is not a final failure: the shift is judged at rest, and may decrease until then."""
         failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
         return (self.culprit >= 0) & failed.any(-1)
 
@@ -101,7 +102,7 @@ class Metrics(NamedTuple):
         )
 
     def without_sign(self, where: Bool[Array, " world"]) -> Metrics:
-        """The metrics without the first sign."""
+        """The metrics without the first sign of failure."""
         return self._replace(
             culprit=jnp.where(where, -1, self.culprit),
             sign_step=jnp.where(where, -1, self.sign_step),

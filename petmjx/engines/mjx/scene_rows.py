@@ -49,7 +49,7 @@ def with_spare_rows(values: NDArray[Any], spare: int) -> NDArray[Any]:
 
 
 def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, spare: int = 0) -> Rows:
-    """The same as ``rows_of``, for scenes that are all different."""
+    """The rows of scenes that are all different, in the form of ``rows_of``."""
     boards = max(boards, *map(more_shapes, scenes))
     n = len(scenes)
     rows = _empty(n + spare, width, boards)

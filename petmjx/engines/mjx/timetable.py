@@ -28,17 +28,19 @@ class Timetable:
 
     Attributes:
         clock: time after each step, s.
-        due: step at which a wait of ``interval_s`` ends that begins after step s, for each s.
-        longest: step at which a wait of ``longest_wait_s`` ends that begins after step s, for each s.
-        settled: step at which a wait of ``settle_s`` ends that begins after step s, for each s. Its rounding differs
-            from that of the other waits: the time ``clock[s] + settle_s`` is converted to whole steps.
+        due: for each step s, the step at which a wait of ``interval_s`` ends that begins after step s.
+        longest: for each step s, the step at which a wait of ``longest_wait_s`` ends that begins after step s.
+        settled: for each step s, the step at which a wait of ``settle_s`` ends that begins after step s. This wait is
+            rounded otherwise than all other waits: the time ``clock[s] + settle_s`` is converted to whole steps.
         settled_nominally: for each number of boxes, the step after which a drive (the motion of the carrier in a test)
             starts with the fixed schedule. As in the reference implementation, ``settle_s`` is counted from the nominal
             time of the last placement. The actual placement is a little later, since its time is rounded to steps.
-        sample_every, rest_steps: number of steps between two samples, and number of steps of the rest window.
+        sample_every: number of steps between two samples.
+        rest_steps: number of steps of the rest window.
         still_steps: number of steps before a world's end during which boxes must be still.
-        due_steps, longest_steps: number of steps of a wait of ``interval_s`` and of ``longest_wait_s`` after a drive.
-            After a drive, waits are counted in steps, not by the clock.
+        due_steps: number of steps of a wait of ``interval_s`` after a drive. After a drive, waits are counted in steps,
+            not by the clock.
+        longest_steps: number of steps of a wait of ``longest_wait_s`` after a drive.
         one_by_one_end: for each number of boxes, the last step of a check that places boxes one by one with the fixed
             schedule.
         static_end: last step of the static check.
@@ -92,8 +94,8 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
 
 
 def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float) -> Int32[np.ndarray, " step"]:
-    """For each step, the first step that is at least ``wait_s`` later. If this step is beyond the end of the clock, it
-    is the step after the clock's last step."""
+    """For each step, the first step that is at least ``wait_s`` later. A step beyond the end of the clock is replaced
+    by the step after the clock's last step."""
     n = len(clock) - 1
     # searchsorted compares a time with (start of the wait + wait_s). This sum rounds differently from the difference
     # (time - start of the wait) in the rule, so the result is corrected with the rule's own comparison.

@@ -1,7 +1,7 @@
 """Constants of worlds on the device: tables made from jobs, with one row per world.
 
-All worlds of a table have the same number of box columns; columns beyond a world's boxes are padding. Axes are named in
-``petmjx.engines.mjx``.
+All worlds of a table have the same number of box columns; columns beyond a world's boxes are padding. The docstring of
+``petmjx.engines.mjx`` explains the names of axes.
 """
 
 from __future__ import annotations
@@ -37,21 +37,23 @@ class Worlds(NamedTuple):
     ``shape_give``, m³/N, and ``sinks``, the expected descent of boxes, see petmjx/world/compliance.py.
 
     Drives: ``driven``: a drive follows the placement. ``held``: the drive holds the carrier fixed. ``drive_yaw`` is
-    (cos, sin). ``profile_steps`` is the number of samples of the drive. ``drive_steps`` is the number of steps until
-    the world's end, unless the world rests earlier. ``allowed_sway``, m, is the drive's allowed sway.
+    (cos, sin) of the angle by which the drive is rotated about the vertical. ``profile_steps`` is the number of samples
+    of the drive. ``drive_steps`` is the number of steps from the beginning of the drive to the world's end, unless the
+    world rests earlier. ``allowed_sway``, m, is how far a tilted box may have moved sideways in the drive before it
+    ends the world.
 
     Ends: ``settles``: the placement ends in a settled state, from which a drive starts or which is kept.
     ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes are at rest, the
     world waits for further boxes (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends
     when a box is gone.
 
-    Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. The release follows the
-    support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.
-    Carried boxes begin at an offset of ``way_offset`` from ``start``. The path of a carried box has ``way_steps``
-    steps; for a box that falls, ``way_steps`` is 0. At the end of the path, boxes are set down, unless they are
-    released to fall (petmjx/world/approach_paths.py). ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits.
-    ``way_aside``, m, is how far a box may start to the side, towards the low and the high end of x and y.
-    ``wrap_press`` and ``wrap_hold``, N, are the forces of film (petmjx/world/film.py).
+    Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
+    or risen, the box is released lower or higher, by at most ``most_followed``, m (petmjx/world/release_places.py).
+    ``appears``: all boxes begin at ``start``. Carried boxes begin at an offset of ``way_offset`` from ``start``. The
+    path of a carried box has ``way_steps`` steps; for a box that falls, ``way_steps`` is 0. At the end of the path,
+    boxes are set down, unless they are released to fall (petmjx/world/approach_paths.py). ``hand_force``, N, and
+    ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m, is how far a box may start to the side, towards the low
+    and the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces of film (petmjx/world/film.py).
     """
 
     n_boxes: Int[Array, " world"]

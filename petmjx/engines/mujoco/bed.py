@@ -93,8 +93,8 @@ class Beds:
         self._plane = np.asarray(model.geom_type) == mujoco.mjtGeom.mjGEOM_PLANE
 
     def step1(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """``mj_step1`` of MuJoCo with beds of springs. All results other than these contacts are bit-identical to those
-        of ``mj_step1``.
+        """``mj_step1`` of MuJoCo with beds of springs. All results except the contacts of compliant boxes are
+        bit-identical to those of ``mj_step1``.
         """
         mujoco.mj_checkPos(model, data)
         mujoco.mj_checkVel(model, data)

@@ -14,8 +14,8 @@ def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArr
     ``floor_m`` become 0.
 
     Args:
-        sinks_m: (n,) expected descent of each box, m, which does not count as displacement. If None, no box is expected
-            to descend.
+        sinks_m: (n,) expected descent of each box, m, which does not count as displacement. If ``sinks_m`` is None, no
+            box is expected to descend.
     """
     delta = pos - target
     if sinks_m is not None:
@@ -56,7 +56,8 @@ def excess(shift_m: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_], th
 
 
 def speed(vel: FloatArray, radius_m: FloatArray) -> FloatArray:
-    """(n,) upper bound of the speed of each box's fastest point, m/s: ‖v‖ + r·‖ω‖.
+    """(n,) upper bound of the speed of each box's fastest point, m/s: speed of the centre + half diagonal × angular
+    speed.
 
     Args:
         vel: (n, 6) velocities of the centres, m/s, followed by angular velocities, rad/s.
@@ -66,8 +67,8 @@ def speed(vel: FloatArray, radius_m: FloatArray) -> FloatArray:
 
 
 def moved(before: FloatArray, after: FloatArray, radius_m: FloatArray) -> FloatArray:
-    """(n,) upper bound of the distance by which any point of each box has moved, m: ‖Δc‖ + r·2·‖Δq‖, for small
-    rotations.
+    """(n,) upper bound of the distance by which any point of each box has moved, m: move of the centre + half diagonal
+    × 2 × distance of the quaternions, for small rotations.
 
     Args:
         before, after: (n, 7) centres (m) and unit quaternions of the boxes at two times.

@@ -12,7 +12,7 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.job import Job
 
 LEAST_S: Final = {Check.STATIC: 30.0, Check.ONE_BY_ONE: 300.0}
-"""CPU time that every world may take at least, s. Third-party plans of up to 241 boxes, with all boxes placed at once,
+"""Every world may take at least this CPU time, s. Third-party plans of up to 241 boxes, with all boxes placed at once,
 take up to 6 s."""
 
 MOST_TIMES: Final = 32.0
@@ -20,8 +20,8 @@ MOST_TIMES: Final = 32.0
 their expected time."""
 
 MOST_TIMES_CARRIED: Final = 70.0
-"""The same multiple as ``MOST_TIMES``, for worlds in which a hand or tines carry boxes: a carried box may be pressed
-into a pile that collapses."""
+"""Largest CPU time of a world in which a hand or tines carry boxes, as a multiple of its expected time. The multiple is
+larger than ``MOST_TIMES``, since a carried box may be pressed into a pile that collapses."""
 
 LONG_S: Final = 5.0
 """Wall-clock time after which the user sees the progress of a single world, s."""
@@ -34,8 +34,9 @@ class Budget:
     """The time limit of one attempt at a world. The thread that simulates the world creates the budget and checks it.
 
     Args:
-        timeout_s: wall-clock time limit, s. If None, CPU time is limited by ``LEAST_S`` and ``MOST_TIMES``. Worlds with
-            soft boxes then have no limit, since their time cannot be estimated.
+        timeout_s: wall-clock time limit, s. If ``timeout_s`` is None, CPU time is limited by ``LEAST_S`` and
+            ``MOST_TIMES``. Without ``timeout_s``, worlds with soft boxes have no limit, since their time cannot be
+            estimated.
 
     Attributes:
         slow: whether at least ``SLOW_S`` passed between the last two checks.

@@ -4,9 +4,9 @@ Newton's method factorises the matrix M + JᵀDJ in every iteration, and updates
 matrix has an entry for each pair of boxes that touch. Eliminating a box adds entries for all pairs of its neighbours
 (fill-in). In packing order, the fill-in covers whole layers. The order of *minimum degree* avoids most fill-in (Tinney
 and Walker, "Direct solutions of sparse network equations by optimally ordered triangular factorization", 1967; George
-and Liu, "The evolution of the minimum degree ordering algorithm", 1989). For a full pallet of 150 boxes, the factor
-then has a third of the blocks and needs a tenth of the operations. The order changes only the last digits of a step's
-results.
+and Liu, "The evolution of the minimum degree ordering algorithm", 1989). For a full pallet of 150 boxes, the factor has
+a third as many blocks as in packing order, and needs a tenth of the operations. The order changes only the last digits
+of a step's results.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from petmjx.common.units import FloatArray
 from petmjx.world.scene import Scene
 
 NEAR_M = 0.005
-"""Two boxes whose distance at their release is below this value may touch later, m. Neighbours in a plan are 0.1 mm
-apart, because simulated boxes are smaller than planned. Some neighbours also stand on boxes of slightly different
-heights."""
+"""Two boxes may touch later if they are nearer to each other at their release than this distance, m. Neighbours in a
+plan are 0.1 mm apart, because simulated boxes are smaller than planned. Some neighbours also stand on boxes of slightly
+different heights."""
 
 
 def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken: bool) -> NDArray[np.intp]:
@@ -30,9 +30,9 @@ def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken
 
     Args:
         contacts: (m, 2) pairs of boxes that touch now. Contacts with the carrier and the floor are left out.
-        shaken: if True, boxes are expected to touch their neighbours at the sides. If False, only pairs are expected to
-            touch in which one box stands on the other. A standing pallet has few other contacts, and including them
-            would add half as many operations.
+        shaken: if True, boxes are expected to touch their neighbours at the sides. If ``shaken`` is False, only pairs
+            are expected to touch in which one box stands on the other. On a standing pallet, few boxes touch their
+            neighbours at the sides, and including these pairs would add half as many operations.
     """
     joined = _may_touch(scene.start_pos[:n_boxes], scene.half_size[:n_boxes], NEAR_M if shaken else 0.0)
     first, second = contacts.T

@@ -33,7 +33,7 @@ LOOK_S: Final = 0.25
 
 class MujocoEngine(Engine):
     """Simulates each world alone, on its exact model. Tests compare the other engines with this engine. Without a GPU,
-    it is the fastest engine for a small amount of work.
+    this engine is the fastest one for a small amount of work.
 
     ``mj_step`` takes all steps up to the next event without Python's global interpreter lock, so the speed grows with
     the number of CPU cores. The outcome of a world does not depend on the number of threads.
@@ -42,10 +42,10 @@ class MujocoEngine(Engine):
     reasons are a model that does not compile, a lack of memory, or an error in MuJoCo.
 
     Args:
-        threads: number of worlds that are simulated at once. If None, it is the number of CPU threads that this process
-            may use.
-        world_timeout_s: longest wall-clock time of one attempt at a world, s. If None, the limit follows from the
-            world's expected time (petmjx/engines/mujoco/cpu_budget.py).
+        threads: number of worlds that are simulated at once. If ``threads`` is None, the number is that of the CPU
+            threads that this process may use.
+        world_timeout_s: longest wall-clock time of one attempt at a world, s. If ``world_timeout_s`` is None, the limit
+            follows from the world's expected time (petmjx/engines/mujoco/cpu_budget.py).
     """
 
     name = "mujoco"

@@ -16,7 +16,8 @@ class ActingFilm:
     """Stretch film that holds boxes at the places that they had when the film was wound around them.
 
     Args:
-        pos: (n, 3) the boxes' centres of mass at this time, relative to the carrier's centre of mass, m.
+        pos: (n, 3) the boxes' centres of mass when the film is wound around them, relative to the carrier's centre of
+            mass, m.
     """
 
     def __init__(self, scene: Scene, timestep_s: float, pos: FloatArray) -> None:

@@ -1,4 +1,4 @@
-"""Records the frames of one world on C MuJoCo: the poses after a step, and the forces and accelerations during it."""
+"""Records the frames of one world on C MuJoCo: poses after a step, and forces and accelerations during the step."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def read_contacts(data: mujoco.MjData, bodies: NDArray[np.integer], pyramidal: b
 
 
 def _penetration(contacts: Contacts, n_placed: int) -> FloatArray:
-    """(n_placed,) largest penetration at any contact of each box, m. 0 for a box without contacts."""
+    """(n_placed,) largest penetration at any contact of each box, m. The value is 0 for a box without contacts."""
     depth = np.zeros(n_placed)
     for side in range(2):
         box = contacts.body[:, side]

@@ -38,7 +38,7 @@ class Jitter:
 
     def which(self, n: int) -> NDArray[np.bool_]:
         """(n,) whether each of the n placed boxes trembles. Shortly after a placement, no box counts as trembling,
-        since there have been too few looks.
+        since the boxes have been checked too few times.
         """
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 

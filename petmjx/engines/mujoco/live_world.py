@@ -34,9 +34,9 @@ longer if 1 or 40 boxes are added at once than if 8 are."""
 
 ORDERED_FROM = 64
 """Smallest number of boxes of a plan whose bodies are sorted in elimination order. In elimination order, third-party
-plans of 76 or more boxes are simulated 1.3 to 4.6 times as fast. Third-party plans of 45 and 66 boxes, and generated
-plans, gain at most 2 %. For these plans, compiling the model again for a new order costs as much time as the order
-saves."""
+plans of 76 or more boxes are simulated 1.3 to 4.6 times as fast as in packing order. Third-party plans of 45 and 66
+boxes, and generated plans, gain at most 2 %. For these plans, compiling the model again for a new order costs as much
+time as the order saves."""
 
 _PARKING_M = 100.0
 _PARKING_PITCH_M = 10.0
@@ -63,15 +63,15 @@ class LiveWorld:
     With pyramidal friction cones, an additional body represents the waiting boxes
     (``petmjx.engines.mujoco.waiting_boxes``).
 
-    The bodies of a large plan are sorted in elimination order (``petmjx.engines.mujoco.elimination_order``), the bodies
-    of a smaller plan in packing order. With pyramidal cones, all bodies are in packing order, so that results are
+    The bodies of a large plan are sorted in elimination order (``petmjx.engines.mujoco.elimination_order``). The bodies
+    of a smaller plan are in packing order. With pyramidal cones, all bodies are in packing order, so that results are
     bit-identical to the reference implementation. All arrays that this class takes and returns have rows in packing
     order.
 
     Args:
-        templates: compiled models of open worlds, which are filled in instead of compiling a model. If None, models are
-            compiled.
-        held: pose in which the carrier is clamped from the beginning. If None, the carrier is free.
+        templates: compiled models of open worlds, which are filled in instead of compiling a model. If ``templates`` is
+            None, models are compiled.
+        held: pose in which the carrier is clamped from the beginning. If ``held`` is None, the carrier is free.
 
     Attributes:
         order: (capacity,) numbers of the boxes in the order of their bodies.
@@ -100,7 +100,7 @@ class LiveWorld:
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
         self._slip = SlipLaw(sim.physics)
-        self._slides, self._looked = False, 0  # slid at the last check; steps since it
+        self._slides, self._looked = False, 0  # whether boxes slid at the last check; number of steps since this check
         lands = sim.physics.has_landings and scene.soft is None
         self._landings = Landings(scene, sim) if lands else None
         self._build(n_boxes)
@@ -158,7 +158,7 @@ class LiveWorld:
 
     @cached_property
     def approach_path(self) -> ApproachPath | None:
-        """The paths along which boxes approach their places. If None, boxes appear at their places."""
+        """The paths along which boxes approach their places. The result is None if boxes appear at their places."""
         return approach_path_of(self.scene, self._sim)
 
     @property
@@ -361,7 +361,7 @@ class LiveWorld:
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) centres (m) and (k, 4) quaternions of the placed boxes at the beginning of the last step.
 
-        The accelerations and contact forces of the last step belong to these poses.
+        The accelerations and contact forces of a step belong to the poses at its beginning.
         """
         rows = self._first_body + self._row[: self.n_placed]
         pos, quat = self.data.xpos[rows], self.data.xquat[rows]

@@ -55,7 +55,7 @@ def set_options(model: mujoco.MjModel, sim: Simulation) -> None:
 
 
 class Templates:
-    """Model templates, one for each number of boxes and carrier. Several threads may use them."""
+    """Model templates, one for each number of boxes and carrier. Several threads may use these templates."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim

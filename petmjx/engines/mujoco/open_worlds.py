@@ -26,7 +26,7 @@ from petmjx.world.scene import Scene
 
 
 class OpenWorld(WorldRun):
-    """A world that pauses when all its boxes are placed and at rest. More boxes can then be added.
+    """A world that pauses when all its boxes are placed and at rest. While the world pauses, more boxes can be added.
 
     The new world is at the end of its soft start. No box is placed yet; in a static check, all boxes are placed.
 
@@ -122,7 +122,8 @@ class OpenWorld(WorldRun):
         return self._outcome(came_to_end=not self.ended and self._loop())
 
     def _lingers(self) -> bool:
-        """Whether the world paused, still moving, because its time was up, and may get a longer last wait."""
+        """Whether the world paused because its time was up, although boxes were still moving, so that the world may get
+        a longer last wait."""
         return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:

@@ -40,17 +40,19 @@ class QuietRule:
 
     @property
     def holds(self) -> bool:
-        """Whether the last look found the pallet quiet."""
+        """Whether the pallet was quiet at the last check (``look``)."""
         return self._steps >= self._rule.steps
 
     def look(self, pose: FloatArray, velocity: FloatArray, has_failed: bool, adapts: bool = True) -> bool:
-        """Take one look at the boxes. Returns whether the pallet is quiet, not counting trembling boxes.
+        """Check once whether the boxes are slow. Returns whether the pallet is quiet, not counting trembling boxes.
 
         Args:
             pose: (k, 7) positions (m) and unit quaternions of the placed boxes.
             velocity: (k, 6) velocities (m/s), followed by angular velocities (rad/s).
-            has_failed: whether a box has dropped or tilted too far. The rule then does not wait for creeping boxes.
-            adapts: whether the wait ends as soon as the pallet is quiet. The rule then looks for trembling boxes.
+            has_failed: whether a box has dropped or tilted too far. If ``has_failed`` is True, the rule does not wait
+                for creeping boxes.
+            adapts: whether the wait ends as soon as the pallet is quiet. If ``adapts`` is True, the rule also looks for
+                trembling boxes.
         """
         rule, radius = self._rule, self._radius_m[: len(velocity)]
         speed = box_motion.speed(velocity, radius)

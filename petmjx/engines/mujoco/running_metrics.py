@@ -206,11 +206,11 @@ class OracleMetrics:
         return self.any_dropped or bool(lost.any())
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
-        """Start a drive (motion of the carrier) with the k boxes in these poses. Sway is measured from these poses.
-        Whether boxes are at rest is judged at the end of the drive.
+        """Start a drive (motion of the carrier) with the k boxes in these poses. Sway is measured from the poses at the
+        start of the drive. Whether boxes are at rest is judged at the end of the drive.
 
         If no box is beyond a threshold now, signs of failure during the placement (such as a hard landing) are
-        forgotten. The first sign of failure is then the first during the drive.
+        forgotten. From then on, the first sign of failure is the first one during the drive.
         """
         k = len(pos)
         self._sway_origin = pos.copy()

@@ -29,11 +29,11 @@ from petmjx.world.friction_pairs import USUAL
 LOOK_STEPS = 5
 """Number of steps between two checks whether bodies move. At rest, these steps are taken in one call of C, without
 Python's global interpreter lock. A body that begins to slip between two checks is at most 0.1 m/s fast at the second
-check. Until then, its contacts keep their static friction."""
+check. Until the second check, the body's contacts keep their static friction."""
 
 SLOW_M_S = STICKS_M_S / 4
-"""While the norm of all velocities is below this, no contact slides, m/s and rad/s. Below this norm, all points within
-1.7 m of a body's centre are slower than half of ``STICKS_M_S``."""
+"""While the norm of all velocities (m/s and rad/s) is below this value, no contact slides. If the norm is smaller, all
+points within 1.7 m of a body's centre are slower than half of ``STICKS_M_S``."""
 
 
 class SlipLaw:

@@ -1,8 +1,8 @@
 """A MuJoCo world with soft boxes (petmjx/world/soft_boxes.py), which are deformable bodies made of points.
 
-Shifts and tilts are measured on the rigid box that best fits the points of a soft box. This rigid box has the centre of
-mass, the momentum and the angular momentum of the points. The rotation of the rigid box is the best fit by least
-squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976).
+Shifts and tilts are measured on the rigid box that best fits the points of a soft box. The rigid box that fits best has
+the centre of mass, the momentum and the angular momentum of the points. The rotation of the rigid box is the best fit
+by least squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976).
 """
 
 from __future__ import annotations

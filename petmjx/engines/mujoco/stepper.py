@@ -15,8 +15,8 @@ from petmjx.engines.mujoco.top_forces import top_force_inputs
 from petmjx.options.simulation import Simulation
 
 _RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2
-"""If the sum of the squares of all velocities (m/s and rad/s) is at most this, no point within 1 m of a box's centre is
-faster than ``RESTLESS_M_S``."""
+"""If the sum of the squares of all velocities (m/s and rad/s) is at most this value, no point within 1 m of a box's
+centre is faster than ``RESTLESS_M_S``."""
 
 
 class Stepper:
@@ -25,7 +25,7 @@ class Stepper:
     Args:
         sim: the options, which determine when the rules check whether the pallet is quiet. The largest forces include
             the forces in the steps of these checks.
-        budget: the time budget of the world. If None, there is no limit.
+        budget: the time budget of the world. If ``budget`` is None, there is no limit.
     """
 
     def __init__(self, sim: Simulation, budget: Budget | None) -> None:

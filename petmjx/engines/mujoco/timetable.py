@@ -53,7 +53,7 @@ class Waits:
         return self._static and not self.settles
 
     def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:
-        """Start to wait after ``step``.
+        """Start to wait for the next event, after the step ``step``.
 
         Args:
             n_boxes: number of boxes of the plan.
@@ -89,9 +89,9 @@ class Waits:
     def _latest_after(self, since: int) -> int:
         """The latest step for the next event after a short wait that began after the step ``since``.
 
-        With the fixed schedule, a drive starts at the same time as in the reference implementation. This time is
-        counted from the nominal time of the last placement. (The real placement is a few steps later, since times are
-        rounded to steps.)
+        With the fixed schedule, a drive starts at the same time as in the reference implementation. The start of the
+        drive is counted from the nominal time of the last placement. (The real placement is a few steps later, since
+        times are rounded to steps.)
         """
         sim = self._sim
         if self._all_placed and self.settles and self.drive_end is None:
@@ -104,8 +104,8 @@ class Waits:
 
     @property
     def in_drive(self) -> bool:
-        """Whether the world now waits for quiet after the last sample of a drive. Such a wait ends before
-        ``drive_end``.
+        """Whether the world now waits for quiet after the last sample of a drive. A wait for quiet after a drive ends
+        before ``drive_end``.
         """
         return self.drive_end is not None and self.since < self.drive_end
 
@@ -125,8 +125,8 @@ class Waits:
         return step < (self.static_end if self._is_plain_static else self.longest_wait)
 
     def _later(self, since: int, wait_s: float) -> int:
-        """The step at which a wait is over. After a drive, the length of a wait is a number of steps, as the length of
-        the drive is.
+        """The step at which a wait is over. After a drive, the length of a wait is counted in steps, like the length of
+        the drive.
         """
         if self.drive_end is not None:
             return since + seconds_to_steps(wait_s, self._dt)

@@ -124,7 +124,8 @@ class WorldRun:
         self._begin_drive(self._job.drive)
 
     def _loop(self) -> bool:
-        """Simulate from event to event. Returns whether the world reached its end or a pause."""
+        """Simulate from one event (placement, start of the drive, rest window) to the next. Returns whether the world
+        reached its end or a pause."""
         while self._step < self._end and not self.paused:
             if self._cancelled():
                 raise WorldCancelled
@@ -226,7 +227,7 @@ class WorldRun:
         return True
 
     def _transition(self) -> None:
-        """After a step, place the next box or start the phase after the placement, if this is due."""
+        """After a step, place the next box or start the phase after the placement, if either is due."""
         if self._live.hand is not None:
             self._carry_on(self._live.hand)
         elif self._waiting:
@@ -275,8 +276,8 @@ class WorldRun:
             self._has_placed()
 
     def _has_placed(self) -> None:
-        """The last box now stands, falls, or is in the hand: start to wait. For a carried box, the wait starts again
-        when the hand releases it."""
+        """The last box now stands, falls or is in the hand, so the wait for the next event begins. For a carried box,
+        the wait starts again when the hand releases it."""
         self._still_pose[self._live.n_placed - 1] = self._live.pose[self._live.n_placed - 1]
         self._waits.last_placement = self._step
         self._wait(self._step)
@@ -330,7 +331,7 @@ class WorldRun:
             self._settle()
 
     def _look_for_quiet(self) -> bool:
-        """Look at the pallet if a look is due. Returns whether this look finds the pallet quiet."""
+        """If a check is due, check whether the pallet is quiet. Returns False if no check is due."""
         if self._step % self._sim.quiet.poll_steps or self._step <= self._waits.since:
             return False
         live, k = self._live, self._live.n_placed

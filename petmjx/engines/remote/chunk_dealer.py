@@ -43,15 +43,16 @@ class Deal:
     idle at the end of each chunk, there are only as many of these chunks as keep all workers busy.
 
     The first death of a worker may have an outside cause, so its jobs are given out again like other jobs. Jobs whose
-    workers have died twice wait until no other jobs are left. These jobs, n in number, are then given out in chunks of
-    √n jobs, and after another death one by one. A job is given up if it was the only job in a worker that died.
+    workers have died twice wait until no other jobs are left. If n jobs wait for this reason, they are given out in
+    chunks of √n jobs, and after another death one by one. A job is given up if it was the only job in a worker that
+    died.
 
     Args:
         costs: (n,) expected time of each job, in any unit.
         slots: number of chunks that are simulated at the same time, over all workers.
         group: largest number of jobs of a chunk, if the engine simulates worlds side by side; None if the engine
             simulates job after job.
-        least: used with ``group``: if there are fewer jobs than this, one worker gets all of them.
+        least: used with ``group``: if there are fewer jobs than this number, one worker gets all jobs.
         deadly: numbers of the jobs that were the only job in a worker that died.
     """
 

@@ -35,7 +35,8 @@ REPORT_S = 0.2
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """The first message of a worker, sent when it is ready. ``error``: the reason why its engine cannot be created."""
+    """The first message of a worker, sent when it is ready. ``error``: the reason why the worker's engine cannot be
+    created."""
 
     pid: int
     host: str
@@ -66,10 +67,11 @@ class Worker:
     """Creates an engine once, and runs chunks of jobs on it. Several chunks may run at the same time, in threads.
 
     Args:
-        threads: number of threads of the engine. If None, the engine's default is used.
+        threads: number of threads of the engine. If ``threads`` is None, the engine's default is used.
         check_pool: number of processes that check the outcomes of a large chunk. Only one large chunk runs at a time.
-        thorough: whether the engine must be created before the worker reports that it is ready. If False (only for
-            ``mjx-warp``), a thread creates the engine, which takes seconds, while the first jobs are made and sent.
+        thorough: whether the engine must be created before the worker reports that it is ready. If ``thorough`` is
+            False (only for ``mjx-warp``), a thread creates the engine, which takes seconds, while the first jobs are
+            made and sent.
 
     All data are pickled bytes. Objects from Ray's object store would be read-only, and would occupy the memory of the
     store.

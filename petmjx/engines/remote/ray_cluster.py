@@ -109,7 +109,8 @@ class _LocalRay:
     handlers into a bare KeyboardInterrupt. The thread lives as long as Ray, since Ray's processes end with this thread.
 
     Args:
-        address: address of the head of a cluster. If None, a new Ray is started that uses only this machine.
+        address: address of the head of a cluster. If ``address`` is None, a new Ray is started that uses only this
+            machine.
     """
 
     def __init__(self, ray: Any, address: str | None) -> None:
@@ -233,8 +234,8 @@ class Cluster:
     If the program that uses petmjx has already started Ray, this Ray is used and is not ended.
 
     Args:
-        address: address of the head of a cluster (HOST:PORT, or ``auto`` for a cluster on this machine). If None, a new
-            cluster is started that uses only this machine.
+        address: address of the head of a cluster (HOST:PORT, or ``auto`` for a cluster on this machine). If ``address``
+            is None, a new cluster is started that uses only this machine.
 
     Raises:
         EngineUnavailable: Ray is not installed or cannot start.
@@ -243,7 +244,7 @@ class Cluster:
 
     _lock = threading.Lock()
     _latest: _LocalRay | None = None
-    """The instance of Ray that this process started or joined last. If it has no users, it is ending."""
+    """The instance of Ray that this process started or joined last. If this instance has no users, it is ending."""
 
     def __init__(self, address: str | None = None) -> None:
         cls = Cluster

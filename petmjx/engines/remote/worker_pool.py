@@ -39,8 +39,8 @@ FALSE_STARTS = 3
 """If this number of workers in a row fail to start, the run ends, or dead workers are no longer replaced."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
-"""Name of an engine → number of jobs. If a run has fewer jobs, one worker with this engine gets all jobs, since a
-device takes as long for a few worlds as for many."""
+"""Name of an engine → smallest number of jobs that are divided among several workers. If a run has fewer jobs, one
+worker with this engine gets all jobs, since a device takes as long for a few worlds as for many."""
 
 _HIGHEST = (" lanes", " contacts")
 """Endings of names in ``Progress.extra``. If a name has one of these endings, the largest value of all workers is
@@ -225,7 +225,7 @@ class WorkerPool(Engine):
                         yield from self._bury(hand, deal, jobs, sim, progress)
             progress.message = before
         finally:
-            for hand in [hand for hand in self._hands if hand.streams]:  # nobody needs their other chunks
+            for hand in [hand for hand in self._hands if hand.streams]:  # nobody needs these workers' other chunks
                 self._hands.remove(hand)
                 self._kill(hand)
 

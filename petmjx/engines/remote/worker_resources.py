@@ -47,7 +47,8 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
     Args:
         workers: number of workers. ``auto``: one per GPU, or, without GPUs, one per machine with all its CPUs. If there
             are more workers than GPUs, each GPU is shared by the same number of workers.
-        threads: number of threads of each worker of ``mujoco``. If None, it is the worker's share of the CPUs.
+        threads: number of threads of each worker of ``mujoco``. If ``threads`` is None, the number is the worker's
+            share of the CPUs.
 
     Raises:
         InputError: the cluster does not have enough CPUs, or cannot put the same number of workers on each GPU.

@@ -29,8 +29,8 @@ NICE = 5
 busy."""
 
 GRANULE = 96
-"""The number of box columns of tables is a multiple of this, so that single worlds of nearly all sizes use the same
-compiled programs."""
+"""The number of box columns of tables is a multiple of this number, so that single worlds of nearly all sizes use the
+same compiled programs."""
 
 _BUILDING = threading.Lock()
 """A lock that is held while an engine is created, since the first engine starts JAX and Warp."""
@@ -88,7 +88,8 @@ def answer_to(
     Args:
         engines: name → engine, for the engines of this thread. A missing engine is created and added.
         stops: function that returns whether the outcome is no longer needed.
-        granule: the number of box columns of tables is a multiple of this. If None, the engine's default is used.
+        granule: the number of box columns of tables is a multiple of this number. If ``granule`` is None, the engine's
+            default is used.
     """
     outcome, progress = None, Progress(pauses=True)
     try:

@@ -28,7 +28,7 @@ MOST: Final = 3
 """Largest number of check processes. With three check processes, the run's own process is busier than each of them."""
 
 THREADS_EACH: Final = 4
-"""Number of CPU threads of a machine for each check process."""
+"""A machine with k times this number of CPU threads gets up to k check processes."""
 
 MOST_WAITING: Final = 8
 """Largest number of unfinished checks of a process. Eight checks of 256 outcomes each take 20 MB."""
@@ -41,8 +41,8 @@ INTERRUPTED_S: Final = 2.0
 checks."""
 
 HANGS_S: Final = 60.0
-"""A process counts as hanging if an answer takes longer than this, s. A process normally starts within a few seconds,
-and a check takes less than a second."""
+"""A process counts as hanging if an answer takes longer than this time, s. A process normally starts within a few
+seconds, and a check takes less than a second."""
 
 _ANY_DRIVE: Final = Drive(Excitation("any", ACCELERATION, np.zeros((0, 3))))
 """Stands for the drive (motion of the carrier) of a job that is sent to a check process. Checks need to know only

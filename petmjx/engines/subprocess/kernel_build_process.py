@@ -23,7 +23,7 @@ class GpuLimits:
     Attributes:
         arch: compute capability times ten: 90 is an H100.
         max_shared_memory_per_block: largest shared memory of a thread block, bytes.
-        sm_count: number of multiprocessors. Kernels do not depend on this number.
+        sm_count: number of multiprocessors. Kernels do not depend on ``sm_count``.
     """
 
     arch: int
@@ -52,7 +52,7 @@ class BuildAnswer(NamedTuple):
 
     Attributes:
         seconds: time that compiling took, s; nearly 0 for a kernel that was in the cache.
-        fault: why the kernel could not be compiled; "" if it was.
+        fault: why the kernel could not be compiled; "" if it was compiled.
     """
 
     build: KernelBuild

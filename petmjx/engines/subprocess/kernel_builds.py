@@ -114,8 +114,8 @@ class KernelBuilds:
 
 
 def builds_if_missing(sim: Simulation) -> KernelBuilds | None:
-    """Begin to compile the usual kernels for this machine's GPU. None if there is no GPU, or if an earlier run left a
-    note that these kernels are in the cache."""
+    """Begin to compile the usual kernels for this machine's GPU. The result is None if there is no GPU, or if an
+    earlier run left a note that these kernels are in the cache."""
     gpu = gpu_here()
     if gpu is None or are_noted(_name_of(sim, gpu)):
         return None

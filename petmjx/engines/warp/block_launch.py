@@ -186,10 +186,11 @@ class Size:
         most_boxes: largest number of boxes of a world.
         threads: number of threads of a block, from 64 to 512. The number of threads of a world is a power of two, from
             32 to 256 (ORDER in block.cuh).
-        per_sm: number of blocks that a multiprocessor of a GPU runs at the same time. This number limits the number of
-            registers of a thread.
+        per_sm: number of blocks that a multiprocessor of a GPU runs at the same time. The number of blocks limits the
+            number of registers of a thread.
         shared_bytes: shared memory of a block for rows of the factor of the Hessian, and for the Hessian if it fits,
-            bytes. A multiprocessor has 256 kB for all its blocks. The part of it that no block uses serves as cache.
+            bytes. A multiprocessor has 256 kB for all its blocks. The part of these 256 kB that no block uses serves as
+            cache.
         worlds: number of worlds of a block: one for all its threads, or one for each warp (32 threads).
         pause_after: number of iterations after which the solver of a world pauses, so that the other worlds of the
             block need not wait for this world. If 0, the solver never pauses.
@@ -212,8 +213,8 @@ FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
 matrix."""
 
 LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
-"""Blocks for the last worlds of a run, if these worlds have the smaller size. Each of these blocks fills a
-multiprocessor."""
+"""Blocks for the last worlds of a run, if these worlds fit into the smaller of the two usual sizes. Each of these
+blocks fills a multiprocessor."""
 
 
 USUAL: Final = (SIZES[0], FEW_BOXES, LAST)
@@ -252,9 +253,9 @@ class Launch:
         shared_words: shared memory for rows of the factor of a world's Hessian, and for the Hessian, in units of four
             bytes.
         panels: number of panels (groups of 16 rows) of the largest system of equations.
-        hands: whether hands may carry boxes. A kernel without this feature spills fewer registers to memory.
-        gives, wraps: whether boxes may be compliant, and whether stretch film may hold boxes. A kernel without these
-            features also spills fewer registers.
+        hands: whether hands may carry boxes. A kernel without hands spills fewer registers to memory.
+        gives: whether boxes may be compliant. A kernel without compliant boxes spills fewer registers, too.
+        wraps: whether stretch film may hold boxes. A kernel without film spills fewer registers, too.
         lands: whether the law of landing boxes is in use.
     """
 
@@ -307,7 +308,8 @@ class Launch:
         """The launch for blocks of this size. If a GPU has too little shared memory, blocks have fewer worlds.
 
         Args:
-            device: the device for which the kernel is compiled. If None, this is Warp's current device.
+            device: the device for which the kernel is compiled. If ``device`` is None, the kernel is compiled for
+                Warp's current device.
         """
         device = device or wp.get_device()
         if not device.is_cuda:

@@ -16,7 +16,8 @@ from petmjx.world.contact_laws import is_stiff
 
 
 def most_room(size: int) -> int:
-    """Largest number of boxes for whose contacts and pairs the buffers of a world of this size may grow.
+    """Upper limit for the growth of buffers: the buffers of a world of this size get room for the contacts and pairs of
+    at most this number of boxes.
 
     The limit is the same in all runs, so the largest plan of a run has no influence on whether a world is given up."""
     return MAX_GROWTH * (size + MORE_BOXES)
@@ -26,8 +27,8 @@ class BlockPools:
     """Makes the block pools for an engine's tables, and enlarges buffers that overflow. Enlarged buffers stay large.
 
     Args:
-        lanes: largest number of worlds of one size that are simulated at the same time. If None, it is the number for
-            which the device has room.
+        lanes: largest number of worlds of one size that are simulated at the same time. If ``lanes`` is None, the limit
+            is the number for which the device has room.
         blocks: function that returns the number of blocks of a launch.
     """
 
@@ -38,14 +39,15 @@ class BlockPools:
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
         """The block pools of a table. Pools for the last worlds and for small worlds, if there are any, come first.
-        Then comes one pool for each size, the largest size first. ``Programs._advance`` makes the queues in the same
-        order."""
+        Then comes one pool for each size, the largest size first. ``Programs._advance`` makes the queues in the order
+        of the pools."""
         run = table.run
         pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
         # There is no pool for small worlds if buffers are enlarged: each of the pool's many lanes would need an
-        # enlarged buffer. There is no pool for small worlds with stiff contacts either. With these, a step takes five
-        # times as many iterations, and in some worlds many more, for which the other worlds of the block would wait.
+        # enlarged buffer. There is no pool for small worlds with stiff contacts either. With stiff contacts, a step
+        # takes five times as many iterations, and in some worlds many more, for which the other worlds of the block
+        # would wait.
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(table.table.placed)[: len(table.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = small_world_pool(pools[-1], worlds, self._lanes)

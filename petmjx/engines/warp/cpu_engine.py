@@ -1,5 +1,5 @@
-"""Engine ``mjx-warp-cpu``: the kernels of ``mjx-warp`` on CPU threads. Without a GPU, it is the fastest engine for a
-large amount of work."""
+"""Engine ``mjx-warp-cpu``: the kernels of ``mjx-warp`` on CPU threads. Without a GPU, this engine is the fastest one
+for a large amount of work."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class MjxWarpCpuEngine(MjxWarpEngine):
     The outcome of a world does not depend on the number of threads.
 
     Args:
-        threads: number of worlds that are simulated at once. If None, it is the number of CPU threads that this process
-            may use.
+        threads: number of worlds that are simulated at once. If ``threads`` is None, the number is that of the CPU
+            threads that this process may use.
 
     Raises:
         EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process. The message names the reason.

@@ -56,16 +56,17 @@ class MjxWarpEngine(Engine):
     (petmjx/engines/attempts.py).
 
     Args:
-        lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
+        lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which
+            the device has room.
         allow_cpu: whether to run Warp's kernels on the CPU if there is no CUDA device. Running on the CPU is slow, and
             meant for tests.
-        most_rows: largest number of worlds whose states are on the device at the same time. This number limits the
+        most_rows: largest number of worlds whose states are on the device at the same time. ``most_rows`` limits the
             memory, whatever the number of jobs.
         slice_ns: length of a time slice (one call of the kernels), ns. After each slice, the CPU reads which worlds
             have ended.
 
     Attributes:
-        granule: the number of box columns of tables is a multiple of this.
+        granule: the number of box columns of tables is a multiple of this number.
         least_rows: smallest number of rows of a table. Programs are compiled for each number of rows and of columns. So
             a larger ``least_rows`` saves compilations in long runs that begin with few jobs, and in series of runs with
             different numbers of jobs.
@@ -123,7 +124,7 @@ class MjxWarpEngine(Engine):
         """Simulate each job once. An outcome is yielded when its world ends.
 
         Raises:
-            RuntimeError: an earlier run of the same thread has not ended. (A run of another thread is waited for.)
+            RuntimeError: an earlier run of the same thread has not ended. (This run waits for runs of other threads.)
         """
         stream = JobStream.of(jobs)
         if stream.ended:

@@ -132,7 +132,7 @@ def _block_pool(
     shapes = growth * (width + MORE_BOXES) + boards - 1
     pool = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
     few = small_world_pool(pool, worlds) if k <= FEW_BOXES.most_boxes else None
-    # with least=0, the blocks for small worlds are used to the end, even if few worlds are left
+    # with least=0, blocks for small worlds stay in use even if few worlds are left
     return pool if few is None else replace(few, least=0)
 
 

@@ -54,7 +54,7 @@ class KernelFeatures:
         """The features and block sizes that these jobs need.
 
         Args:
-            granule: the widths are multiples of this.
+            granule: the widths are multiples of this number.
 
         Raises:
             InputError: a job has more boxes than the largest block has room for.

@@ -68,7 +68,7 @@ class Simulator:
         most_boxes: largest number of boxes of a world.
         boards: largest number of shapes of a carrier.
         room: factor by which buffers are larger than the default.
-        threads: number of CPU threads. If None, there is one thread.
+        threads: number of CPU threads. If ``threads`` is None, there is one thread.
         traits: features for which the kernel is compiled. A kernel with fewer features spills fewer registers to
             memory.
     """
@@ -122,7 +122,8 @@ class Simulator:
         return OpenState(after, state._replace(status=jnp.where(goes, Status.RUNNING, state.status)))
 
     def put_next(self, open_: OpenState, rows: Int[Array, " row"], box: NewBox) -> OpenState:
-        """Add one box, which appears at its place, to each of these worlds. Apart from that, the same as ``put``."""
+        """Add one box, which appears at its place, to each of these worlds. In all other respects, this function does
+        the same as ``put``."""
         return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
 
     def finish(self, open_: OpenState) -> State:

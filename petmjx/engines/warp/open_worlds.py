@@ -52,7 +52,7 @@ class WarpWorlds(OpenWorlds):
     Args:
         scenes: the scenes of the worlds.
         most_boxes: largest number of boxes that a world will ever have.
-        threads: number of CPU threads on which the worlds run. If None, there is one thread.
+        threads: number of CPU threads on which the worlds run. If ``threads`` is None, there is one thread.
 
     Attributes:
         open: the worlds, on the device.
@@ -138,7 +138,7 @@ class WarpWorlds(OpenWorlds):
         padded = padded_rows(count)
         batch = load(jobs, padded, self.width, self._sim, self._timetable)
         forks = _take(self.open, self._rows(worlds, padded), count)
-        more = self._constants(scenes, padded)  # have no drives yet: a drive begins when the boxes rest
+        more = self._constants(scenes, padded)  # without the drives, which begin when the boxes rest
         rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
         settled = self._to_the_end(self._jitted_put(forks, rows, more), jnp.zeros((1, 1, 3)))
         return self._ended_outcomes(settled.state, jobs, batch)
@@ -259,9 +259,9 @@ class WarpWorlds(OpenWorlds):
         """The row numbers of these worlds, padded with numbers beyond the tables.
 
         Args:
-            length: length of the result. If None, the length is a power of two, at least as large as in any earlier
-                call. So later calls compile nothing, although the number of worlds changes as pallets end and start
-                again.
+            length: length of the result. If ``length`` is None, the length is a power of two, at least as large as in
+                any earlier call. So later calls compile nothing, although the number of worlds changes as pallets end
+                and start again.
         """
         if length is None:
             length = self._most_rows = max(self._most_rows, padded_rows(len(worlds)))

@@ -1,4 +1,4 @@
-"""The compiled programs of mjx-warp, kept for the process. A later call with the same options compiles nothing."""
+"""The compiled programs of mjx-warp, which the process keeps. A later call with the same options compiles nothing."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "kinetic_share": kinetic_share(physics),
         "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # worlds with many iterations delay no other
+        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world with many iterations delays no other world
         "driven_iterations": sim.solver_iterations or (MAX_ITERATIONS if has_walls(sim) else DRIVEN_ITERATIONS),
         "ls_iterations": LINE_SEARCH_ITERATIONS,
         "fixed": int(sim.schedule is Schedule.FIXED),
@@ -135,14 +135,14 @@ class Programs:
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
 
     def compiled(self, arguments: tuple[Any, ...], progress: Progress) -> Any:
-        """The program ``_advance``, compiled for arguments of these sizes. The compile time is added to
-        ``progress``."""
+        """The program that simulates a time slice (``_advance``), compiled for arguments of these sizes. The compile
+        time is added to ``progress``."""
         table, _, _, profiles, order, frames = arguments
         sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
         if sizes in self._compiled:
             return self._compiled[sizes]
         begin, progress.message = time.perf_counter(), "compiling"
-        with _COMPILING:  # if another thread is compiling kernels in advance, this waits for it
+        with _COMPILING:  # if another thread is compiling kernels in advance, this call waits for that thread
             if sizes not in self._compiled:
                 self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()

@@ -28,8 +28,9 @@ class SliceResult(NamedTuple):
     Attributes:
         picked: states and metrics of these worlds, on the device.
         recorder: object that holds the histories of recorded worlds.
-        jobs, stream_numbers: number of a table row → job, and → stream number, of these worlds. The rows themselves may
-            already hold other worlds.
+        jobs: number of a table row → job of the world that was in this row.
+        stream_numbers: number of a table row → stream number of this job. The rows themselves may already hold other
+            worlds.
     """
 
     picked: Sequence[Readback]

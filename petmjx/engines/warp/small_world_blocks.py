@@ -19,7 +19,7 @@ from petmjx.engines.warp.kernel_launcher import BlockPool
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
 """Limits for the use of blocks for small worlds, as shares of their lanes (places for a world). The blocks come into
 use if small worlds fill at least the first share of the lanes. The blocks go out of use if small worlds fill less than
-the second share of the lanes. If small worlds fill less than this share, blocks that simulate one world each are
+the second share of the lanes. If small worlds fill less than the second share, blocks that simulate one world each are
 faster."""
 
 
@@ -29,7 +29,8 @@ def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> 
     Args:
         pool: the pool from which these worlds come.
         worlds: number of worlds that begin with few boxes.
-        lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
+        lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which
+            the device has room.
     """
     one = pool.launch
     launch = Launch.of(FEW_BOXES, *one.traits)

@@ -37,7 +37,8 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
 
     Args:
         pool: the pool from which these worlds come.
-        lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
+        lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which
+            the device has room.
     """
     one = pool.launch
     if one.per_sm == 1:
@@ -60,7 +61,8 @@ def tail_queues(
         order: the queues. Each row lists the numbers of worlds, followed by negative numbers.
         steps, running, lanes: see ``expected_tail``.
     """
-    few = ((order >= 0) & running[order]).sum() <= last.lanes  # rows of worlds that are in no queue may have any state
+    # rows of a table that belong to no queue may have any state
+    few = ((order >= 0) & running[order]).sum() <= last.lanes
     chosen = (running & few) | expected_tail(order, steps, running, lanes)
     queue = order[-1]
     mine = (queue >= 0) & chosen[queue]
@@ -76,7 +78,7 @@ def expected_tail(
 
     Args:
         order: the queues. Each row lists the numbers of worlds, followed by negative numbers.
-        steps: number of steps of each world so far. 0 before a block takes the world from a queue.
+        steps: number of steps of each world so far. The number is 0 before a block takes the world from a queue.
         running: whether each world can continue.
         lanes: number of worlds that run at the same time.
     """

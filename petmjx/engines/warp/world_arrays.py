@@ -270,7 +270,7 @@ def most_panels(n_boxes: int) -> int:
 
 
 def axes(blocks: int, n_boxes: int, boards: int, npairmax: int, nconmax: int) -> dict[str, int]:
-    """Axis → size, for the workspace of some blocks.
+    """Name of an axis → size of this axis, for the workspace of some thread blocks.
 
     Args:
         n_boxes: largest number of boxes of a world.
@@ -299,12 +299,12 @@ def axes(blocks: int, n_boxes: int, boards: int, npairmax: int, nconmax: int) ->
 
 
 def array_types(kind: Any) -> dict[str, Any]:
-    """Name → type, for the arrays of a record, in order."""
+    """Name → type of each array of a record, in order."""
     return {name: kind.vars[name].type for name in kind.shapes}
 
 
 def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
-    """Name → shape, for the arrays of a record with axes of these sizes."""
+    """Name → shape of each array of a record, for axes of these sizes."""
     return {
         name: tuple(axis if isinstance(axis, int) else sizes[axis] for axis in shape)
         for name, shape in kind.shapes.items()

@@ -1,5 +1,5 @@
-"""The entries of a leaderboard (board). An entry is given as a run, or as a file of plans. Such plans are simulated for
-the board."""
+"""The entries of a leaderboard (board). An entry is given as a run, or as a file of plans. The plans of a file are
+simulated for the board."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ OF_REPAIR: Final = (*OF_RUN, *OF_READING)
 """Names of those options of runs that repairs also have."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
-"""A function that returns, for the name of a packer, a context with an object that watches the progress of its run."""
+"""A function that returns, for the name of a packer, a context with an object that watches the progress of the packer's
+run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class Entry:
     Attributes:
         name: name of the packer.
         run: the run in which the packer's plans were simulated.
-        plans: those plans of the run that were found again, by id.
+        plans: id → plan, for those plans of the run that could be read again.
         ours: whether the packer is part of petmjx.
         scored: whether all plans of the run were simulated for this board just now.
     """
@@ -108,7 +109,8 @@ def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str,
         paths: name of each packer → its run or plans.
 
     Raises:
-        InputError: there is no packer with one of these names, or a packer has the name of such an entry.
+        InputError: there is no packer with one of these names, or a packer already has the name of an entry with
+            repaired plans.
     """
     entries = {}
     for name in dict.fromkeys(names):
@@ -153,8 +155,8 @@ def repair_entries(
 def enter(
     name: str, path: Path, folder: Path, watch: Watch | None, options: Mapping[str, Any], *, ours: bool = False
 ) -> Entry:
-    """Make an entry. A run is used unchanged. Plans are simulated, with results in the board's folder; if the folder
-    already has results, this run is resumed.
+    """Make an entry. If ``path`` has a run, the run is used unchanged. If ``path`` has plans, they are simulated, with
+    results in the board's folder; if this folder already has results, their run is resumed.
 
     Args:
         name: name of the packer.

@@ -39,7 +39,8 @@ class Replay:
     Attributes:
         plan_id: id of the plan.
         claimed: the verdict in the entry's run.
-        verdict, reason: the verdict of the replay, and its reason.
+        verdict: the verdict of the replay.
+        reason: the reason of the replay's verdict.
         near: whether the two verdicts may differ by chance, because the replay is near a threshold or has no valid
             verdict.
     """
@@ -148,8 +149,7 @@ def sample_entry(
 
     Args:
         entry: the entry.
-        most: number of plans. If a verdict differs but does not refute the run, the same number of further plans is
-            simulated.
+        most: number of plans. If a verdict differs but does not refute the run, ``most`` further plans are simulated.
         sim: simulation options of the board.
         options: run options of the board. If the options name no engine, the engine of the entry's run is used, or
             ``mujoco`` if that engine cannot run on this machine.

@@ -69,9 +69,9 @@ def leaderboard(
     (stories). The folder also contains all that is needed to make the board again: the folder ``plans``,
     ``orders.json``, and the command, which ``index.html`` shows.
 
-    Plans are simulated, with results in the folder ``runs``. Existing runs are used unchanged, but ``replays`` of their
-    plans are simulated again. If these simulations contradict the run of an entry, the entry is not rated, and a
-    ``PlanWarning`` states this.
+    Plans are simulated, with results in the folder ``runs``. Existing runs are used unchanged, but some of their plans
+    (number ``replays``) are simulated again. If these simulations contradict the run of an entry, the entry is not
+    rated, and a ``PlanWarning`` states this.
 
     Args:
         packers: name of a packer → folder of a run, or plans. If no names are given, packers get the names of these
@@ -89,7 +89,7 @@ def leaderboard(
             entry. The plans are chosen at random. Replays have the options of this call. If this call gives no options,
             replays have the options of the runs, or the defaults if runs have different options.
         watch: function that returns, for the name of a packer, a context with an object that watches the progress of
-            its run.
+            the packer's run.
         overwrite: whether to replace an existing leaderboard.
         options: options of ``petmjx.score`` for plans that are simulated.
 

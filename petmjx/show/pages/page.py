@@ -53,7 +53,7 @@ def page(
         title: title of the page, as text.
         body: content of the page, as markup.
         script: name of the script's main module in ``petmjx/show/pages/static``. Modules that the main module imports
-            are included. "" if the page has no script.
+            are included. If the page has no script, ``script`` is "".
         styles: names of style sheets in the same folder, added after ``base.css``.
         info: plain values, which the script reads with ``readInfo()``.
         blocks: name → arrays, as text from :func:`petmjx.show.pages.page_arrays.block`. The script reads the arrays

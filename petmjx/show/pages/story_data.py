@@ -21,8 +21,8 @@ from petmjx.world.job import FORCE
 
 _FAR_M: Final = 0.8
 _FAR_SHARE: Final = 0.5
-"""Distance from the planned load up to which the view must show boxes at the end: ``_FAR_M`` + this share of the load's
-height."""
+"""The view must show the boxes that are nearer to the planned load at the end than ``_FAR_M`` + this share of the
+load's height."""
 _LOST_M: Final = 50.0
 """Distance from the origin beyond which boxes are not drawn, m. Boxes so far away occur in simulations that became
 numerically unstable. If boxes so far away were drawn, all other positions would be stored less precisely."""
@@ -80,7 +80,7 @@ def placed_s(history: History) -> FloatArray:
 
 def _drive(story: Story) -> dict[str, Any] | None:
     """What shakes the carrier: its kind ("force" or "acceleration"), its name, and the value that corresponds to 1 g.
-    None if nothing shakes the carrier."""
+    The result is None if nothing shakes the carrier."""
     if story.drive is None or not np.any(story.history.drive):
         return None
     kind = story.drive.excitation.kind

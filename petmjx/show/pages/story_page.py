@@ -76,8 +76,8 @@ _COLUMNS = (
     ("rest_force_n", "force on top at rest, N", "z.1f"),
     ("drop_s", "dropped, s", ".2f"),
 )
-"""The columns with numbers: name in ``story_info``, heading with the unit, and format. The z in the format of forces
-turns -0.0 into 0.0."""
+"""The columns with numbers: name in ``story_info``, heading with the unit, and format. The letter z in the format of
+forces turns -0.0 into 0.0."""
 
 
 def _table(story: Story, boxes: dict[str, Any]) -> str:

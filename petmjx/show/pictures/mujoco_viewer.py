@@ -21,7 +21,8 @@ from petmjx.show.pictures.story_poses import Poses, poses_at
 from petmjx.world.mujoco_model import build_spec, geom_bodies
 
 _PARKED_M: Final = 100.0
-"""Distance from the origin of boxes that are not yet placed, m. So far away, these boxes touch nothing."""
+"""Boxes that are not yet placed are kept at this distance from the origin, m. At this distance, waiting boxes touch
+nothing."""
 
 _SPACE, _RIGHT, _LEFT, _HOME = 32, 262, 263, 268
 """Key codes of GLFW."""

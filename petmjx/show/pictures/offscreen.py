@@ -159,7 +159,7 @@ def _gl_context(size: tuple[int, int]) -> Any:
 
 @contextmanager
 def _same_environment(name: str) -> Iterator[None]:
-    """A context that restores an environment variable at its end, since its body may change the variable."""
+    """A context in which an environment variable may change: the variable's value is restored at the end."""
     before = os.environ.get(name)
     try:
         yield

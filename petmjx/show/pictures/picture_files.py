@@ -111,8 +111,8 @@ def _missing(kind: str) -> str:
 
 
 def check_drawing(paths: Sequence[Path]) -> None:
-    """Check that files can be drawn and written, as ``check_files``. For pictures and films, also check that OpenGL
-    works.
+    """Check that files can be drawn and written, as ``check_files`` does. For pictures and films, also check that
+    OpenGL works.
 
     Raises:
         InputError: a check of ``check_files`` fails, or there is no OpenGL that can draw without a display.

@@ -41,7 +41,8 @@ class NumberColumn:
     Attributes:
         column: name of the column in ``ReportRun.worlds``.
         key: name of the column in the page, and in the page's address.
-        label, unit: heading of the column, and unit of its values.
+        label: heading of the column.
+        unit: unit of the column's values.
         digits: number of decimals that are shown.
         factor: factor that converts values to the unit.
         meaning: text that appears when the mouse is over the heading.
@@ -148,7 +149,7 @@ def _of_run(at: int, run: ReportRun, summed_up: bool) -> pd.DataFrame:
 
 
 def _worst(worlds: pd.DataFrame) -> pd.DataFrame:
-    """The world with the smallest margin of each plan."""
+    """For each plan, the world with the smallest margin."""
     margin = worlds["margin"].fillna(np.inf)
     return worlds.loc[margin.groupby(worlds["plan_id"], sort=False).idxmin()].reset_index(drop=True)
 
@@ -166,7 +167,7 @@ def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRu
 def _add_parameters(
     rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame, condition: Callable[[str], bool]
 ) -> None:
-    """Add those columns that only sweeps have and whose names fulfil a condition, such as the values of axes."""
+    """Add columns that only sweeps have, such as the values of axes, if their names fulfil a condition."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
     column_names = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):

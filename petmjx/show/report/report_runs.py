@@ -143,8 +143,8 @@ class ReportRun:
 
     @cached_property
     def shares(self) -> pd.DataFrame | None:
-        """The shares of worlds that stand in a sweep, from the run's table ``summary``. None for any other kind of
-        run."""
+        """The shares of worlds that stand in a sweep, from the run's table ``summary``. The result is None for any
+        other kind of run."""
         summary = self.results.summary
         if self.kind is not Kind.GRID or summary is None or "scope" in summary:
             return summary if self.kind is Kind.GRID else None

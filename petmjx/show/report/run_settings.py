@@ -72,7 +72,7 @@ def _options(config: Mapping[str, Any]) -> Content:
     if not isinstance(simulation, Mapping):
         return "unknown"
     changed = dict(changed_options(simulation, Simulation().model_dump(mode="json")))
-    limit = "world_timeout_s"  # the only option of a run that affects verdicts
+    limit = "world_timeout_s"  # the only option of ``RunOptions`` that affects verdicts
     changed |= changed_options({limit: config.get(limit)}, {limit: None})
     if not changed:
         return "all at their defaults"

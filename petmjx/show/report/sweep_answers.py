@@ -96,8 +96,8 @@ def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
 
 
 def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
-    """A chart of the share that stands along an axis with numbers. Intervals are those over the random draws of the run
-    or, if nothing is random, over plans."""
+    """A chart of the share that stands along an axis with numbers. Intervals are computed from the random draws of the
+    run or, if nothing is random, from the plans."""
     draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
     drawn = bool(draws["low"].notna().all())
     rows = draws if drawn else plans

@@ -2,5 +2,5 @@
 
 ``profile`` defines the protocol of a profile. ``force_windows`` and ``accelerations`` contain the kinds of profiles and
 the built-in profiles, which ``profile_registry`` lists by name. ``profile_tables`` makes profiles from the tables in
-sweep files. ``profile_files`` reads the files that such tables name.
+sweep files. ``profile_files`` reads the files that tables in sweep files name.
 """

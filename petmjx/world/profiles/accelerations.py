@@ -1,5 +1,5 @@
-"""Profiles of the carrier's acceleration. Such a profile is simulated with a clamped carrier: the carrier's
-acceleration is subtracted from gravity.
+"""Profiles of the carrier's acceleration. In simulations of acceleration profiles, the carrier is clamped, and the
+carrier's acceleration is subtracted from gravity.
 
 There are four kinds of acceleration profiles: ramps, tilts, shocks, and random vibration. The user gives the power
 spectral density (PSD) of a random vibration in g²/Hz over Hz. In direction 0, the carrier accelerates along +x, so the
@@ -24,7 +24,7 @@ from petmjx.world.random_streams import WorldKey
 EUMOS_RAMP_S = 0.05
 """Longest time within which EUMOS 40509 lets the acceleration reach its level, s."""
 EUMOS_HOLD_S = 0.3
-"""Shortest time for which EUMOS 40509 holds that level, s."""
+"""Shortest time for which EUMOS 40509 holds the acceleration at its level, s."""
 EUMOS_SOURCE = "EUMOS 40509:2020, test method for load unit rigidity (ramp at most 50 ms, hold at least 0.3 s)"
 
 EN_12195_FORWARD_G = 0.8
@@ -34,8 +34,8 @@ EN_12195_SOURCE = "EN 12195-1:2010, coefficients for road transport (0.8 forward
 
 
 def _horizontal_unit(yaw_deg: float) -> FloatArray:
-    """(3,) horizontal unit vector. The vector's components are rounded, so that they are exactly 0 and 1 along the
-    axes."""
+    """(3,) horizontal unit vector at the angle ``yaw_deg`` from +x towards +y. The vector's components are rounded, so
+    that they are exactly 0 and 1 along the axes."""
     yaw = math.radians(yaw_deg)
     return np.round(np.array([math.cos(yaw), math.sin(yaw), 0.0]), 15)
 

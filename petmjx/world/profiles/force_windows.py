@@ -74,8 +74,8 @@ class WindowProfile:
         """The forces of all windows. A window acts from step int(begin / dt) to step int(end / dt), where step 0 is at
         time 0.
 
-        Row 0 of the samples acts in the step after step int(start_s / dt). A window shorter than a step may have no
-        row.
+        Row 0 of the samples acts in the step after step int(start_s / dt). A window that is shorter than a step may act
+        in no row.
         """
         first_step = seconds_to_steps(start_s, timestep_s)
         spans = []

@@ -24,7 +24,7 @@ class Strength(StrEnum):
     LEVEL = "level"
     """The axis ``level``: its values multiply a profile with a peak of 1 g, so they are levels in g."""
     ANGLE = "angle"
-    """No axis changes the profile's strength: a tilt passes through all angles up to its largest angle anyway."""
+    """No axis changes the strength of a tilt, which passes through all angles up to its largest angle anyway."""
 
 
 class Profile(Protocol):
@@ -82,6 +82,6 @@ def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> Flo
 
 
 def steps_to_cover(duration_s: float, timestep_s: float) -> int:
-    """Smallest number of steps, at least 1, that last at least ``duration_s``. An excess of the duration by up to a
-    billionth of a step counts as rounding, and adds no step."""
+    """Smallest number of steps, but not 0, that together last ``duration_s`` or longer. If the duration exceeds whole
+    steps by up to a billionth of a step, the excess counts as rounding and adds no step."""
     return max(int(np.ceil(duration_s / timestep_s - 1e-9)), 1)

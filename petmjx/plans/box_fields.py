@@ -1,0 +1,173 @@
+"""The fields of a box in nested values (``flattened``), named by their path, as in ``position.x``, ``stackable.dx`` and
+``WHD[0]``. Also makes objects with fields from values that are stored by column or as lists of numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.plans.column_names import column_meanings, word_set, words_of
+from petmjx.plans.raw_cells import cell_number
+
+_LISTED: Final = 16
+"""A list with at most this number of members becomes separate fields. A list of 16 members is a 4×4 matrix."""
+
+
+_LEAST_COLUMNS: Final = 5
+
+
+def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
+    """The rows of an object that stores them by column: lists of the same length, or pandas' forms (``columns`` and
+    ``data``, or objects with one value per row), or lists by name with the names of their members beside them. None if
+    the object has another form."""
+    names = _names_in(value)
+    for data in value.values() if names else ():
+        if isinstance(data, list) and data and all(isinstance(row, list) and len(row) == len(names) for row in data):
+            return [dict(zip(names, row, strict=True)) for row in data]
+        if (
+            isinstance(data, Mapping)
+            and data
+            and all(isinstance(row, list) and len(row) == len(names) for row in data.values())
+        ):
+            return [{"id": key, **dict(zip(names, row, strict=True))} for key, row in data.items()]
+    if len(value) >= _LEAST_COLUMNS and all(isinstance(inner, Mapping) and inner for inner in value.values()):
+        keys = max((inner.keys() for inner in value.values()), key=len)
+        alike = all(inner.keys() <= keys for inner in value.values())
+        if alike and sum(meaning is not None for meaning in column_meanings(list(value))) >= _LEAST_COLUMNS:
+            return [{name: inner.get(key) for name, inner in value.items()} for key in keys]
+        return None
+    lists = {name: list(inner) for name, inner in value.items() if isinstance(inner, list | tuple | np.ndarray)}
+    lengths = {len(inner) for inner in lists.values()}
+    if len(lengths) != 1 or 0 in lengths or any(isinstance(inner[0], Mapping) for inner in lists.values()):
+        return None
+    if sum(meaning is not None for meaning in column_meanings(list(lists))) < 2:
+        return None
+    flat = sum(3 if isinstance(inner[0], list | tuple) else 1 for inner in lists.values())
+    if flat < _LEAST_COLUMNS:
+        return None
+    return [{name: inner[index] for name, inner in lists.items()} for index in range(lengths.pop())]
+
+
+def _names_in(value: Mapping[str, Any]) -> list[str]:
+    """The names of columns that an object lists; empty if it lists none."""
+    for field in ("columns", "fields", "header", "headers", "names", "keys"):
+        names = value.get(field)
+        if isinstance(names, list) and len(names) >= _LEAST_COLUMNS and all(isinstance(name, str) for name in names):
+            return names
+    return []
+
+
+LEAST_NUMBERS: Final = 6
+
+
+def rows_of_numbers(value: Sequence[Any]) -> list[dict[str, Any]] | None:
+    """The rows of a list of lists of numbers: sizes, coordinates and more, or matrices. None if the list has another
+    form."""
+    if not value or not all(isinstance(row, list | tuple) for row in value):
+        return None
+    first = value[0]
+    if len(first) in (3, 4) and all(isinstance(inner, list | tuple) and len(inner) == 4 for inner in first):
+        return [{"matrix": row} for row in value]
+    widths = {len(row) for row in value}
+    if len(first) < LEAST_NUMBERS or len(first) > 64 or len(widths) > 2:
+        return None
+    numeric = sum(cell_number(cell) is not None for row in value[:50] for cell in row)
+    if numeric < 0.8 * sum(len(row) for row in value[:50]):
+        return None
+    return [{f"column {number}": cell for number, cell in enumerate(row, start=1)} for row in value]
+
+
+def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dict[str, Any]:
+    """Path → value for all values inside an object: "." leads into an object, "[0]" into a short list of numbers.
+    Longer lists are left out."""
+    flat: dict[str, Any] = {}
+    for name, inner in value.items():
+        path = prefix[:-1] if name in _VALUES and prefix.endswith(".") else f"{prefix}{name}"
+        if isinstance(inner, np.ndarray):
+            inner = inner.tolist()
+        if isinstance(inner, Mapping) and (quantity := _quantity(inner)) is not None:
+            flat[path] = quantity
+        elif isinstance(inner, Mapping):
+            if depth < 4:
+                flat |= flattened(inner, f"{path}.", depth + 1)
+        elif isinstance(inner, list | tuple):
+            if _is_matrix(inner) or (
+                len(inner) == 16 and not any(isinstance(cell, Mapping | list | tuple) for cell in inner)
+            ):
+                flat[path] = inner
+            elif len(inner) == 1 and isinstance(inner[0], Mapping) and _SHAPES.intersection(words_of(str(name))):
+                if depth < 4:
+                    flat |= flattened(inner[0], f"{path}[0].", depth + 1)
+            elif (ends := _ends_of_vertices(inner)) is not None:
+                for end, point in zip(("min", "max"), ends, strict=True):
+                    flat |= {f"{path}.{end}[{axis}]": value for axis, value in enumerate(point)}
+            elif (pose := _PARTS_OF_POSES.get(len(inner))) and str(name).lower() in ("pose", "qpos"):
+                flat |= {f"{path}.{part}": cell for part, cell in zip(pose, inner, strict=True)}
+            elif 0 < len(inner) <= _LISTED and not any(isinstance(cell, Mapping | list | tuple) for cell in inner):
+                flat |= {f"{path}[{index}]": cell for index, cell in enumerate(inner)}
+        elif isinstance(inner, str) and path.rpartition(".")[2].lower() == "pose":
+            numbers = inner.split()
+            pose = _PARTS_OF_POSES.get(len(numbers))
+            flat |= (
+                {f"{path}.{part}": cell for part, cell in zip(pose, numbers, strict=True)} if pose else {path: inner}
+            )
+        else:
+            flat[path] = inner
+    return flat
+
+
+_SHAPES: Final = word_set(
+    "primitive primitives pose poses shape shapes geometry geometries geom geoms collision collisions transform "
+    "transforms"
+)
+"""Words in names of lists that describe the shapes and poses of one object, and not several boxes."""
+
+
+_PARTS_OF_POSES: Final = {
+    4: ("x", "y", "z", "yaw"),
+    6: ("x", "y", "z", "rx", "ry", "rz"),
+    7: ("x", "y", "z", *(f"quaternion[{index}]" for index in range(4))),
+}
+"""Length of a list of numbers that is called a pose → its members."""
+
+
+_VALUES: Final = ("value", "amount", "magnitude")
+_UNITS: Final = frozenset(
+    ("unit", "units", "uom", "einheit", "unite", "unité", "unidad", "unita", "unità", "jednostka")
+)
+"""Fields of a number, and fields of its unit, in an object beside one another."""
+
+
+def _quantity(value: Mapping[str, Any]) -> Any:
+    """The text of a number with a unit, from an object such as {"value": "400", "unit": "mm"}; None for other
+    objects."""
+    name = next((name for name in _VALUES if name in value), None)
+    unit = next((unit for key, unit in value.items() if key.lower() in _UNITS and isinstance(unit, str)), None)
+    if name is not None and unit is not None and len(value) <= 4:
+        return f"{value[name]} {unit}"
+    if set(value) == {"ticks"}:
+        return f"{value['ticks']} ticks"
+    return None
+
+
+def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | None:
+    """The smallest and the largest coordinates of the eight corners of a box, [[x, y, z], …]; None for other lists. If
+    the points are not the corners of a level box, one coordinate is replaced by a fault's text."""
+    if len(value) != 8 or not all(isinstance(point, list | tuple) and len(point) == 3 for point in value):
+        return None
+    ends: tuple[list[Any], list[Any]] = ([], [])
+    for column in zip(*value, strict=True):
+        numbers = [number.value for cell in column if (number := cell_number(cell)) is not None]
+        odd = [cell for cell in column if cell_number(cell) is None]
+        halves = len(numbers) == 8 and sorted(numbers)[3] == min(numbers) and sorted(numbers)[4] == max(numbers)
+        if not halves and not odd:
+            odd = [f"{column[0]}, …, which are no level box"]
+        ends[0].append(odd[0] if odd else min(numbers))
+        ends[1].append(max(numbers, default=None))
+    return ends
+
+
+def _is_matrix(value: Sequence[Any]) -> bool:
+    return len(value) in (3, 4) and all(isinstance(row, list | tuple) and len(row) in (3, 4) for row in value)

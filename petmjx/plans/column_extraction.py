@@ -1,0 +1,327 @@
+"""Extracts columns from a source (``ColumnExtraction``): meanings by names and cells, numbers in one unit, and names.
+
+Cells become numbers here, and each bad cell becomes a line that names its row and column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.common.units import FloatArray
+from petmjx.plans.column_names import (
+    LENGTH_UNITS,
+    MASS_UNITS,
+    ColumnMeaning,
+    column_meanings,
+    plain_text,
+    word_set,
+    words_of,
+)
+from petmjx.plans.known_forms import BED_BPP, BoxSource
+from petmjx.plans.plan_fields import joined_names
+from petmjx.plans.raw_cells import (
+    CellNumber,
+    are_grouped,
+    cell_number,
+    cell_text,
+    cell_triple,
+    has_groups_with_decimals,
+    number_fault_of,
+    without_groups,
+)
+from petmjx.plans.turn_columns import letters_of
+
+XYZ: Final = ("x", "y", "z")
+SIZE_WORDS: Final = ("length", "width", "height", "depth")
+ROLES: Final = (
+    "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
+    "rotation", "plan", "sequence", "article", "item_id",
+)  # fmt: skip
+"""Roles that the option ``columns`` can assign to a column. ``sizes`` and ``position`` are three numbers in one
+column."""
+IGNORED: Final = "-"
+"""If a user gives this instead of a column's name, no column has the role."""
+_READ_CELLS: Final = 200
+"""Number of cells of a column that are read to find its meaning."""
+_NO_WEIGHT: Final = word_set(
+    "max maximum limit capacity total load bears bearing strength allowed pallet palette container tare tara"
+)
+"""Words in names of columns whose masses are not the weights of boxes."""
+_UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites unidad unidades unita jednostka")
+_SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
+"""Units that a column may have under any name. Others, such as "m" or "in", also have other meanings."""
+_ORDER_WORDS: Final = frozenset(("order", "ordre", "orden", "ordine"))
+
+
+def role_of(axis: str) -> str:
+    """The role of a column that holds the sizes along this axis (one of ``Geometry.axes``)."""
+    return {"0": "1st size", "1": "2nd size", "2": "3rd size"}.get(axis, axis if axis in SIZE_WORDS else f"{axis} size")
+
+
+class ColumnExtraction:
+    """The columns of one source, while their meanings are being determined."""
+
+    def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str = "", masses: str = "") -> None:
+        self.source = source
+        self.units, self.masses = units, masses
+        self.table = source.boxes.table
+        self.groups_thousands = has_groups_with_decimals(self.table.rows, self.table.decimal)
+        self.faults: dict[int, tuple[str, str]] = {}
+        self.meanings = column_meanings(self.table.header)
+        if source.form.name == "packingsolver's certificate":
+            upper = {name.upper(): index for index, name in enumerate(self.table.header)}
+            self.meanings[upper["ID"]] = ColumnMeaning("article")
+            self.meanings[upper["TYPE"]] = None
+            self.meanings[upper.get("COPIES", upper["TYPE"])] = None
+        if source.form == BED_BPP:  # in this form, item.sequence counts the order's items
+            self.meanings = [
+                None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
+            ]
+        eulers = [index for index, meaning in enumerate(self.meanings) if meaning and meaning.kind == "euler"]
+        if len(eulers) == 1:  # "rot_z" alone: the box turns about the vertical
+            self.meanings[eulers[0]] = ColumnMeaning("rotation")
+        self._mean_by_cells()
+        self.fixed: dict[str, int] = {}
+        for role, name in chosen.items():
+            if role not in ROLES:
+                raise InputError(f"columns: unknown {printable_name(role)}; there are {', '.join(ROLES)}")
+            if name == IGNORED:
+                self.meanings = [
+                    None if meaning is not None and _role_of(meaning) == role else meaning for meaning in self.meanings
+                ]
+                continue
+            if name not in self.table.header:
+                names = ", ".join(map(printable_name, self.table.header[:20]))
+                raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
+            self.fixed[role] = self.table.header.index(name)
+
+    def _mean_by_cells(self) -> None:
+        """Meanings that cells show. An order without a number is the customer's order. Cells with a unit of mass are
+        weights, and cells that name the sizes along the axes are rotations, whatever the name of their column."""
+        self.row_units: dict[bool, list[str]] = {}
+        self.unit_columns: list[str] = []
+        if not self.table.has_header:
+            return
+        kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
+        for index, meaning in enumerate(self.meanings):
+            cells = [row[index] for row in self.table.rows[:_READ_CELLS] if row[index] not in (None, "")]
+            if not cells:
+                continue
+            if self._has_units(index, cells):
+                self.meanings[index] = None
+                self.unit_columns.append(self.table.header[index])
+            elif meaning is not None:
+                of_order = meaning.kind == "sequence" and _ORDER_WORDS.intersection(words_of(self.table.header[index]))
+                numbers = [number.value for cell in cells if (number := cell_number(cell, self.table.decimal))]
+                if of_order and "plan" not in kinds and len(set(numbers)) * 2 <= len(cells):
+                    self.meanings[index] = ColumnMeaning("plan")
+            elif (
+                "weight" not in kinds
+                and all(map(self._is_mass, cells))
+                and not _NO_WEIGHT.intersection(words_of(self.table.header[index]))
+            ):
+                self.meanings[index] = ColumnMeaning("weight")
+            elif "rotation" not in kinds and (
+                (len({*map(cell_text, cells)}) > 1 and all(map(letters_of, cells))) or self._are_quarter_turns(cells)
+            ):
+                self.meanings[index] = ColumnMeaning("rotation")
+
+    def _has_units(self, index: int, cells: Sequence[Any]) -> bool:
+        """Whether a column, whose first cells are given, has units. If so, they become the units of the rows, or, if
+        all are the same, the units of the form."""
+        for units in (LENGTH_UNITS, MASS_UNITS):
+            sure = units.keys() if _UNIT_WORDS.intersection(words_of(self.table.header[index])) else _SURE_UNITS
+            if not all(isinstance(cell, str) and _as_unit(cell) in units.keys() & sure for cell in cells):
+                continue
+            texts = [_as_unit(cell_text(cell)) for cell in self.cells(index)]
+            form, is_mass = self.source.form, units is MASS_UNITS
+            if len(set(texts)) > 1:
+                self.row_units.setdefault(is_mass, texts)
+            elif is_mass:
+                self.source = replace(self.source, form=replace(form, masses=form.masses or texts[0]))
+            else:
+                self.source = replace(self.source, form=replace(form, units=form.units or texts[0]))
+            return True
+        return False
+
+    def _are_quarter_turns(self, cells: Sequence[Any]) -> bool:
+        """Whether cells are angles of quarter turns, in degrees, some of which turn a box."""
+        angles = {None if number is None else number.value for cell in cells for number in (cell_number(cell),)}
+        return (
+            angles <= {0.0, 90.0, 180.0, 270.0, -90.0, -180.0} and bool(angles & {90.0, 270.0, -90.0}) and 0.0 in angles
+        )
+
+    def _is_mass(self, cell: Any) -> bool:
+        number = cell_number(cell, self.table.decimal)
+        return number is not None and number.unit in MASS_UNITS
+
+    def cells(self, index: int) -> list[Any]:
+        return [row[index] for row in self.table.rows]
+
+    def bad(self, row: int, index: int, text: str) -> None:
+        self.faults.setdefault(row, (self.table.header[index], text))
+
+    def numbers(self, index: int, units: Mapping[str, float]) -> tuple[FloatArray, str]:
+        """(n,) numbers of a column, NaN if a cell is bad. Also returns the unit according to the column's name or cells
+        ("": none is given)."""
+        rows: list[Sequence[CellNumber]] = []
+        cells, decimal = self.cells(index), self.table.decimal
+        is_grouped = self.groups_thousands or are_grouped(cells, decimal)
+        for row, cell in enumerate(cells):
+            cell = without_groups(cell, decimal) if is_grouped else cell
+            number = cell_number(cell, self.table.decimal)
+            rows.append(())
+            if number is None or not np.isfinite(number.value):
+                text = number_fault_of(cell, self.table.decimal)
+                self.bad(row, index, text if number is None else f"must be finite, got {number.value}")
+            elif number.unit and number.unit not in units:
+                self.bad(row, index, f"has the unit {number.unit}, which is none of {joined_names(sorted(units))}")
+            else:
+                rows[row] = (number,)
+        values, unit = self._in_one_unit(index, rows, units, 1)
+        return values[:, 0], unit
+
+    def triples(self, index: int) -> tuple[FloatArray, str]:
+        """(n, 3) numbers of a column with three numbers per cell. Also returns their unit."""
+        rows: list[Sequence[CellNumber]] = []
+        for row, cell in enumerate(self.cells(index)):
+            triple = cell_triple(cell, self.table.decimal)
+            finite = triple is not None and all(np.isfinite(number.value) for number in triple)
+            rows.append(triple if triple is not None and finite else ())
+            if not finite:
+                kind = "three numbers" if triple is None else "three finite numbers"
+                shown = "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(str(cell))}"'
+                self.bad(row, index, shown)
+        return self._in_one_unit(index, rows, LENGTH_UNITS, 3)
+
+    def _in_one_unit(
+        self, index: int, rows: Sequence[Sequence[CellNumber]], units: Mapping[str, float], width: int
+    ) -> tuple[FloatArray, str]:
+        """(n, width) numbers of a column, NaN for rows without numbers. Also returns their unit ("": none is given).
+
+        A number without a unit gets the unit that the column's name, an option or the form gives. If none of them gives
+        a unit, but other cells of the column have units, the number is bad, since the unit of one cell does not imply
+        the unit of another cell. Zero needs no unit.
+        """
+        values = np.full((len(rows), width), np.nan)
+        is_mass = "kg" in units
+        if is_mass in self.row_units and units in (LENGTH_UNITS, MASS_UNITS):
+            rows = [
+                [number if number.unit else number._replace(unit=unit) for number in numbers]
+                for numbers, unit in zip(rows, self.row_units[is_mass], strict=True)
+            ]
+        meaning, form = self.meanings[index], self.source.form
+        of_name = meaning.unit if meaning is not None and meaning.unit in units else ""
+        wish = self.masses if is_mass else self.units
+        wish = wish if wish in units else ""
+        written = {number.unit for numbers in rows for number in numbers if number.unit in units} - {""}
+        usual = of_name or wish or (form.masses if is_mass else form.units)
+        target = wish or ("kg" if is_mass else "mm")  # an option sets the unit of all numbers of the file
+        for row, numbers in enumerate(rows):
+            if not numbers:
+                continue
+            values[row] = [number.value for number in numbers]
+            if not written:
+                continue
+            lacking = [number.value for number in numbers if number.value and number.unit not in units]
+            if lacking and not usual:
+                self.bad(row, index, f"has no unit, unlike other rows, got {lacking[0]:g}")
+                continue
+            factors = [units[number.unit if number.unit in units else usual or target] for number in numbers]
+            values[row] *= np.array(factors) / units[target]
+        return values, target if written else of_name
+
+    def joined(self, indices: Sequence[int]) -> tuple[FloatArray, str]:
+        """(n, 3) numbers of three columns, converted to the same unit."""
+        parts = [self.numbers(index, LENGTH_UNITS) for index in indices]
+        units = {unit for _, unit in parts if unit}
+        if len(units) <= 1:
+            return np.stack([values for values, _ in parts], axis=1), next(iter(units), "")
+        return np.stack([values * LENGTH_UNITS.get(unit, 1.0) for values, unit in parts], axis=1), "mm"
+
+    def columns_of(self, *kinds: str) -> dict[str, list[int]]:
+        """Axis → the columns for this axis that describe boxes and whose meaning is of one of these kinds."""
+        by_axis: dict[str, list[int]] = {}
+        for index, meaning in enumerate(self.meanings):
+            if meaning is not None and meaning.kind in kinds and not meaning.of_container:
+                by_axis.setdefault(meaning.axis, []).append(index)
+        return by_axis
+
+    def numbers_or_median(self, index: int) -> FloatArray:
+        """(n,) numbers of a column; the median of the column if a cell is bad, which is not reported here."""
+        numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
+        values = np.array([np.nan if number is None else number.value for number in numbers])
+        with np.errstate(invalid="ignore"):
+            return np.where(np.isnan(values), np.nanmedian(values) if np.isfinite(values).any() else 1.0, values)
+
+    def texts(self, *kinds: str, role: str = "") -> tuple[list[str] | None, str]:
+        """(n,) names in the first column of these kinds, and the column's name."""
+        index = self.fixed.get(role)
+        if index is None:
+            index = next(
+                (
+                    number
+                    for kind in kinds
+                    for number, meaning in enumerate(self.meanings)
+                    if meaning is not None and meaning.kind == kind and number not in self.fixed.values()
+                ),
+                None,
+            )
+        if index is None:
+            return None, ""
+        return [cell_text(cell) for cell in self.cells(index)], self.table.header[index]
+
+    def filled_down(self, names: list[str] | None, column: str, least_rows: float = 1.0) -> list[str] | None:
+        """(n,) the name of the plan or order of each row. Blank cells below a name, as in sheets with merged cells, get
+        this name. If there are blank cells, each name must occur only once, in the first row of its block.
+
+        Args:
+            names: texts of the cells; None: there is no column.
+            column: name of the column.
+            least_rows: a column with fewer rows per name in the mean is not changed.
+
+        Raises:
+            InputError: there are blank cells that cannot be filled in this manner.
+        """
+        if names is None or "" not in names or not any(names):
+            return names
+        written = [name for name in names if name]
+        if len(set(written)) * least_rows > len(names) + 2:
+            return names
+        parts = self.source.boxes.parts or ("",) * len(names)
+        filled_names: list[str] = []
+        for row, (name, part) in enumerate(zip(names, parts, strict=True)):
+            begins = row == 0 or part != parts[row - 1]
+            if not name and (begins or len(set(written)) < len(written)):
+                raise InputError(f"{self.table.places[row]}: {printable_name(column)} is missing")
+            filled_names.append(name or filled_names[-1])
+        self.source = replace(self.source, notes=(*self.source.notes, f"{printable_name(column)} filled down"))
+        return filled_names
+
+    def first(self, kind: str, role: str = "") -> int | None:
+        if role in self.fixed:
+            return self.fixed[role]
+        return next(
+            (
+                index
+                for index, meaning in enumerate(self.meanings)
+                if meaning is not None and meaning.kind == kind and not meaning.of_container
+            ),
+            None,
+        )
+
+
+def _role_of(meaning: ColumnMeaning) -> str:
+    if meaning.kind == "size":
+        return role_of(meaning.axis)
+    return meaning.axis if meaning.kind == "position" else {"positions": "position"}.get(meaning.kind, meaning.kind)
+
+
+def _as_unit(text: str) -> str:
+    return plain_text(text).strip(" .").lower()

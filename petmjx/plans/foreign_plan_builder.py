@@ -1,0 +1,265 @@
+"""Builds plans from the boxes of another tool's file (``PlanBuilder``): rows with one reading become a checked table of
+placements."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, first_names, printable_name
+from petmjx.common.units import FloatArray
+from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.box_list import BoxList
+from petmjx.plans.known_forms import PACKINGSOLVER
+from petmjx.plans.packing_order import packing_order, repeated_number
+from petmjx.plans.pallet_columns import PalletSearch, plan_names, rows_by_name
+from petmjx.plans.placed_boxes import assumed_density, density_lines, masses_kg, pallet_rows, placed_boxes
+from petmjx.plans.placement_table import RefusedPlan, Table, as_column
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
+from petmjx.plans.range_faults import far_cells, first_bad_row, range_faults
+from petmjx.plans.raw_cells import cell_number
+from petmjx.plans.reading_candidates import Candidate
+from petmjx.plans.reading_choice import choose_reading
+from petmjx.plans.readings import Reading, Wishes
+from petmjx.plans.size_and_place_columns import HALF_EXTENTS
+
+
+@dataclass(frozen=True, eq=False)
+class ForeignPlans:
+    """The plans in a file of another tool.
+
+    Attributes:
+        table: the usable plans, as a table of placements in millimetres and kilograms; None if no plan is usable.
+        refused: the plans and rows that are unusable.
+        reading: how the file was read: the meaning of each column, units, and the packing order.
+        containers: plan id → size of its container along x, y and z, mm; NaN if unknown.
+    """
+
+    table: Table | None
+    refused: tuple[RefusedPlan, ...]
+    reading: Reading
+    containers: Mapping[str, FloatArray]
+
+
+class PlanBuilder:
+    """Builds the plans from one list of boxes."""
+
+    def __init__(self, columns: BoxColumns, source: str, wishes: Wishes) -> None:
+        self.columns, self.source, self.wishes = columns, source, wishes
+        self.boxes: BoxList = columns.source.boxes
+        self.places = self.boxes.table.places
+        self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
+        self.faults: dict[int, str] = {}
+        self.decks: set[int] = set()  # rows that describe a pallet, not a box
+        self.counters: set[str] = set()  # columns used as packing order
+
+    def plans(self) -> ForeignPlans:
+        self.columns = replace(self.columns, faults={**far_cells(self.columns, self.wishes), **self.columns.faults})
+        search = PalletSearch(self.columns, self.wishes)
+        unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
+        if unsaid and self.columns.plan is None and not any(self.boxes.parts) and self.boxes.table.has_header:
+            self.columns, lines = search.columns_with_pallets()
+            self.notes += lines
+        elif unsaid:
+            search.check_stacks()
+        names = plan_names(self.columns, self.source, self.notes)
+        plans = rows_by_name(names)
+        try:
+            lost = self._plans_with_lost(names)
+            single_reading = search.single_reading if len(plans) == 1 and not lost else None
+            reading, candidate = single_reading or choose_reading(self.columns, plans, self.wishes, lost)
+        except InputError:  # no row is good, or the good rows are implausible without the bad ones
+            if self.boxes.table.lost:
+                place, fault = self.boxes.table.lost[0]
+                raise InputError(f"{place}: {fault}") from None
+            if (bad_row := first_bad_row(self.columns, self.wishes)) is not None:
+                row, fault = bad_row
+                plan = "" if self.columns.plan is None else f"plan {printable_name(names[row])}, "
+                raise InputError(f"{plan}{self._place_of(row)}: {fault}") from None
+            raise
+        apart = unsaid and len(plans) > 1 and not lost
+        if apart and self._float(reading, candidate, plans) and search.are_parts_of_one():
+            self.notes.append(f"{first_names(list(plans))} are one plan: some of them would begin above the deck")
+            self.boxes = replace(self.boxes, parts=())
+            self.columns = replace(self.columns, source=replace(self.columns.source, boxes=self.boxes))
+            names = plan_names(self.columns, self.source, self.notes)
+            plans = rows_by_name(names)
+            reading, candidate = choose_reading(self.columns, plans, self.wishes)
+        self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
+        self._check_words(reading, candidate)
+        if HALF_EXTENTS in reading.columns:
+            self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and its like are half sizes")
+        self._note_quantities()
+        size, low, containers = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
+        self.decks = pallet_rows(self.columns, plans, size, low)
+        for row, fault in range_faults(self.columns, reading, candidate).items():
+            self.faults.setdefault(row, fault)
+        mass = masses_kg(self.columns, reading, size, self.wishes, self.faults, self.notes)
+        refused: list[RefusedPlan] = []
+        good_rows: dict[str, NDArray[np.int64]] = {}
+        sequences: list[NDArray[np.int64]] = []
+        orders: list[str] = []
+        for name, rows in plans.items():
+            location = f"{self.source}: plan {printable_name(name)}"
+            if name in lost:
+                place, fault = lost[name]
+                refused.append(RefusedPlan(name, f"{location}, {place}: {fault}"))
+                continue
+            bad_rows = [row for row in rows.tolist() if row in self.faults]
+            if bad_rows:
+                more_text = f" (and {count_text(len(bad_rows) - 1, 'more row')})" if len(bad_rows) > 1 else ""
+                refused.append(
+                    RefusedPlan(
+                        name, f"{location}, {self._place_of(bad_rows[0])}: {self.faults[bad_rows[0]]}{more_text}"
+                    )
+                )
+                continue
+            if (twice := repeated_number(self.columns, rows)) is not None:
+                refused.append(RefusedPlan(name, f"{location}, {twice}"))
+                continue
+            sequence, order, counter = packing_order(self.columns, rows, low[rows], size[rows], self.notes)
+            good_rows[name] = rows
+            sequences.append(sequence)
+            orders.append(order)
+            if counter:
+                self.counters.add(counter)
+        order = self._order_note(orders, list(good_rows))
+        if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
+            self.notes.append(f"not read: {first_names(self.columns.unread, 4)}")
+        if set(orders) == {"sequence"} and len(self.counters) == 1:
+            reading = replace(reading, columns={**reading.columns, "sequence": next(iter(self.counters))})
+        reading = replace(
+            reading,
+            order=order,
+            notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
+            unused=self._unused(reading) if self.boxes.table.has_header else (),
+            odd=density_lines(self.columns, size, mass),
+            density_kg_m3=assumed_density(self.columns, self.wishes),
+        )
+        table = self._table(list(good_rows.values()), sequences, names, size, low, mass) if good_rows else None
+        return ForeignPlans(table, tuple(refused), reading, containers)
+
+    def _float(self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]) -> bool:
+        """Whether all boxes of some plan are above the deck."""
+        _, low, _ = placed_boxes(self.columns, reading, candidate, plans, self.wishes, [])
+        return any(np.nanmin(low[rows, 2], initial=np.inf) > DEFAULT_TOLERANCE_MM for rows in plans.values())
+
+    def _check_words(self, reading: Reading, candidate: Candidate) -> None:
+        """Note the words of rotations.
+
+        Raises:
+            InputError: nothing shows the meaning of the words.
+        """
+        turns = self.columns.turns
+        if turns is None or not turns.words:
+            return
+        if turns.rules:
+            zero, one = (printable_name(word or "blank") for word in turns.words)
+            self.notes.append(f"{printable_name(turns.column)}: {zero} is 0, {one} is 1")
+        elif not (self.wishes.sizes or self.columns.source.form.sizes or candidate.geometry.placed):
+            words = first_names(turns.words)
+            raise InputError(
+                f"{printable_name(turns.column)} has rotations of unknown meaning ({words}); if sizes are those of the "
+                "boxes as placed, say --sizes placed"
+            )
+
+    def _note_quantities(self) -> None:
+        """Add a note about quantities above 1, unless they count the rows of an article. A row has only one place."""
+        table, articles = self.boxes.table, self.columns.article or [""] * self.columns.n_boxes
+        if self.columns.source.form == PACKINGSOLVER:  # has its own note
+            return
+        rows_of_article = Counter(articles)
+        for name, meaning in zip(table.header, self.boxes.meanings, strict=True):
+            if meaning is None or meaning.kind != "quantity":
+                continue
+            numbers = [cell_number(cell, table.decimal) for cell in table.column(name)]
+            if any(
+                number is not None and number.value > 1 and number.value != rows_of_article[article]
+                for number, article in zip(numbers, articles, strict=True)
+            ):
+                self.notes.append(f"{printable_name(name)} is above 1 in some rows, but each row is read as one box")
+
+    def _place_of(self, row: int) -> str:
+        """The place of a row in the file, with the name of its box."""
+        ids = self.columns.item_id
+        name = "" if ids is None or not ids[row] else f" ({printable_name(ids[row])})"
+        return f"{self.places[row]}{name}"
+
+    def _plans_with_lost(self, names: Sequence[str]) -> dict[str, tuple[str, str]]:
+        """Name of each plan that lacks a row → (place, fault) of the first missing row.
+
+        An unreadable row may belong to the plan before or after it, so both plans are refused.
+        """
+        numbers = [_number_of(place, row) for row, place in enumerate(self.places)]
+        lost: dict[str, tuple[str, str]] = {}
+        for place, fault in self.boxes.table.lost:
+            number = _number_of(place, 0)
+            before = max((row for row in range(len(numbers)) if numbers[row] < number), default=0)
+            after = min((row for row in range(len(numbers)) if numbers[row] > number), default=len(names) - 1)
+            for row in (before, after):
+                lost.setdefault(names[row], (place, fault))
+        return lost
+
+    def _unused(self, reading: Reading) -> tuple[str, ...]:
+        """Names of the columns that a reading does not use."""
+        used = set(reading.columns.values())
+        return tuple(
+            name
+            for name in self.boxes.table.header
+            if name not in used and name.rpartition("[")[0] not in used and name not in self.columns.unit_columns
+        )
+
+    def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
+        """Returns the source of the packing order ("sequence", "rows" or "height"). Adds a note if no column gives the
+        packing order."""
+        sorted_plans = [name for name, order in zip(names, orders, strict=False) if order == "height"]
+        if sorted_plans:
+            plans_text = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"
+            self.notes.append(f"rows are not in packing order{plans_text}: boxes are placed from the ground up")
+            return "height"
+        if "rows" in orders or not orders:
+            self.notes.append("no sequence: the order of rows")
+            return "rows"
+        return "sequence"
+
+    def _table(
+        self,
+        good: Sequence[NDArray[np.int64]],
+        sequences: Sequence[NDArray[np.int64]],
+        names: Sequence[str],
+        size: FloatArray,
+        low: FloatArray,
+        mass: FloatArray,
+    ) -> Table:
+        rows = np.concatenate(good)
+        columns = self.columns
+        article = columns.article or columns.item_id
+        if columns.article is None:
+            self.notes.append("no article" + (": names of boxes" if article is not None else ""))
+        if article is None:
+            article = [""] * columns.n_boxes
+        values: dict[str, Any] = {
+            "plan_id": [names[row][:1000] for row in rows.tolist()],
+            "sequence": np.concatenate(sequences),
+            "article": [article[row][:1000] for row in rows.tolist()],
+            **{name: size[rows, axis] for axis, name in enumerate(("length_mm", "width_mm", "height_mm"))},
+            "weight_kg": mass[rows],
+            **{name: low[rows, axis] + 0.0 for axis, name in enumerate(("x_mm", "y_mm", "z_mm"))},
+        }
+        for name, texts in (("item_id", columns.item_id), ("product_group", columns.group)):
+            if texts is not None and any(texts):
+                values[name] = [texts[row][:1000] for row in rows.tolist()]
+        numbers = np.array([_number_of(self.places[row], row) for row in rows.tolist()], np.int64)
+        return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
+
+
+def _number_of(place: str, otherwise: int) -> int:
+    match = re.search(r"(\d+)\D*$", place)
+    return int(match[1]) if match is not None and len(match[1]) < 10 else otherwise

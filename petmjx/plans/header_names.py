@@ -1,0 +1,138 @@
+"""Recognises headers of raw tables by the names of columns in them, and makes names complete: units below them, merged
+headings above them, and repeated names."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Final
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.plans.column_names import column_meanings, is_unit, plain_text, split_unit
+from petmjx.plans.raw_cells import cell_number, cell_text
+from petmjx.plans.raw_tables import MOST_COLUMNS
+
+SEARCHED_ROWS: Final = 60
+"""Number of rows at the beginning of a table in which the header is searched for."""
+LEAST_KNOWN: Final = 2
+"""A row counts as a header only if at least this number of its cells are known names."""
+
+
+_NUMERIC: Final = re.compile(r"\s*[+-]?[.,]?\d")
+
+
+def count_known_names(cells: Sequence[Any]) -> int:
+    """The number of cells in a row that are known column names."""
+    names = [cell if isinstance(cell, str) and len(cell) < 100 and not _NUMERIC.match(cell) else "" for cell in cells]
+    if sum(map(bool, names)) < LEAST_KNOWN or len(names) > MOST_COLUMNS:
+        return 0
+    return _n_distinct(names)
+
+
+_LEAST_IN_ROWS: Final = 6
+"""A table has its names in the first column if at least this number of them is known, and more than in any row."""
+
+
+def names_in_rows(rows: Sequence[tuple[Any, ...]]) -> bool:
+    """Whether the names are in the first column, so that each further column is a box."""
+    n_known = count_known_names([row[0] if row else None for row in rows[:MOST_COLUMNS]])
+    return n_known >= _LEAST_IN_ROWS and n_known > max(map(count_known_names, rows[:SEARCHED_ROWS]))
+
+
+def header_rows(rows: Sequence[tuple[Any, ...]]) -> list[int]:
+    """Indices of the rows that are headers: the first row that has the most known names, and its repetitions."""
+    counts = [count_known_names(row) for row in rows[:SEARCHED_ROWS]]
+    most = max(counts, default=0)
+    if most < LEAST_KNOWN:
+        first = next((index for index, row in enumerate(rows) if any(cell is not None for cell in row)), None)
+        return [] if first is None or not _heads_numbers(rows, first) else [first]
+    head = counts.index(most)
+    header = rows[head]
+    return [index for index in range(head, len(rows)) if index == head or rows[index] == header]
+
+
+def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
+    """Whether a row is a header with unknown names: it is only text, and the rows below have enough numbers for
+    boxes."""
+    names = rows[head]
+    texts = [cell for cell in names if isinstance(cell, str) and not _NUMERIC.match(cell)]
+    below = [row for row in rows[head + 1 : head + 20] if any(cell is not None for cell in row)]
+    alike = all(len(row) == len(names) for row in below)
+    return len(set(texts)) == len(names) >= 6 and bool(below) and alike and are_numbers(below, 6)
+
+
+def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
+    """Whether most of the first rows have at least this number of numbers."""
+    first = rows[:20]
+    counts = [sum(cell_number(cell) is not None or cell_number(cell, ",") is not None for cell in row) for row in first]
+    return sum(count >= least for count in counts) * 2 > len(first)
+
+
+def geometric_names(header: Sequence[str]) -> tuple[str, ...]:
+    """The names of the columns that have sizes or places, sorted. All names if there are none."""
+    return tuple(sorted(header[index] for index in geometric_columns(header))) or tuple(header)
+
+
+def geometric_columns(header: Sequence[str]) -> list[int]:
+    """Indices of the columns that have sizes or places."""
+    return [
+        index
+        for index, meaning in enumerate(column_meanings(header))
+        if meaning is not None and meaning.kind in ("size", "sizes", "position", "positions", "low", "high")
+    ]
+
+
+def has_places(names: Sequence[str]) -> bool:
+    kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
+    return bool(kinds & {"position", "positions", "low"})
+
+
+def with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
+    """Names that include merged headings in the line above: "Position" above X, Y, Z gives "Position X"."""
+    heading, joined = "", []
+    for index, name in enumerate(names):
+        cell = group[index] if index < len(group) else None
+        heading = cell_text(cell) if cell is not None else heading
+        joined.append(f"{heading} {name}".strip() if heading and name else name)
+    with_units = []  # names that mean something alone get only the unit of their heading
+    for long, name, meaning in zip(joined, names, column_meanings(names), strict=True):
+        unit = split_unit(long.removesuffix(name).strip())[1]
+        with_unit = f"{name} [{unit}]" if unit and not names_unit(name) else name
+        with_units.append(long if meaning is None else with_unit)
+    return max(joined, with_units, names, key=_n_distinct)  # if several are equal, max returns the first
+
+
+def _n_distinct(names: Sequence[str]) -> int:
+    return len({(meaning.kind, meaning.axis) for meaning in column_meanings(names) if meaning is not None})
+
+
+_NO_MEASURE: Final = ("", "-", "–", "°", "deg", "grad", "st", "pcs", "stk", "szt", "ud", "qty")
+"""Units of angles and of numbers, and signs for no unit."""
+
+
+def is_unit_cell(cell: Any) -> bool:
+    return isinstance(cell, str) and (is_unit(cell) or plain_text(cell).strip(" []().").lower() in _NO_MEASURE)
+
+
+def names_unit(name: str) -> bool:
+    meaning = column_meanings([name])[0]
+    return meaning is not None and bool(meaning.unit)
+
+
+def distinct_names(names: Sequence[str]) -> list[str]:
+    """Names without repetitions. An empty name becomes, for example, "column 3".
+
+    Raises:
+        InputError: a known name occurs twice.
+    """
+    name_counts: Counter[str] = Counter()
+    distinct = []
+    for number, name in enumerate(names, start=1):
+        name = name or f"column {number}"
+        name_counts[name] += 1
+        if name_counts[name] == 2 and column_meanings([name])[0] is not None:
+            raise InputError(f"column {printable_name(name)} occurs twice")
+        distinct.append(name if name_counts[name] == 1 else f"{name} again")
+    return distinct

@@ -1,0 +1,171 @@
+"""Adds the sizes and weights of items to boxes that have only places. The items are in another table of the same file,
+or in another file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.checked_records import reason
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable
+from petmjx.plans.foreign_formats import sources_of_bytes
+from petmjx.plans.json_reader import unpacked_bytes
+from petmjx.plans.known_forms import PACKINGSOLVER, BoxSource
+from petmjx.plans.raw_cells import cell_number, cell_text
+from petmjx.plans.raw_tables import RawTable
+
+_MATCHED: Final = 0.9
+"""A table of items belongs to the boxes if at least this share of the boxes has an item in the table."""
+_OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
+_MOST_BESIDE: Final = 20
+"""Largest number of files in the folder of a file with places alone that are tried as files of items."""
+
+
+def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | None) -> BoxSource:
+    """The list of boxes that have places. Missing sizes and weights are added from a table of items."""
+    best = sources[0]
+    if items is not None:
+        tables = sources_of_bytes(bytes_of(items), items)
+        joined = with_items_of(best, tables[0], printable(str(items)))
+        if joined is None:
+            raise InputError(f"{printable(str(items))}: its items do not match the boxes")
+        return joined
+    if best.boxes.has_places and not best.boxes.has_sizes:
+        for other in sources[1:]:
+            if (
+                other.boxes.has_sizes
+                and (joined := with_items_of(best, other, other.boxes.path or "the other table")) is not None
+            ):
+                return joined
+    if path is not None and best.boxes.has_places and not best.boxes.has_sizes:
+        return _with_articles_beside(best, path)
+    if best.form == PACKINGSOLVER and path is not None:
+        return _with_items_beside(best, path)
+    return best
+
+
+def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
+    """Boxes with sizes added from a file of items in the folder of the boxes' file, if the items of exactly one file
+    match. Otherwise, the boxes are returned unchanged."""
+    try:
+        beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
+    except OSError:
+        return best
+    joined = []
+    for file in beside[:_MOST_BESIDE]:
+        try:
+            source = sources_of_bytes(bytes_of(file), file)[0]
+        except InputError:
+            continue  # this file has no items for the boxes
+        if source.boxes.has_sizes and (completed := with_items_of(best, source, file.name)) is not None:
+            joined.append(completed)
+    return joined[0] if len(joined) == 1 else best
+
+
+def bytes_of(path: Path) -> bytearray:
+    try:
+        data, fault = unpacked_bytes(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{printable(str(path))}: cannot be read ({reason(error)})") from None
+    if fault is not None:
+        raise InputError(f"{printable(str(path))}: {fault}")
+    return data
+
+
+def has_named_places(path: Path) -> bool:
+    """Whether a file has columns with the sizes of boxes and with at least two of their coordinates."""
+    try:
+        boxes = sources_of_bytes(bytes_of(path), path)[0].boxes
+    except InputError:
+        return False
+    axes = {
+        meaning.axis
+        for meaning in boxes.meanings
+        if meaning is not None and meaning.kind in ("position", "low") and not meaning.of_container
+    }
+    return boxes.has_sizes and (len(axes) > 1 or bool(boxes.kinds & {"positions", "matrix"}))
+
+
+def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
+    """packingsolver's certificate with the weights from the file of items beside it, if the sizes in both files
+    agree."""
+    stem = re.sub(r"_?(solution|certificate|output|result)s?$", "", path.stem, flags=re.IGNORECASE)
+    for name in dict.fromkeys((f"{path.stem}_items.csv", f"{stem}_items.csv", "items.csv")):
+        beside = path.with_name(name)
+        if beside == path or not beside.is_file():
+            continue
+        joined = with_items_of(best, sources_of_bytes(bytes_of(beside), beside)[0], name, by_number=True)
+        if joined is not None:
+            return joined
+        return replace(best, notes=(*best.notes, f"{name} beside it has other items, and is not read"))
+    return replace(best, notes=(*best.notes, "no items file is beside it (NAME_items.csv), which would have weights"))
+
+
+def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool = False) -> BoxSource | None:
+    """Boxes with the columns of a table of items added; None if the items do not belong to the boxes.
+
+    Args:
+        by_number: whether the column ID of each box has the number of the row of its item, from 0. If so, the sizes in
+            both tables must agree.
+    """
+    table, other = best.boxes.table, items.boxes.table
+    rows = _rows_by_number(table, other) if by_number else _rows_by_name(table, other)
+    if rows is None:
+        return None
+    added = [index for index, column in enumerate(other.header) if column not in table.header]
+    if by_number:
+        added = [index for index in added if other.header[index].upper() == "WEIGHT"]
+    header = (*table.header, *(other.header[index] for index in added))
+    cells = [
+        (*row, *(None if item is None else other.rows[item][index] for index in added))
+        for row, item in zip(table.rows, rows, strict=True)
+    ]
+    joined = replace(table, header=header, rows=cells)
+    note = f"sizes and weights from {name}" if not by_number else f"weights from {name}"
+    return replace(best, boxes=replace(best.boxes, table=joined), notes=(*best.notes, note))
+
+
+def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None:
+    upper = {name.upper(): index for index, name in enumerate(table.header)}
+    item_columns = {name.upper(): index for index, name in enumerate(other.header)}
+    if not {"X", "Y", "Z"} <= item_columns.keys():
+        return None
+    rows: list[int | None] = []
+    alike = 0
+    for row in table.rows:
+        number = cell_number(row[upper["ID"]])
+        index = None if number is None or not 0 <= number.value < len(other.rows) else int(number.value)
+        rows.append(index)
+        if index is not None:
+            one = sorted(number.value for name in ("LX", "LY", "LZ") if (number := cell_number(row[upper[name]])))
+            two = sorted(
+                number.value for name in "XYZ" if (number := cell_number(other.rows[index][item_columns[name]]))
+            )
+            alike += len(one) == len(two) and bool(np.allclose(one, two))
+    return rows if alike >= _MATCHED * max(len(table.rows), 1) else None
+
+
+def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
+    """For each box, the row of its item. Rows are found by the pair of columns (of boxes and items) whose values agree
+    best."""
+    best, most = None, _MATCHED * max(len(table.rows), 1)
+    for item_column in range(len(other.header)):
+        names: dict[str, int] = {}
+        for number, row in enumerate(other.rows):
+            names.setdefault(cell_text(row[item_column]), number)
+        names.pop("", None)
+        if len(names) < len(other.rows):
+            continue
+        for box_column in range(len(table.header)):
+            rows = [names.get(cell_text(row[box_column])) for row in table.rows]
+            matched = sum(row is not None for row in rows)
+            text = any(not cell_text(row[box_column]).replace(".", "").isdigit() for row in table.rows[:5])
+            if matched + 0.5 * text > most:
+                best, most = rows, matched + 0.5 * text
+    return best

@@ -1,0 +1,167 @@
+"""What the objects around nested boxes say: names of plans, containers, and coordinates of layers and stacks."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from petmjx.plans.box_fields import flattened
+from petmjx.plans.column_names import column_meanings, word_set, words_of
+from petmjx.plans.raw_cells import cell_number, cell_text
+
+LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
+"""Words for lists, sheets and sections whose members are parts of one plan."""
+STACKS: Final = word_set("stack stacks tower towers column columns pile piles block blocks")
+"""Words for parts of a plan that stand beside each other."""
+_NAMES: Final = (
+    "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
+    "binId", "load_id", "loadId",
+    "id", "ID", "name", "partno", "bin", "pallet", "container", "index", "number", "no",
+)  # fmt: skip
+"""Fields that name a plan, most reliable first."""
+_N_OF_PLANS: Final = 12
+"""Number of these fields, from the first, that name a plan wherever they are."""
+CONTAINERS: Final = word_set(
+    "container containers bin bins pallet pallets truck trucks carrier carriers vehicle box_size bin_size binsize "
+    "containersize palletsize load_carrier"
+)
+"""Words in names of fields that hold a container, or a list of containers."""
+_PRINTED_SIZES: Final = re.compile(r"\(?\s*([\d.]+)\s*[x×]\s*([\d.]+)\s*[x×]\s*([\d.]+)")
+
+
+@dataclass(frozen=True, eq=False)
+class NestedBox:
+    """One object of a list, and its path.
+
+    Attributes:
+        value: the object.
+        place: its path in the file: "containers[0].boxes[3]".
+        around: (step, object) pairs for the objects that contain this object, outermost first. A step is the field's
+            name or the object's number.
+    """
+
+    value: Mapping[str, Any]
+    place: str
+    around: tuple[tuple[str, Mapping[str, Any]], ...]
+
+
+def fields_of_part(member: NestedBox) -> dict[str, Any]:
+    """The coordinates and the height that a box lacks, from the layer or stack that contains it."""
+    step, holder = member.around[-1] if member.around else ("", {})
+    if not (LAYERS | STACKS).intersection(words_of(step)):
+        return {}
+    given = {(meaning.kind, meaning.axis) for meaning in column_meanings(list(flattened(member.value))) if meaning}
+    if ("positions", "") in given or ("sizes", "") in given or not any(kind == "position" for kind, _ in given):
+        return {}
+    fields = {name: value for name, value in holder.items() if cell_number(value) is not None}
+    lacking = {*(("position", axis) for axis in "xyz"), ("size", "height")} - given
+    return {
+        name: fields[name]
+        for name, meaning in zip(fields, column_meanings(list(fields)), strict=True)
+        if meaning is not None and (meaning.kind, meaning.axis) in lacking
+    }
+
+
+def plan_names_of(members: Sequence[NestedBox]) -> list[str]:
+    """The name of each member's plan: the differing names of the objects around it, or, if none differ, the innermost
+    name."""
+    depth = max((len(member.around) for member in members), default=0)
+    levels = [
+        [member.around[level] if level < len(member.around) else ("", {}) for member in members]
+        for level in range(depth)
+    ]
+    several = [level for level in levels if len({id(holder) for _, holder in level}) > 1 and not _is_part(level[0][0])]
+    if not several:
+        return [_only_name(members[0].around)] * len(members) if members else []
+    names = []
+    for level in several:
+        distinct = {id(holder): (step, holder) for step, holder in level}
+        labels = _names_of(list(distinct.values()))
+        by_holder = dict(zip(distinct, labels, strict=True))
+        names.append([by_holder[id(holder)] for _, holder in level])
+    return ["/".join(filter(None, parts)) for parts in zip(*names, strict=True)]
+
+
+def _is_part(step: str) -> bool:
+    """Whether the members of a list with this name are parts of one plan: its layers, or several stacks."""
+    words = set(words_of(step))
+    return bool(words & LAYERS) or (bool(words & STACKS) and step.endswith("]"))
+
+
+def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
+    """The name of a file's only plan; "" if no field gives a name."""
+    for _, holder in reversed(around):
+        for name in _NAMES[:_N_OF_PLANS]:
+            if (text := _name_text(holder.get(name))) != "":
+                return text
+    for step, holder in reversed(around):
+        if step.endswith("]") or not step:
+            for name in ("id", "ID", "name", "bin", "partno"):
+                if (text := _name_text(holder.get(name))) != "":
+                    return text
+    return ""
+
+
+def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
+    """The names of objects around boxes. A name is the text of the first field that is unique, else the place of the
+    object."""
+    texts = {name: [_name_text(holder.get(name)) for _, holder in holders] for name in _NAMES}
+    counts = {name: Counter(values) for name, values in texts.items()}
+    names = []
+    for number, (step, _) in enumerate(holders):
+        unique = (
+            values[number] for name, values in texts.items() if values[number] and counts[name][values[number]] == 1
+        )
+        member = re.search(r"\[(\d+)\]$", step)
+        names.append(next(unique, step if member is None else str(int(member[1]) + 1)))
+    return names
+
+
+def _name_text(value: Any) -> str:
+    if isinstance(value, str):
+        printed = re.match(r"^([\w .#-]+)\([\d.]+\s*x", value)  # py3dbp prints "euro(1200x800x1500, …)"
+        return (printed[1] if printed else value).strip()[:1000]
+    return cell_text(value) if isinstance(value, int | float) and not isinstance(value, bool) else ""
+
+
+def container_around(member: NestedBox) -> dict[str, float]:
+    """The size of the container of a box, by axis; empty if no size is given."""
+    for step, holder in reversed(member.around):
+        for name, inner in holder.items():
+            words = words_of(str(name))
+            # In py3dbp's web API, the container "box" is beside the list of its boxes.
+            is_box = isinstance(inner, Mapping) and str(name).lower() == "box"
+            if not (CONTAINERS.intersection(words) or str(name).lower() in CONTAINERS or is_box):
+                continue
+            if isinstance(inner, Mapping) and (sizes := _sizes_in(inner)):
+                return sizes
+            if isinstance(inner, list | tuple) and len(inner) == 3 and all(map(cell_number, inner)):
+                return {str(axis): float(cell_number(cell).value) for axis, cell in enumerate(inner)}  # type: ignore[union-attr]  # as just checked
+            if isinstance(inner, str) and (printed := _PRINTED_SIZES.search(inner)):
+                return dict(zip(("width", "height", "depth"), map(float, printed.groups()), strict=True))
+        alone = {
+            name: inner for name, inner in holder.items() if not (isinstance(inner, list) and _holds_objects(inner))
+        }
+        if (sizes := _sizes_in(alone)) and step != "":
+            return sizes
+        if sizes and set(holder) & {"items", "boxes", "placements", "stack", "fitted_items", "packages"}:
+            return sizes
+    return {}
+
+
+def _holds_objects(value: Sequence[Any]) -> bool:
+    return any(isinstance(inner, Mapping) for inner in value[:1])
+
+
+def _sizes_in(value: Mapping[str, Any]) -> dict[str, float]:
+    """Axis → size, from the fields of an object; empty unless there are three sizes."""
+    flat = flattened(value)
+    sizes: dict[str, float] = {}
+    for name, meaning in zip(flat, column_meanings(list(flat)), strict=True):
+        number = cell_number(flat[name])
+        if meaning is not None and meaning.kind == "size" and number is not None and number.value > 0:
+            sizes.setdefault(meaning.axis, number.value)
+    return sizes if len(sizes) == 3 else {}

@@ -1,0 +1,154 @@
+"""Columns that name the pallets (plans) of boxes (``PalletSearch``), and the names of plans."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.column_extraction import IGNORED
+from petmjx.plans.column_names import PALLET_WORDS, words_of
+from petmjx.plans.packing_order import repeated_number
+from petmjx.plans.raw_cells import cell_text
+from petmjx.plans.reading_candidates import Candidate
+from petmjx.plans.reading_choice import choose_reading
+from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
+
+_MANY_OVERLAP: Final = 0.3
+"""If at least this share of the boxes overlaps, two pallets have probably been read as one."""
+_LEAST_OF_PALLETS: Final = 4
+"""Smallest number of boxes in a file for which petmjx searches for a column that names the pallets."""
+_OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
+"""Names of columns that may name pallets, or stacks of one pallet."""
+
+
+class PalletSearch:
+    """Searches for the column that names the pallets of a file.
+
+    Attributes:
+        columns: the boxes of the file.
+        single_reading: the chosen reading if all boxes are one plan; None: not determined.
+    """
+
+    def __init__(self, columns: BoxColumns, wishes: Wishes) -> None:
+        self.columns, self.wishes = columns, wishes
+        self.single_reading: tuple[Reading, Candidate] | None = None
+
+    def columns_with_pallets(self) -> tuple[BoxColumns, tuple[str, ...]]:
+        """The columns, in which pallets become plans if boxes of different pallets would otherwise overlap; and notes
+        about it. Exactly one column must separate the pallets.
+
+        Raises:
+            InputError: the column does not have a word for pallets in its name, or several columns separate the
+                pallets.
+        """
+        columns = self.columns
+        rows = np.arange(columns.n_boxes)
+        faultless = not columns.faults
+        repeats_numbers = columns.sequence is not None and len(set(columns.sequence.tolist())) < len(rows)
+        if (
+            len(rows) < _LEAST_OF_PALLETS
+            or not faultless
+            or not (repeats_numbers or self._overlaps({"": rows}, _MANY_OVERLAP))
+        ):
+            return columns, ()
+        used = {name for geometry in columns.geometries for name in geometry.columns.values()}
+        used |= {columns.columns.get(role, "") for role in ("weight", "density", "rotation", "sequence")}
+        separating: dict[tuple[int, ...], list[str]] = {}
+        for name in columns.source.boxes.table.header:
+            texts = [cell_text(cell) for cell in columns.source.boxes.table.column(name)]
+            groups = rows_by_name(texts)
+            if name in used or "" in groups or not 2 <= len(groups) <= len(rows) / 2:
+                continue
+            if any(repeated_number(columns, group) is not None for group in groups.values()) or self._overlaps(
+                groups, 0.0
+            ):
+                continue
+            numbers = {text: number for number, text in enumerate(groups)}
+            separating.setdefault(tuple(numbers[text] for text in texts), []).append(name)
+        if not separating:
+            return columns, ()
+        pallet_names = [[name for name in names if PALLET_WORDS & set(words_of(name))] for names in separating.values()]
+        sure = [names[0] for names in pallet_names if names]
+        if len(sure) != 1:
+            names = [names[0] for names in separating.values()]
+            cause = "numbers of the packing order occur twice" if repeats_numbers else "boxes overlap"
+            raise InputError(
+                f"{cause}, but not if {' or '.join(map(printable_name, names))} separates pallets; say which with "
+                f"{' or '.join(f'--columns plan={printable_name(name)}' for name in (*names, IGNORED))} (one pallet)"
+            )
+        texts = [cell_text(cell) for cell in columns.source.boxes.table.column(sure[0])]
+        with_plans = replace(columns, plan=texts, columns={**columns.columns, "plan": sure[0]})
+        return with_plans, (f"several pallets, by {printable_name(sure[0])}",)
+
+    def check_stacks(self) -> None:
+        """Refuse a column of stacks if all boxes together could be one plan.
+
+        Raises:
+            InputError: no box overlaps or floats if the stacks are one plan.
+        """
+        name, names = self.columns.columns.get("plan", ""), self.columns.plan or []
+        if name.lower() not in _OF_STACKS or len(set(names)) < 2 or self.columns.faults:
+            return
+        of_one = self._overlaps({"": np.arange(self.columns.n_boxes)}, 0.0)
+        if not of_one:
+            shown = printable_name(name)
+            raise InputError(
+                f"{shown} may name pallets, or stacks of one pallet; say which with --columns plan={shown} or "
+                f"--columns plan={IGNORED} (one pallet)"
+            )
+
+    def are_parts_of_one(self) -> bool:
+        """Whether the parts of a file, such as sections with titles, are parts of one plan: together, no box overlaps
+        or floats, and no column names plans."""
+        rows = np.arange(self.columns.n_boxes)
+        return self.columns.plan is None and not self.columns.faults and not self._overlaps({"": rows}, 0.0)
+
+    def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
+        """Whether, in the most plausible reading, more than the given share of the boxes overlaps other boxes, or any
+        box floats."""
+        try:
+            choice = choose_reading(self.columns, plans, self.wishes)
+            evidence = choice[0].evidence
+            self.single_reading = choice if len(plans) == 1 else self.single_reading
+        except AmbiguousFile as error:
+            evidence = error.readings[0].evidence
+        except InputError:
+            return False
+        return evidence.n_overlapping > share * evidence.n_boxes or (not share and evidence.n_floating > 0)
+
+
+def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
+    """(n,) the name of the plan of each row. If the names are numbers of containers, the file's name comes before
+    them, so that plans of different files have different names.
+    """
+    parts = columns.source.boxes.parts or ("",) * columns.n_boxes
+    column = columns.plan
+    if column is not None and len(set(column)) * 2 > columns.n_boxes + 2 and len(set(column)) > 1:
+        column = None  # nearly every row has another name, so the column does not name plans
+    stem = Path(source).name.split(".")[0] or "plan"
+    names = ["/".join(filter(None, (part, "" if column is None else column[row]))) for row, part in enumerate(parts)]
+    if not any(names):
+        notes.append(f"no plan_id: {printable_name(stem)}")
+        return [stem] * len(names)
+    words = words_of(columns.columns.get("plan", ""))
+    if "plan" in words or "order" in words:  # the names are names of plans, not numbers of containers
+        return [name or stem for name in names]
+    if len(set(names)) == 1 and names[0].isdigit():
+        return [stem] * len(names)  # there is only one container
+    return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
+
+
+def rows_by_name(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
+    """Name → numbers of the rows that have this name."""
+    rows: dict[str, list[int]] = {}
+    for row, name in enumerate(names):
+        rows.setdefault(name, []).append(row)
+    return {name: np.array(some, np.int64) for name, some in rows.items()}

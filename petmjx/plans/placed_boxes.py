@@ -1,0 +1,211 @@
+"""The boxes of a reading in millimetres and kilograms, with the deck's corner as the origin."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.text import count_text, three_digits
+from petmjx.common.units import FloatArray
+from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, plain_text
+from petmjx.plans.plan_fields import (
+    LARGEST_KG,
+    SMALLEST_KG,
+    positive_fault,
+)
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
+from petmjx.plans.range_faults import limits_in
+from petmjx.plans.reading_candidates import Candidate, layout_of
+from petmjx.plans.reading_choice import container_of
+from petmjx.plans.readings import Reading, Wishes
+
+USUAL_KG_M3: Final = 300.0
+"""Density of boxes if a file has no weights: that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
+that is the same for all boxes."""
+_WATER_KG_M3: Final = 1000.0
+_RELATIVE: Final = 1.5
+"""If no density in a column of densities exceeds this value, the column is relative to the density of water. Otherwise,
+it is in kg/m³."""
+_LIGHTEST, _HEAVIEST = 2.0, 5000.0
+"""Median densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density
+of foam, and the upper limit above the density of iron parts."""
+_DECK: Final = re.compile(
+    r"^\W*(?:euro?|epal|chep|gma)?[\W\d_]*(?:pallet|palette|paleta|palet|pale|bancale|europalette|europallet|epal|eur|skid)\b",
+    re.IGNORECASE,
+)
+"""Names of pallets in lists of boxes, such as "EUR", "EPAL 1", "Euro pallet", "Palette"."""
+_OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
+"""Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
+_HIGHEST_DECK_MM: Final = 250.0
+_LEVEL: Final = 0.01
+"""Largest distance between the bottom of the lowest box and the deck at which the box counts as standing on the deck,
+as a share of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
+
+
+def placed_boxes(
+    columns: BoxColumns,
+    reading: Reading,
+    candidate: Candidate,
+    plans: Mapping[str, NDArray[np.int64]],
+    wishes: Wishes,
+    notes: list[str],
+) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
+    """(n, 3) sizes and (n, 3) corners along the plan's axes, and the sizes of the containers, all in mm. Adds
+    notes to ``notes``."""
+    factor = LENGTH_UNITS[reading.length_units[1]]
+    n = columns.n_boxes
+    size, low = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+    containers: dict[str, FloatArray] = {}
+    layout = layout_of(columns, candidate)
+    for name, rows in plans.items():
+        container = (
+            layout_of(columns, candidate, container_of(columns.source.boxes.containers, name)).container * factor
+        )
+        if wishes.deck_mm is not None and np.isnan(container[:2]).any():
+            container = np.array([*wishes.deck_mm, np.nan])
+        containers[name] = container
+        size[rows], low[rows] = layout.size[rows] * factor, layout.low[rows] * factor
+    usable = np.array([row not in columns.faults for row in range(n)])
+    good_rows = {name: rows[usable[rows]] for name, rows in plans.items() if usable[rows].any()}
+    bottoms = _deck_heights(low, good_rows, size, containers)
+    moved = {
+        _move(low, plans[name], rows, size, containers[name], reading, bottoms[name])
+        for name, rows in good_rows.items()
+    }
+    notes += sorted(filter(None, moved))
+    return size, low, containers
+
+
+def _deck_heights(
+    low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, containers: Mapping[str, FloatArray]
+) -> dict[str, float]:
+    """Height of the deck of each plan, mm. All plans of a file measure heights from the same level.
+
+    This level is 0 if the lowest box of any plan is at 0; else it is the height of the lowest box of the file. So a
+    plan that lacks its bottom layer floats. If heights are measured from the middle of a container, the deck is at
+    the plan's own lowest box (half the container's height below 0).
+    """
+    small = {name: _LEVEL * float(np.nanmedian(size[rows, 2])) for name, rows in plans.items()}
+    lowest = {name: float(np.nanmin(low[rows, 2])) for name, rows in plans.items()}
+    of_middle = {
+        name for name, z in lowest.items() if abs(z) > small[name] and abs(z + containers[name][2] / 2) <= small[name]
+    }
+    others = {name: z for name, z in lowest.items() if name not in of_middle}
+    begins = any(abs(z) <= small[name] for name, z in others.items())
+    level = 0.0 if begins else min(others.values(), default=0.0)
+    return {name: z if name in of_middle or abs(z - level) <= small[name] else level for name, z in lowest.items()}
+
+
+def _move(
+    low: FloatArray,
+    rows: NDArray[np.int64],
+    used: NDArray[np.int64],
+    size: FloatArray,
+    container: FloatArray,
+    reading: Reading,
+    bottom: float,
+) -> str:
+    """Move the boxes of a plan so that the deck's corner is the origin. Returns a note ("" if nothing was moved).
+
+    Args:
+        used: numbers of the rows that have no faults.
+        bottom: height of the deck, mm.
+    """
+    notes = []
+    small = _LEVEL * float(np.nanmedian(size[used, 2]))
+    if abs(bottom) > small:
+        low[rows, 2] -= bottom
+        notes.append(f"heights count from the lowest box, {bottom:g} mm")
+    elif bottom:
+        low[rows, 2] = np.where(np.abs(low[rows, 2]) <= abs(bottom), 0.0, low[rows, 2])
+    if reading.origin == "middle":
+        begin = np.nanmin(low[used, :2], axis=0)
+        shift = container[:2] / 2 if not np.isnan(container[:2]).any() else -begin
+        low[rows, :2] += shift
+        notes.append("the origin is the middle of the carrier")
+    else:
+        begin = np.nanmin(low[used, :2], axis=0)
+        shift = np.where(begin < -DEFAULT_TOLERANCE_MM, -begin, 0.0)
+        if shift.any():
+            low[rows, :2] += shift
+            notes.append("the origin is another corner of the carrier")
+    return "; ".join(notes)
+
+
+def pallet_rows(
+    columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray
+) -> set[int]:
+    """Numbers of the rows that describe a pallet, not a box: these rows are named as a pallet, have the size of a
+    pallet, and lie below all boxes."""
+    decks = set()
+    for rows in plans.values():
+        if len(rows) < 2 or np.isnan(low[rows]).any():
+            continue
+        row = int(rows[np.argmin(low[rows, 2])])
+        top = low[row, 2] + size[row, 2] - DEFAULT_TOLERANCE_MM
+        above = bool((low[rows[rows != row], 2] >= top).all())
+        names = [cell for cell in columns.source.boxes.table.rows[row] if isinstance(cell, str)]
+        level = np.sort(size[row, :2])
+        narrow, wide = _OF_DECKS_MM
+        as_large = narrow[0] <= level[0] <= wide[0] and narrow[1] <= level[1] <= wide[1]
+        if above and as_large and size[row, 2] <= _HIGHEST_DECK_MM and any(map(_DECK.search, map(plain_text, names))):
+            decks.add(row)
+    return decks
+
+
+def assumed_density(columns: BoxColumns, wishes: Wishes) -> float | None:
+    """Density of boxes that have no weight, kg/m³; None: all boxes have weights."""
+    weight = columns.weight
+    lacks_weights = weight is None or (wishes.density_kg_m3 is not None and bool(np.isnan(weight).any()))
+    return _density(wishes) if lacks_weights else None
+
+
+def _density(wishes: Wishes) -> float:
+    return wishes.density_kg_m3 or USUAL_KG_M3
+
+
+def masses_kg(
+    columns: BoxColumns, reading: Reading, size: FloatArray, wishes: Wishes, faults: dict[int, str], notes: list[str]
+) -> FloatArray:
+    """(n,) masses, kg. Missing masses are computed from the density. Adds faults of masses to ``faults``, and notes to
+    ``notes``."""
+    volume = size.prod(axis=1) / 1e9
+    density = _density(wishes)
+    if columns.weight is None:
+        notes.append(f"no weights: {density:g} kg/m³ (--density)")
+        return np.asarray(volume * density)
+    if columns.weight_is_density:
+        relative = np.nanmax(columns.weight) <= _RELATIVE
+        notes.append(f"weights by density, {'relative to water' if relative else 'kg/m³'}")
+        return np.asarray(volume * columns.weight * (_WATER_KG_M3 if relative else 1.0))
+    name = columns.columns["weight"]
+    mass = columns.weight * MASS_UNITS[reading.masses]
+    empty = np.isnan(mass) | ~(mass > 0)
+    if wishes.density_kg_m3 is not None and empty.any():
+        notes.append(f"{count_text(int(empty.sum()), 'missing weight')}: {density:g} kg/m³")
+        for row in np.flatnonzero(empty).tolist():
+            if columns.faults.get(row, ("", ""))[0] == name:
+                faults.pop(row, None)
+        return np.asarray(np.where(empty, volume * density, mass))
+    limits = limits_in(SMALLEST_KG, LARGEST_KG, reading.masses, MASS_UNITS)
+    for row in np.flatnonzero((mass < SMALLEST_KG) | (mass > LARGEST_KG)).tolist():
+        fault = positive_fault(name, float(columns.weight[row]), *limits)
+        if fault is not None:
+            faults.setdefault(row, fault)
+    return np.asarray(mass)
+
+
+def density_lines(columns: BoxColumns, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
+    """Lines about densities that no load of a pallet can have."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        density = mass / (size.prod(axis=1) / 1e9)
+    density = density[np.isfinite(density)]
+    if columns.weight is None or not len(density) or _LIGHTEST <= np.median(density) <= _HEAVIEST:
+        return ()
+    line = f"boxes have {three_digits(float(np.median(density)))} kg/m³ in the median"
+    return (f"{line}: weights or lengths in another unit? (--units)",)

@@ -1,0 +1,208 @@
+"""Columns with the poses of boxes: matrices, or positions with quaternions, angles or rotation matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.plans.column_extraction import XYZ, ColumnExtraction
+from petmjx.plans.column_names import LENGTH_UNITS, words_of
+from petmjx.plans.known_forms import GLTF, THREE_JS
+from petmjx.plans.raw_cells import number_fault_of
+from petmjx.plans.size_and_place_columns import Geometry, place_choices, size_choices
+from petmjx.plans.turn_columns import (
+    angles_of,
+    bad_member,
+    is_matrix,
+    is_rotation,
+    matrix_of,
+    rotations_of_angles,
+    rotations_of_quaternions,
+    tilt,
+)
+
+_Rotations = tuple[FloatArray, dict[str, str], int]
+"""(n, 3, 3) rotation matrices; role → name of its column; the column that is named in errors."""
+_ROUNDED_SCALE: Final = 0.01
+"""Largest difference of a scale factor from 1 that rounding of the matrix explains."""
+_LEVEL: Final = 2e-3
+"""Largest deviation of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
+
+
+def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
+    """Geometries from matrices, or from positions and rotations."""
+    header = extraction.table.header
+    sizes = size_choices(extraction)
+    matrix = next(
+        (index for index in range(len(header)) if any(is_matrix(row[index]) for row in extraction.table.rows[:3])), None
+    )
+    if matrix is not None:
+        n = len(extraction.table.rows)
+        rotations, places = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
+        for row, cell in enumerate(extraction.cells(matrix)):
+            array = matrix_of(cell)
+            if array is None:
+                extraction.bad(row, matrix, f"must be a 4×4 matrix of numbers{bad_member(cell)}")
+            else:
+                rotations[row], places[row] = array[:3, :3], array[:3, 3]
+        rotations, scale = _without_scale(rotations)
+        if not sizes and np.allclose(scale, 1.0, equal_nan=True):
+            return []
+        size, axes, unit, _, columns = sizes[0] if sizes else (np.ones((n, 3)), XYZ, "", False, {})
+        if not np.allclose(size, scale, rtol=1e-3, equal_nan=True):  # else the matrices repeat the sizes
+            size = size * scale
+            _check_scales(extraction, scale, matrix)
+        columns = {**columns, "pose": header[matrix]}
+        return [_pose(extraction, size, places, axes, unit, unit, rotations, columns, matrix, "")]
+    if not sizes:
+        return []
+    size, axes, unit, _, columns = sizes[0]
+    options = _quaternions(extraction) or _angles(extraction) or _turning_matrices(extraction)
+    places_of = place_choices(extraction) if options else []
+    if not places_of:
+        return []
+    place, place_unit, anchor, place_columns, _ = places_of[0]
+    tilted = [int((tilt(rotation) > _LEVEL).sum()) for rotation, *_ in options]
+    return [
+        replace(
+            _pose(
+                extraction,
+                size,
+                place,
+                axes,
+                unit,
+                place_unit,
+                rotation,
+                columns | place_columns | named,
+                index,
+                anchor,
+            ),
+            prior=0.4 * number,
+        )
+        for number, (rotation, named, index) in enumerate(options)
+        if tilted[number] == min(tilted)
+    ]
+
+
+def _check_scales(extraction: ColumnExtraction, scale: FloatArray, index: int) -> None:
+    """Report matrices that scale their box if most matrices of the column do not. In scene graphs, any matrix may scale
+    its box."""
+    scaled = np.flatnonzero((np.abs(scale - 1.0) >= _ROUNDED_SCALE).any(axis=1))
+    if extraction.source.form in (THREE_JS, GLTF) or len(scaled) * 2 > len(scale):
+        return
+    for row in scaled.tolist():
+        factor = scale[row, np.argmax(np.abs(scale[row] - 1.0))]
+        extraction.bad(row, index, f"scales the box by {factor:.3g}, unlike the matrices of other rows")
+
+
+def _without_scale(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, 3, 3) rotations, and (n, 3) scale factors along the axes of the boxes, of matrices that turn and scale.
+    If all factors are nearly 1, they are 1: matrices are rounded."""
+    scale: FloatArray = np.linalg.norm(matrices, axis=1)
+    if not (np.abs(scale - 1.0) >= _ROUNDED_SCALE).any():
+        return matrices, np.ones_like(scale)
+    scale = np.where(scale > 0, scale, 1.0)
+    return matrices / scale[:, None, :], scale
+
+
+def _quaternions(extraction: ColumnExtraction) -> list[_Rotations]:
+    """Rotations by quaternions, if there are any. In a list without names, w may be the first or the last one."""
+    header = extraction.table.header
+    named, turned = extraction.columns_of("quaternion"), extraction.columns_of("rotation")
+    if "w" in named:
+        named = {**extraction.columns_of("euler"), **named}
+    elif "3" in turned:
+        named = turned
+    components = [named.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
+    listed = [named.get(str(axis), [None])[0] for axis in range(4)]
+    orders = (
+        [components] if None not in components else [listed, [listed[3], *listed[:3]]] if None not in listed else []
+    )
+    rotations = []
+    for number, order in enumerate(orders):
+        indices = [index for index in order if index is not None]
+        values = np.stack([extraction.numbers(index, LENGTH_UNITS)[0] for index in indices], axis=1)
+        columns = _roles("quaternion", [header[index] for index in indices])
+        columns |= {"order of quaternions": "x, y, z, w"} if number == 1 else {}
+        rotations.append((rotations_of_quaternions(values), columns, indices[0]))
+    return rotations
+
+
+def _angles(extraction: ColumnExtraction) -> list[_Rotations]:
+    """Rotations by angles about at least two of the axes, if there are any: "rx", "ry" and "rz"; roll, pitch and
+    yaw; lists of three."""
+    named = {axis: columns[0] for axis, columns in extraction.columns_of("euler").items()}
+    quaternions, turned = extraction.columns_of("quaternion"), extraction.columns_of("rotation")
+    listed = turned if {*"012"} <= turned.keys() else quaternions if {*"012"} <= quaternions.keys() else {}
+    if listed:
+        named = {axis: listed[str(number)][0] for number, axis in enumerate(XYZ)}
+    elif {*XYZ} <= quaternions.keys():  # "orientation.x" without a w
+        named = {axis: quaternions[axis][0] for axis in XYZ}
+    elif named and "z" not in named:
+        yaws = [index for index in turned.get("", ()) if "yaw" in words_of(extraction.table.header[index])]
+        if yaws:
+            named["z"] = yaws[0]
+    if len(named) < 2:
+        return []
+    indices = list(named.values())
+    angles = np.zeros((len(extraction.table.rows), 3))
+    angles[:, [XYZ.index(axis) for axis in named]] = angles_of(
+        [extraction.cells(index) for index in indices], extraction.table.decimal
+    )
+    for row, axis in np.argwhere(np.isnan(angles)).tolist():
+        index = named[XYZ[axis]]
+        extraction.bad(row, index, number_fault_of(extraction.table.rows[row][index], extraction.table.decimal))
+    columns = _roles("angle", [extraction.table.header[index] for index in indices])
+    return [
+        (rotation, {**columns, **({"order of angles": "z, y, x"} if number else {})}, indices[0])
+        for number, rotation in enumerate(rotations_of_angles(angles))
+    ]
+
+
+def _turning_matrices(extraction: ColumnExtraction) -> list[_Rotations]:
+    """Rotations by matrices (3, 3), if there are any."""
+    rows = extraction.table.rows
+    index = next(
+        (index for index in range(len(extraction.table.header)) if any(is_rotation(row[index]) for row in rows[:3])),
+        None,
+    )
+    if index is None:
+        return []
+    rotations = np.full((len(rows), 3, 3), np.nan)
+    for row, cell in enumerate(extraction.cells(index)):
+        try:
+            rotations[row] = np.array(cell, float)
+        except (TypeError, ValueError):
+            extraction.bad(row, index, f"must be a 3×3 matrix of numbers{bad_member(cell)}")
+    return [(rotations, {"rotation": extraction.table.header[index]}, index)]
+
+
+def _pose(
+    extraction: ColumnExtraction,
+    size: FloatArray,
+    place: FloatArray,
+    axes: tuple[str, str, str],
+    size_unit: str,
+    place_unit: str,
+    rotation: FloatArray,
+    columns: dict[str, str],
+    index: int,
+    anchor: str,
+) -> Geometry:
+    """A geometry from poses. Boxes whose rotation is not a multiple of right angles are refused."""
+    for row in np.flatnonzero(tilt(rotation) > _LEVEL):
+        degrees = np.degrees(np.arccos(np.clip(np.abs(rotation[row]).max(axis=1).min(), 0, 1)))
+        extraction.bad(
+            int(row), index, f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
+        )
+    return Geometry(size, place, axes, size_unit, place_unit, anchor, True, columns, turn=np.abs(np.rint(rotation)))
+
+
+def _roles(role: str, names: Sequence[str]) -> dict[str, str]:
+    """Role → name of its column, for columns that have one role together. Members of a list have one name."""
+    names = list(dict.fromkeys(name.rpartition("[")[0] or name for name in names))
+    return {role if number == 1 else f"{role} ({number})": name for number, name in enumerate(names, start=1)}

@@ -1,0 +1,178 @@
+"""Boxes in text that Python programs print: dictionaries and lists, and the text of py3dbp.
+
+Source of py3dbp's text: ``Item.string`` (github.com/enzoruiz/3dbinpacking).
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
+from petmjx.plans.box_list import BoxList
+from petmjx.plans.json_values import JsonLines
+from petmjx.plans.known_forms import PY3DBP, BoxSource
+from petmjx.plans.raw_tables import RawTable
+
+_MOST_PRINTED: Final = 8 << 20
+"""Largest text of Python values that is parsed, in characters. Their syntax tree takes 100 times as much memory."""
+_CONSTRUCTED: Final = re.compile(
+    r"\b(?:[A-Za-z_]\w*\.)*(?:Decimal|float(?:32|64)|u?int(?:8|16|32|64)|array)\(([^()]*?)(?:, dtype=\w+)?\)"
+)
+"""A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])"."""
+_PRINTED_OBJECT: Final = re.compile(r"\[?\s*[A-Za-z_][\w.]*\(\s*[A-Za-z_]\w*=")
+"""The beginning of an object with named fields as Python prints it: "Box(x=0, y=0, …)"."""
+_NOT_FINITE: Final = re.compile(r"(?<![\w'\"])(-?(?:nan|inf))(?![\w'\"])")
+
+
+def python_values(text: str) -> Any:
+    """The dictionaries and lists in a text that Python has printed, one or several; None for any other text."""
+    if not ("'" in text or _PRINTED_OBJECT.match(text)) or len(text) > _MOST_PRINTED:
+        return None
+    text = _NOT_FINITE.sub(r"'\1'", _CONSTRUCTED.sub(r"\1", text))
+    try:
+        return _value_of(ast.parse(text, mode="eval").body)
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        pass
+    values = JsonLines()
+    try:
+        for number, line in enumerate(text.splitlines(), start=1):
+            if line.strip():
+                values.append(_value_of(ast.parse(line.strip(), mode="eval").body))
+                values.lines.append(number)
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        return None
+    return values
+
+
+def check_printed(text: str) -> None:
+    """Check the lines of a text of objects that Python has printed, one in each line.
+
+    Raises:
+        InputError: a line is no such object. The error names the line and the column.
+    """
+    for number, line in enumerate(text.splitlines(), start=1):
+        try:
+            ast.parse(line.strip(), mode="eval")
+        except SyntaxError as error:
+            fault = f"line {number}, column {error.offset or 1}"
+            raise InputError(f"{fault}: is no object as Python prints it: {error.msg}") from None
+        except (ValueError, MemoryError, RecursionError):
+            raise InputError(f"line {number}: is no object as Python prints it") from None
+
+
+def is_printed_object(text: str) -> bool:
+    """Whether a text begins with an object that Python has printed, such as a data class."""
+    return _PRINTED_OBJECT.match(text) is not None
+
+
+def _value_of(node: ast.expr) -> Any:
+    """The value of an expression. Calls with named arguments are objects with these fields: "Box(x=0)".
+
+    Raises:
+        ValueError: the expression is no value.
+    """
+    if isinstance(node, ast.Call) and node.keywords and not node.args:
+        return {keyword.arg or "": _value_of(keyword.value) for keyword in node.keywords}
+    if isinstance(node, ast.List | ast.Tuple):
+        return [_value_of(member) for member in node.elts]
+    if isinstance(node, ast.Dict):
+        keys = [None if key is None else _value_of(key) for key in node.keys]
+        return dict(zip(keys, map(_value_of, node.values), strict=True))
+    return ast.literal_eval(node)
+
+
+_ITEM_LINE: Final = re.compile(
+    r"^\W*(?P<name>.*?)\((?P<width>[^x(),]+)x(?P<height>[^x(),]+)x(?P<depth>[^x(),]+),\s*weight:\s*(?P<weight>[^)]*)\)"
+    r"\s*pos\(\[?(?P<position>.*?)\]?\)\s*rt\((?P<rotation_type>[^)]*)\)"
+)
+_BIN_LINE: Final = re.compile(
+    r"^[:\W]*(?P<name>.*?)\((?P<width>[\d.]+)x(?P<height>[\d.]+)x(?P<depth>[\d.]+),\s*max_weight"
+)
+_FIELD_LINE: Final = re.compile(
+    r"^(name|partno|part no|color|position|rotation type|W\*H\*D|volume|weight)\s*:\s*(.*)$"
+)
+PY3DBP_COLUMNS: Final = ("name", "width", "height", "depth", "weight", "pos x", "pos y", "pos z", "rotation_type")
+
+
+def source_of_printed(text: str) -> BoxSource | None:
+    """The boxes in text that py3dbp or its fork has printed; None for any other text."""
+    if not ("pos(" in text and "rt(" in text) and "W*H*D" not in text:
+        return None
+    rows: list[tuple[Any, ...]] = []
+    places: list[str] = []
+    parts: list[str] = []
+    lost: list[tuple[str, str]] = []
+    containers: dict[str, Mapping[str, float]] = {}
+    part, unfitted, fitted = "", False, 0
+    fields: dict[str, str] = {}
+    first_line = 0
+    bins = 0
+
+    def end_fields() -> None:
+        if "position" in fields and not unfitted:
+            sizes = fields.get("W*H*D", "").split("*")
+            triple = _triple_cells(fields["position"])
+            name = fields.get("partno") or fields.get("part no") or fields.get("name")
+            if len(sizes) == 3 and len(triple) == 3:
+                rows.append((name, *sizes, fields.get("weight"), *triple, fields.get("rotation type")))
+                places.append(f"line {first_line}")
+                parts.append(part)
+            else:
+                lost.append((f"line {first_line}", "has no three sizes and coordinates"))
+        fields.clear()
+
+    for number, line in enumerate(text.splitlines(), start=1):
+        plain = line.strip()
+        if re.match(r"\W*UNFIT", plain, re.IGNORECASE):
+            end_fields()
+            unfitted = True
+        elif re.match(r"\W*FITTED", plain, re.IGNORECASE):
+            unfitted = False
+        elif (bin_line := _BIN_LINE.match(plain)) is not None:
+            end_fields()
+            bins += 1
+            part, unfitted = bin_line["name"].strip() or str(bins), False
+            if part in containers:
+                part = f"{part} ({bins})"
+            containers[part] = {axis: float(bin_line[axis]) for axis in ("width", "height", "depth")}
+        elif (item := _ITEM_LINE.match(plain)) is not None:
+            fitted += unfitted
+            if unfitted:
+                continue
+            triple = _triple_cells(item["position"])
+            if len(triple) != 3:
+                lost.append((f"line {number}", f"pos must be three numbers, got {len(triple)}"))
+                continue
+            cells = (item["width"], item["height"], item["depth"], item["weight"], *triple, item["rotation_type"])
+            rows.append((item["name"].strip(), *(cell.strip() or None for cell in cells)))
+            places.append(f"line {number}")
+            parts.append(part)
+        elif (entry := _FIELD_LINE.match(plain)) is not None:
+            if entry[1] in ("name", "partno", "part no") and fields:
+                end_fields()
+            first_line = first_line if fields else number
+            fields[entry[1]] = entry[2].strip()
+        elif plain.startswith("***"):
+            end_fields()
+        elif "pos(" in plain and not unfitted:
+            lost.append((f"line {number}", f"is no box as py3dbp prints it: {printable_name(plain)}"))
+    end_fields()
+    if not rows and not lost:
+        return None
+    parts = parts if len(set(parts)) > 1 else [""] * len(parts)
+    if not any(parts) and containers:
+        containers = {"": next(iter(containers.values()))}
+    table = RawTable(PY3DBP_COLUMNS, rows, places, ".", lost=tuple(lost))
+    left = (f"{count_text(fitted, 'box is', 'boxes are')} not placed, and left out",) if fitted else ()
+    return BoxSource(BoxList(table, "", tuple(parts), containers, left), replace(PY3DBP, name="text printed by py3dbp"))
+
+
+def _triple_cells(text: str) -> list[str]:
+    """The three numbers of a printed position as text, so that a message can show a bad one."""
+    plain = re.sub(r"Decimal\(\s*['\"]?([^'\")]*)['\"]?\s*\)", r"\1", text).strip("[]() ")
+    return [part.strip() for part in plain.split(",")]

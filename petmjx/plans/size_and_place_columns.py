@@ -1,0 +1,226 @@
+"""Columns with the sizes and places of boxes (``Geometry``): which columns may have them, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, ColumnExtraction, role_of
+from petmjx.plans.column_names import BASE_WORDS, LENGTH_UNITS, word_set, words_of
+
+_ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
+_SIZE_SETS: Final = (
+    ("length", "width", "height"), ("width", "height", "depth"), ("length", "width", "depth"),
+    ("length", "height", "depth"), XYZ, ("0", "1", "2"),
+)  # fmt: skip
+_GOALS: Final = word_set("to bis top")
+"""Words that mean far corners beside near ones ("from" and "to"), and otherwise any point of the box."""
+_PICKED: Final = word_set("pick picked grasp source from")
+"""Words in names of the places from which a robot takes boxes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Sizes and places of boxes in the file's units, for one choice of columns.
+
+    Attributes:
+        size: (n, 3) sizes in the order of ``axes``; NaN if a cell is bad.
+        place: (n, 3) coordinates along the file's first, second and third axis; NaN if a cell is bad.
+        axes: names of the axes of the sizes: words, or x, y, z, or "0", "1", "2" if they have no names.
+        size_unit, place_unit: unit according to names or cells; "": none is given.
+        anchor: the point of a box according to the names; "": none is given.
+        placed: whether the sizes are known to be those of the box as placed.
+        columns: role → name of its column.
+        prior: how unlikely this choice of columns is, before any numbers are considered; 0: usual.
+        turn: (n, 3, 3) rotations of poses; None: no poses.
+        named_up: the vertical axis according to the names of places; "": none is given.
+    """
+
+    size: FloatArray
+    place: FloatArray
+    axes: tuple[str, str, str]
+    size_unit: str = ""
+    place_unit: str = ""
+    anchor: str = ""
+    placed: bool = False
+    columns: Mapping[str, str] = field(default_factory=dict)
+    prior: float = 0.0
+    turn: FloatArray | None = None
+    named_up: str = ""
+
+
+def size_choices(
+    extraction: ColumnExtraction,
+) -> list[tuple[FloatArray, tuple[str, str, str], str, bool, dict[str, str]]]:
+    """(sizes, axes, unit, placed, columns) for each possible choice of columns for the sizes."""
+    header = extraction.table.header
+    if "sizes" in extraction.fixed:
+        values, unit = extraction.triples(extraction.fixed["sizes"])
+        return [(values, ("0", "1", "2"), unit, False, {"sizes": header[extraction.fixed["sizes"]]})]
+    chosen_columns = {
+        axis: extraction.fixed[role_of(axis)] for axis in (*SIZE_WORDS, *XYZ) if role_of(axis) in extraction.fixed
+    }
+    sizes = {axis: list(columns) for axis, columns in extraction.columns_of("size").items()}
+    for role, index in chosen_columns.items():
+        sizes[role] = [index]
+    choices = []
+    for placed in (True, False):
+        for axes in _SIZE_SETS:
+            picked = [
+                [
+                    index
+                    for index in sizes.get(axis, ())
+                    if _placed(extraction, index) == placed or axis in chosen_columns
+                ]
+                for axis in axes
+            ]
+            if not all(picked):
+                continue
+            for indices in _same_prefix(header, picked):
+                values, unit = extraction.joined(indices)
+                factor = 2.0 if any(_half(extraction, index) for index in indices) else 1.0
+                columns = {role_of(axis): header[index] for axis, index in zip(axes, indices, strict=True)}
+                choices.append((values * factor, axes, unit, placed, columns))
+            if choices:
+                return choices
+    for index, meaning in enumerate(extraction.meanings):
+        if meaning is not None and meaning.kind == "sizes" and not meaning.of_container:
+            values, unit = extraction.triples(index)
+            order = meaning.order if len(meaning.order) == 3 else ("0", "1", "2")
+            factor = 2.0 if meaning.half else 1.0
+            choices.append((values * factor, order, unit, meaning.placed, {"sizes": header[index]}))
+    return choices[:1]
+
+
+def _placed(extraction: ColumnExtraction, index: int) -> bool:
+    meaning = extraction.meanings[index]
+    return meaning is not None and meaning.placed
+
+
+def _half(extraction: ColumnExtraction, index: int) -> bool:
+    meaning = extraction.meanings[index]
+    return meaning is not None and meaning.half
+
+
+def place_choices(extraction: ColumnExtraction) -> list[tuple[FloatArray, str, str, dict[str, str], str]]:
+    """(places, unit, anchor, columns, vertical axis) for each possible choice of columns for the places, most
+    certain first."""
+    header = extraction.table.header
+    if "position" in extraction.fixed:
+        values, unit = extraction.triples(extraction.fixed["position"])
+        return [(values, unit, "", {"position": header[extraction.fixed["position"]]}, "")]
+    chosen_columns = [extraction.fixed.get(axis) for axis in XYZ]
+    if all(index is not None for index in chosen_columns):
+        indices = [index for index in chosen_columns if index is not None]
+        values, unit = extraction.joined(indices)
+        return [(values, unit, "", {axis: header[index] for axis, index in zip(XYZ, indices, strict=True)}, "")]
+    choices = []
+    by_anchor: dict[str, dict[str, list[int]]] = {}
+    for index, meaning in enumerate(extraction.meanings):
+        if meaning is None or meaning.kind not in ("position", "low") or meaning.of_container:
+            continue
+        anchor = meaning.anchor or ("corner" if meaning.kind == "low" else "")
+        axis = _ON_AXES.get(meaning.axis, meaning.axis)
+        by_anchor.setdefault(anchor, {}).setdefault(axis, []).append(index)
+    heights = [
+        index for index in by_anchor.get("", {}).get("z", ()) if BASE_WORDS.intersection(words_of(header[index]))
+    ]
+    for anchor in ("centre", "base-centre"):  # "center_x", "center_y" and "bottom_z"
+        if heights and by_anchor.get(anchor, {}).keys() == {"x", "y"}:
+            by_anchor["base-centre"] = {**by_anchor.pop(anchor), "z": heights}
+    for anchor, by_axis in sorted(by_anchor.items(), key=lambda entry: entry[0] == ""):
+        for role in XYZ:
+            if role in extraction.fixed:
+                by_axis[role] = [extraction.fixed[role]]
+        if not all(axis in by_axis for axis in XYZ):
+            continue
+        for chosen in _same_prefix(header, _without_picks(header, [by_axis[axis] for axis in XYZ])):
+            values, unit = extraction.joined(chosen)
+            words = {meaning.axis for index in chosen if (meaning := extraction.meanings[index]) is not None}
+            up = "z" if "height" in words else ""
+            columns = {axis: header[index] for axis, index in zip(XYZ, chosen, strict=True)}
+            choices.append((values, unit, anchor, columns, up))
+            break
+    for index, meaning in enumerate(extraction.meanings):
+        if meaning is not None and meaning.kind == "positions" and not choices:
+            values, unit = extraction.triples(index)
+            choices.append((values, unit, meaning.anchor, {"position": header[index]}, ""))
+    if not choices:  # the far corners, and sizes instead of the near ones
+        far = {_ON_AXES.get(axis, axis): columns[0] for axis, columns in extraction.columns_of("high").items()}
+        if all(axis in far for axis in XYZ):
+            values, unit = extraction.joined([far[axis] for axis in XYZ])
+            columns = {axis: header[far[axis]] for axis in XYZ}
+            is_goal = any(_GOALS.intersection(words_of(name)) for name in columns.values())
+            choices.append((values, unit, "" if is_goal else "far-corner", columns, ""))
+    return choices[:1]
+
+
+def corner_choices(extraction: ColumnExtraction) -> list[Geometry]:
+    """Geometries from two corners of each box: the corner with the smallest and the corner with the largest
+    coordinates."""
+    header = extraction.table.header
+    ends = [extraction.columns_of(kind) for kind in ("low", "position", "edge1", "edge2", "high")]
+    low, plain, first, second, high = ends
+    pairs = [(low, high), (first, second), (low, first), (plain, high), (plain, second)]
+    for begins, finishes in pairs:
+        begin = {_ON_AXES.get(axis, axis): columns for axis, columns in begins.items()}
+        finish = {_ON_AXES.get(axis, axis): columns for axis, columns in finishes.items()}
+        if not all(axis in begin and axis in finish for axis in XYZ):
+            continue
+        lows = [begin[axis][0] for axis in XYZ]
+        highs = [finish[axis][0] for axis in XYZ]
+        corner, unit = extraction.joined(lows)
+        far_corner, far_unit = extraction.joined(highs)
+        if unit != far_unit:
+            corner, far_corner = (
+                values * LENGTH_UNITS.get(name, 1.0) for values, name in ((corner, unit), (far_corner, far_unit))
+            )
+            unit = "mm"
+        columns = {axis: header[index] for axis, index in zip(XYZ, lows, strict=True)}
+        columns |= {f"{axis} (far)": header[index] for axis, index in zip(XYZ, highs, strict=True)}
+        size = far_corner - corner
+        for row in np.flatnonzero((size <= 0).any(axis=1)):
+            axis = int(np.flatnonzero(size[row] <= 0)[0])
+            extraction.bad(int(row), highs[axis], f"must be beyond {header[lows[axis]]}, got {far_corner[row, axis]:g}")
+            size[row] = np.nan
+        return [Geometry(size, corner, XYZ, unit, unit, "corner", True, columns)]
+    return []
+
+
+HALF_EXTENTS: Final = "half extents"
+"""Role of the columns of sizes that are read as half extents, in addition to their own roles."""
+_EXTENTS: Final = word_set("extent extents")
+"""Words for sizes that some programs (Unreal, Unity) use for half sizes."""
+
+
+def with_half_extents(geometry: Geometry) -> Geometry | None:
+    """A geometry whose sizes are half extents, if the names of its columns allow this and do not tell it; else None."""
+    names = [name for role, name in geometry.columns.items() if role not in (*XYZ, "position")]
+    words = {word for name in names for word in words_of(name)}
+    if not words & _EXTENTS or "half" in words or geometry.anchor == "corner":
+        return None
+    columns = {**geometry.columns, HALF_EXTENTS: names[0]}
+    return replace(geometry, size=2 * geometry.size, columns=columns, prior=geometry.prior + 0.8)
+
+
+def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+    """Three columns that belong to the same object, such as ``dimensions.length``, ``dimensions.width`` and
+    ``dimensions.height``. If there are no three such columns, the first column of each size."""
+    by_prefix: dict[str, list[int]] = {}
+    for number, columns in enumerate(picked):
+        for index in columns:
+            by_prefix.setdefault(header[index].rpartition(".")[0], [-1] * len(picked))
+            slots = by_prefix[header[index].rpartition(".")[0]]
+            slots[number] = index if slots[number] < 0 else slots[number]
+    full_triples = [tuple(slots) for slots in by_prefix.values() if -1 not in slots]
+    return full_triples[:1] or [tuple(columns[0] for columns in picked)]
+
+
+def _without_picks(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[list[int]]:
+    """The columns for each coordinate, without the places from which a robot takes boxes if there are others."""
+    others = [[index for index in columns if not _PICKED.intersection(words_of(header[index]))] for columns in picked]
+    return others if all(others) else [list(columns) for columns in picked]

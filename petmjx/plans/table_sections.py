@@ -1,0 +1,279 @@
+"""Divides rows of cells into raw tables (``tables_of_rows``): headers, the rows below them, sections with titles, and
+totals, which are left out."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import zip_longest
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
+from petmjx.plans.column_names import TITLE_WORDS, plain_text, words_of
+from petmjx.plans.file_formats import NoBoxes
+from petmjx.plans.header_names import (
+    count_known_names,
+    distinct_names,
+    geometric_columns,
+    has_places,
+    header_rows,
+    is_unit_cell,
+    names_in_rows,
+    names_unit,
+    with_groups,
+)
+from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
+from petmjx.plans.raw_tables import RawTable
+from petmjx.plans.total_rows import is_total
+
+
+def tables_of_rows(
+    rows: Sequence[Sequence[Any]], begin: int = 1, title: str = "", lost: Sequence[tuple[str, str]] = ()
+) -> list[RawTable]:
+    """The tables in rows of cells. The header of each table is searched for. Rows that are only numbers have no header.
+
+    Args:
+        begin: number of the first row, for messages.
+        title: name of the sheet.
+        lost: rows that an earlier step could not read.
+
+    Raises:
+        InputError: there is no table.
+    """
+    cleaned = [tuple(_cleaned(cell) for cell in row) for row in rows]
+    if names_in_rows(cleaned):
+        return [
+            replace(
+                table,
+                places=[place.replace("row", "column") for place in table.places],
+                lost=(*lost, *table.lost),
+                notes=(*table.notes, "names are in the first column"),
+            )
+            for table in tables_of_rows(list(zip_longest(*cleaned)), 1, title)
+        ]
+    heads = header_rows(cleaned)
+    if not heads:
+        return [_without_header(cleaned, begin, title, tuple(lost))]
+    tables: list[RawTable] = []
+    above: list[str] = []
+    for number, head in enumerate(heads):
+        end = heads[number + 1] if number + 1 < len(heads) else len(cleaned)
+        start = 0 if number == 0 else heads[number - 1] + 1
+        if number == 0:
+            above = [text for row in cleaned[start:head] if (text := _line(row))]
+        below, trailing = _table_below(cleaned, head, end, begin, title, tuple(above), number < len(heads) - 1)
+        tables += below
+        above = trailing
+    tables[0] = replace(tables[0], lost=(*lost, *tables[0].lost))
+    if len(heads) > 1:
+        tables = [
+            replace(table, part=table.part or (table.above[-1] if table.above else f"{number}"))
+            for number, table in enumerate(tables, start=1)
+        ]
+    return [table for table in tables if table.rows or table.lost] or tables[:1]
+
+
+def _cleaned(cell: Any) -> Any:
+    if isinstance(cell, str):
+        cell = cell.strip().strip("\ufeff")
+        return cell or None
+    if isinstance(cell, float) and np.isnan(cell):
+        return None
+    return cell
+
+
+def _line(row: Sequence[Any]) -> str:
+    return " ".join(cell_text(cell) for cell in row if cell is not None)
+
+
+def _table_below(
+    rows: Sequence[tuple[Any, ...]], head: int, end: int, begin: int, title: str, above: tuple[str, ...], more: bool
+) -> tuple[list[RawTable], list[str]]:
+    """The tables below a header, one for each named section. Also returns the remaining lines, from the next header
+    on."""
+    names = [cell_text(cell) for cell in rows[head]]
+    while names and not names[-1]:
+        names.pop()
+    notes = [f"the header is row {head + begin}"] if head else []
+    group = rows[head - 1] if head else ()
+    filled = sum(cell is not None for cell in group)
+    if filled == 1 and group[0] is not None and not geometric_columns([cell_text(group[0])]):
+        filled = 0  # a title or a comment above the table, not a heading of its columns
+    if (filled >= 1 and count_known_names(rows[head]) < len(names)) or (filled > 1 and not has_places(names)):
+        names = with_groups(names, group)
+    first = head + 1
+    if first < end and any(rows[first]) and all(cell is None or is_unit_cell(cell) for cell in rows[first]):
+        names = [
+            f"{name} [{cell_text(cell).strip('[]() ')}]" if cell is not None and not names_unit(name) else name
+            for name, cell in zip(names, (*rows[first], *([None] * len(names))), strict=False)
+        ]
+        first += 1
+    header = tuple(distinct_names(names))
+    sections, lost, trailing = _sections(rows, first, end, begin, header, notes)
+    if trailing and not more:
+        notes.append(f"left out at the end: {printable_name(trailing[0])}")
+    names_of = dict.fromkeys(name for name, _ in sections)
+    tables = []
+    decimal = decimal_of([row for _, section in sections for row, _ in section])
+    for number, part in enumerate(names_of, start=1):
+        body = [row for name, section in sections if name == part for row, _ in section]
+        places = [place for name, section in sections if name == part for _, place in section]
+        label = (part or (above[-1] if above else "1")) if len(names_of) > 1 else ""
+        tables.append(
+            RawTable(
+                header,
+                body,
+                places,
+                decimal,
+                title,
+                above,
+                lost if number == 1 else (),
+                tuple(notes),
+                part=label,
+            )
+        )
+    return tables or [RawTable(header, [], [], ".", title, above, lost, tuple(notes))], trailing if more else []
+
+
+_Section = tuple[str, list[tuple[tuple[Any, ...], str]]]
+"""A section: its name, from the line before it ("" if it has none), and its rows with their places."""
+
+
+def _sections(
+    rows: Sequence[tuple[Any, ...]], first: int, end: int, begin: int, header: Sequence[str], notes: list[str]
+) -> tuple[list[_Section], tuple[tuple[str, str], ...], list[str]]:
+    """The rows of a table by section, the rows that are lost, and the lines after the last row."""
+    width, geometric = len(header), geometric_columns(header)
+    names_pallets = [index for index, name in enumerate(header) if TITLE_WORDS.intersection(words_of(name))]
+    sections: list[_Section] = [("", [])]
+    lost: list[tuple[str, str]] = []
+    trailing: list[str] = []
+    short_titles: dict[str, str] = {}
+    remarks: list[tuple[tuple[Any, ...], str]] = []
+    for index in range(first, end):
+        row, place = rows[index], f"row {index + begin}"
+        filled = [cell for cell in row if cell is not None]
+        if not filled:
+            continue
+        if is_total(row, geometric):
+            notes.append(f"{place} is a total, and left out")
+            continue
+        is_remark = _is_remark(row, geometric)
+        if len(filled) == 1 and width > 2 and isinstance(filled[0], str) and not (_mostly_numbers(row) or is_remark):
+            trailing.append(filled[0])
+            continue
+        if _is_title(row, geometric, names_pallets):
+            short_titles[_line(row)] = _short_title(filled)
+            trailing.append(_line(row))
+            continue
+        if is_remark:
+            remarks.append((row, place))
+            continue
+        if any(body for _, body in sections):  # between boxes, such a line may be a damaged box
+            lost += [(where, f"is no box: {printable_name(_line(line))}") for line, where in remarks]
+        else:
+            notes += _remark_notes(remarks)
+        remarks = []
+        used = len(row)
+        while used > width and row[used - 1] is None:
+            used -= 1
+        if used != width and len(row) != width:
+            lost.append((place, f"has {count_text(len(row), 'field')} instead of {width}"))
+            continue
+        if trailing:
+            sections.append((trailing[-1], []))
+            trailing = []
+        sections[-1][1].append((tuple(row[:width]), place))
+    notes += _remark_notes(remarks)
+    if len(set(short_titles.values())) == len(short_titles):
+        sections = [(short_titles.get(name, name), body) for name, body in sections]
+    return [section for section in sections if section[1]], tuple(lost), trailing
+
+
+_KEY_AND_VALUE: Final = re.compile(r"^[^\d:;]{3,60}:\s*[\d.,]+\s*\S{0,12}$")
+"""A line such as "Cube utilization: 81.2 %" below a table."""
+
+
+def _is_remark(row: Sequence[Any], geometric: Sequence[int]) -> bool:
+    """Whether a row is a name and a value, and no title."""
+    line = _line(row)
+    is_pair = _KEY_AND_VALUE.match(line) is not None and not TITLE_WORDS.intersection(words_of(line))
+    return is_pair and _n_numbers(row, geometric) * 2 < len(geometric)
+
+
+def _remark_notes(remarks: Sequence[tuple[tuple[Any, ...], str]]) -> list[str]:
+    return [f"{place} is a remark, and left out: {printable_name(_line(row))}" for row, place in remarks]
+
+
+def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequence[int]) -> bool:
+    """Whether a row of several cells is the title of a section: it begins with a text that has a word for pallets or
+    orders, and most sizes and places are missing.
+
+    Args:
+        pallet_columns: columns whose cells name pallets in every row, so that a cell there is no title.
+    """
+    begin = next((index for index, cell in enumerate(row) if cell is not None), None)
+    if begin is None or begin in pallet_columns or not isinstance(row[begin], str):
+        return False
+    return bool(TITLE_WORDS.intersection(words_of(row[begin]))) and _n_numbers(row, geometric) * 2 < len(geometric)
+
+
+def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:
+    """The number of sizes and places in a row that are numbers."""
+    cells = [row[index] for index in geometric if index < len(row)]
+    return sum(cell_number(cell, ",") is not None or cell_number(cell) is not None for cell in cells)
+
+
+def _short_title(cells: Sequence[Any]) -> str:
+    """The name of a section: the first cell of its title, and the second one if the first is only such a
+    word."""
+    name = cell_text(cells[0]).rstrip(": ")
+    return name if set(re.findall(r"\w+", plain_text(name).lower())) - TITLE_WORDS else f"{name} {cell_text(cells[1])}"
+
+
+def _mostly_numbers(row: Sequence[Any]) -> bool:
+    cells = [cell for cell in row if cell is not None]
+    return sum(cell_number(cell, ",") is not None or cell_number(cell) is not None for cell in cells) * 2 > len(cells)
+
+
+def _without_header(
+    rows: Sequence[tuple[Any, ...]], begin: int, title: str, lost: tuple[tuple[str, str], ...]
+) -> RawTable:
+    """Make a table from rows of numbers that have no column names.
+
+    Raises:
+        InputError: the rows do not make such a table.
+    """
+    used = [(index, row) for index, row in enumerate(rows) if any(cell is not None for cell in row)]
+    widths = Counter(len(row) for _, row in used)
+    width = widths.most_common(1)[0][0] if widths else 0
+    good_rows = [(index, row) for index, row in used if len(row) == width]
+    numeric = sum(_mostly_numbers(row) for _, row in good_rows)
+    if [len(row) for _, row in used[:4]] == [1, 2, 3, 1]:
+        raise InputError(
+            "looks like Bischoff and Ratcliff's orders (thpack): types of boxes with quantities, and no places: "
+            "pack them first with petmjx samples --orders"
+        )
+    if width < 6 or numeric < 0.8 * max(len(good_rows), 1):
+        raise NoBoxes("has no header with known names of columns")
+    bad_rows = [
+        (f"row {index + begin}", f"has {len(row)} fields instead of {width}")
+        for index, row in used
+        if len(row) != width
+    ]
+    body = [row for _, row in good_rows]
+    return RawTable(
+        tuple(f"column {number}" for number in range(1, width + 1)),
+        body,
+        [f"row {index + begin}" for index, _ in good_rows],
+        decimal_of(body),
+        title,
+        lost=(*lost, *bad_rows),
+        notes=("there is no header",),
+        has_header=False,
+    )

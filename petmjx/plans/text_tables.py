@@ -1,0 +1,219 @@
+"""Reads tables from text (``tables_of_text``): encodings, separators, printed tables with frames or white space.
+
+Text may be UTF-8, UTF-16, Windows-1252 or Windows-1250. A table may have any usual separator and Excel's ``sep=;``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+from petmjx.common.errors import InputError
+from petmjx.plans.file_formats import NoBoxes
+from petmjx.plans.header_names import LEAST_KNOWN, SEARCHED_ROWS, count_known_names
+from petmjx.plans.raw_tables import MOST_ROWS, RawTable
+from petmjx.plans.table_sections import tables_of_rows
+
+_DELIMITERS: Final = (",", ";", "\t", "|")
+_SPACES: Final = " "
+"""A separator that stands for any white space between fields, as in printed tables."""
+
+
+def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
+    """Decode bytes to text. Also returns a note about the encoding ("" for UTF-8).
+
+    UTF-8 and UTF-16 are recognised with certainty. All other bytes are read as Windows-1252, or as Windows-1250 if that
+    gives more known words in headers.
+    """
+    raw = bytes(data)
+    if raw.startswith(b"\xef\xbb\xbf"):
+        return raw[3:].decode("utf-8", "replace"), ""
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return raw.decode("utf-16", "replace"), "UTF-16"
+    head = raw[:2000]
+    if head.count(b"\0") > len(head) // 4:
+        order = "utf-16-le" if head[1:2] == b"\0" else "utf-16-be"
+        return raw.decode(order, "replace"), "UTF-16"
+    try:
+        return raw.decode("utf-8"), ""
+    except UnicodeDecodeError:
+        pass
+    texts = {
+        name: raw.decode(code, "replace") for name, code in (("Windows-1252", "cp1252"), ("Windows-1250", "cp1250"))
+    }
+    best = max(texts, key=lambda name: _known_in_lines(texts[name]))  # if several are equal, max returns the first
+    return texts[best], best
+
+
+def _known_in_lines(text: str) -> int:
+    """Known names are counted in each of the first lines; the result is the largest count."""
+    lines = text[:20_000].splitlines()[:SEARCHED_ROWS]
+    return max((count_known_names(re.split(r"[,;\t|]", line)) for line in lines), default=0)
+
+
+def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
+    """The tables in a text with separators: CSV of any locale, or columns separated by white space.
+
+    A table begins with its header. Titles between tables become names of the tables' parts.
+
+    Raises:
+        InputError: the text contains no table. The error does not name the file.
+    """
+    text, encoding = decoded_text(data)
+    notes = [encoding] if encoding else []
+    first, _, rest = text.partition("\n")
+    mark = re.fullmatch(r'\s*"?sep=(.|\\t)"?[\s;,]*', first, re.IGNORECASE)
+    begin = 1
+    delimiter: str | None = None
+    if mark is not None:
+        delimiter, text, begin = "\t" if mark[1] == "\\t" else mark[1], rest, 2
+    if not text.strip():
+        raise NoBoxes("the file is empty")
+    if text.count("\0"):
+        raise NoBoxes("is no text")
+    if "│" in text or "┃" in text or "║" in text:
+        text = text.translate(_BOX_DRAWING)
+    lost: list[tuple[str, str]] = []
+    if text.count('"') % 2:
+        text = _without_unclosed(text, lost, begin)
+    if delimiter is None:
+        delimiter = _delimiter_of(text)
+    if delimiter not in (",", "\t"):
+        notes.append("fields between white space" if delimiter == _SPACES else f"fields between {delimiter}")
+    rows = list(_fields(text, delimiter))
+    if len(rows) > MOST_ROWS:
+        raise InputError(f"has more than {MOST_ROWS:,} rows")
+    tables = tables_of_rows(rows, begin, lost=lost)
+    comma = any(table.decimal == "," for table in tables)
+    if comma:
+        notes.append("decimal commas")
+    return [replace(table, notes=(*notes, *table.notes)) for table in tables]
+
+
+_BOX_DRAWING: Final = str.maketrans(
+    {
+        **dict.fromkeys("│┃║┆", "|"),
+        **dict.fromkeys("─━═", "-"),
+        **dict.fromkeys((chr(code) for code in range(0x250C, 0x2570) if chr(code) not in "═║"), "+"),
+    }
+)
+"""Frames of printed tables, as their forms in ASCII."""
+
+
+def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str:
+    """The text in which lines with an unclosed quotation mark are replaced by empty lines. These lines are added to
+    ``lost``."""
+    lines = text.split("\n")
+    for index, line in enumerate(lines):
+        if line.count('"') % 2:
+            lost.append((f"row {index + begin}", "has an unclosed quotation mark"))
+            lines[index] = ""
+    return "\n".join(lines)
+
+
+_BRACKETS: Final = re.compile(r"[(\[{][^()\[\]{}\n\"]{0,50}[, ][^()\[\]{}\n\"]{0,50}[)\]}]")
+"""Text in brackets within a line, such as the three numbers of a place: "(0, 300, 0)"."""
+_MASKED: Final = str.maketrans(", ", "\ue000\ue001")
+_UNMASKED: Final = str.maketrans("\ue000\ue001", ", ")
+
+
+def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
+    """The fields of each line. Commas and spaces in brackets do not separate fields, if most lines have such
+    brackets."""
+    lines = text[:20_000].splitlines() if delimiter in (",", _SPACES) else []
+    if sum(_BRACKETS.search(line) is not None for line in lines) * 2 > sum(map(bool, map(str.strip, lines))):
+        masked = _BRACKETS.sub(lambda match: match[0].translate(_MASKED), text)
+        for fields in _plain_fields(masked, delimiter):
+            yield [field.translate(_UNMASKED) for field in fields]
+        return
+    yield from _plain_fields(text, delimiter)
+
+
+def _plain_fields(text: str, delimiter: str) -> Iterator[list[str]]:
+    if delimiter == _SPACES:
+        yield from _spaced_fields(text.splitlines())
+        return
+    if delimiter == "|":  # Markdown has a line of dashes below a header
+        text = "\n".join("" if _RULE.match(line) else line for line in text.split("\n"))
+    try:
+        yield from csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
+    except csv.Error as error:
+        raise NoBoxes(f"is no table: {error}") from error
+
+
+_RULE: Final = re.compile(r"^[\s|+:]*[-=]{2,}(?:[\s|+:]+[-=]{2,})+[\s|+:]*$")
+"""A line of dashes below a header, as in printed tables."""
+
+
+def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
+    """Fields separated by white space. If there is a line of dashes, the dashes show where columns are, so a cell may
+    be empty. Otherwise fields are separated by two or more spaces, or by one or more, whichever gives more rows with
+    equally many fields.
+    """
+    rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
+    if rule is not None:
+        spans = [match.span() for match in re.finditer(r"[-=]{2,}", lines[rule])]
+        for index, line in enumerate(lines):
+            if _RULE.match(line):
+                yield []
+            elif index < rule - 1:
+                yield line.split()
+            else:
+                ends = [*(begin for begin, _ in spans[1:]), None]
+                starts = [0, *(begin for begin, _ in spans[1:])]
+                cells = [line[start:end].strip() for start, end in zip(starts, ends, strict=True)]
+                moved = any(re.search(r"\d\s+\d", cell) for cell in cells)
+                yield line.split() if moved else cells if line.strip() else []
+        return
+    ways = [[re.split(r"\s{2,}|\t", line.strip()) for line in lines], [line.split() for line in lines]]
+
+    def alike(rows: list[list[str]]) -> int:
+        counts = Counter(len(row) for row in rows if len(row) > 1)
+        return max(counts.values(), default=0)
+
+    rows = max(ways, key=alike)  # if several are equal, max returns the first
+    first = next((index for index, line in enumerate(lines) if line.strip()), 0)
+    if (
+        lines
+        and lines[first][:1].isspace()
+        and all(len(row) == len(rows[first]) + 1 for row in rows[first + 1 :] if any(row))
+    ):
+        rows[first] = ["", *rows[first]]  # a printed data frame: its index has no name
+    yield from rows
+
+
+_LEAST_TABS: Final = 2
+"""If all lines have the same number of tabs, and at least this number, fields are separated by tabs."""
+
+
+def _delimiter_of(text: str) -> str:
+    """The separator of a text: the one that gives the most known names in a header, and the most rows with equally many
+    fields."""
+    sample = text[:200_000]
+    if len(text) > len(sample):
+        sample = sample[: sample.rfind("\n") + 1] or sample
+
+    def merit(delimiter: str) -> tuple[int, float]:
+        try:
+            rows = [row for row in _fields(sample, delimiter) if any(cell.strip() for cell in row)]
+        except InputError:
+            return 0, 0.0
+        counts = Counter(len(row) for row in rows)
+        if delimiter == _SPACES and counts[1] * 2 > len(rows):
+            return 0, 0.0  # only the names of columns have spaces
+        width, most = max(counts.items(), key=lambda entry: (entry[1], entry[0]), default=(0, 0))
+        even = most / max(len(rows), 1) if width > 1 else 0.0
+        n_known = max((count_known_names(row) for row in rows[:SEARCHED_ROWS]), default=0)
+        return (n_known if n_known >= LEAST_KNOWN else 0), even
+
+    lines = [line for line in sample.splitlines()[:SEARCHED_ROWS] if line.strip()]
+    n_tabs = {line.count("\t") for line in lines}
+    if len(n_tabs) == 1 and n_tabs.pop() >= _LEAST_TABS:
+        return "\t"  # no field has a tab, but fields may have commas: "(0, 300, 0)"
+    marked = any(sum(mark in line for line in lines) * 2 > len(lines) for mark in (";", "\t", "|"))
+    return max(_DELIMITERS if marked else (*_DELIMITERS, _SPACES), key=merit)
