@@ -108,8 +108,8 @@ def score(
 
     Args:
         plans: a file, a folder, the folder of a run (whose plans are simulated again), a list of files and folders, a
-            data frame with one row per box, a plan, a list of plans or a ``PlanSet``. If None, the bundled sample plans
-            are simulated.
+            data frame with one row per box, a plan, a list of plans or a ``PlanSet``. If ``plans`` is None, the bundled
+            sample plans are simulated.
         watcher: an object whose methods are called as the run proceeds. Without a watcher, notebooks show a progress
             bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
@@ -165,8 +165,8 @@ def sweep(
 
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
-        plans: as for :func:`score`. Plans given here replace the plans that the sweep file names. If None, all plans
-            that the file names are simulated.
+        plans: as for :func:`score`. Plans given here replace the plans that the sweep file names. If ``plans`` is None,
+            all plans that the file names are simulated.
         watcher: as for :func:`score`.
         progress: in a script, print the progress of the run on standard error every few seconds.
         batching: limits for the numbers of settled states and worlds (simulations of one plan each) in memory. The

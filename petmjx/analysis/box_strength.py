@@ -82,9 +82,10 @@ def walls_of(
     """Compute how the walls of a plan's boxes are loaded and supported.
 
     Args:
-        extent_mm: extents of the carrier along x and y; the carrier's corner is at the origin. If None, the carrier is
-            as large as the plan.
-        deck_mm: (b, 2, 2) lowest and highest corners of the b boards of the deck. If None, the deck has no gaps.
+        extent_mm: extents of the carrier along x and y; the carrier's corner is at the origin. If ``extent_mm`` is
+            None, the carrier is as large as the plan.
+        deck_mm: (b, 2, 2) lowest and highest corners of the b boards of the deck. If ``deck_mm`` is None, the deck has
+            no gaps.
         tolerance_mm: largest horizontal distance between a wall and the lower wall or edge that bears the wall, mm.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
@@ -318,9 +319,9 @@ def loads(
         run: a run's folder, or the result of ``petmjx.score``.
         articles: a table of strengths (``petmjx.plans.articles.read_articles``). If this table has no entry for a box,
             its strength comes from the plan or, if the plan has none, from the table of articles with which the run was
-            made. If None, only the plan and the run's table are used.
-        plans: the plans of the run, which give the sizes, places and product groups of boxes. If None, plans are read
-            from the files that the run names.
+            made. If ``articles`` is None, only the plan and the run's table are used.
+        plans: the plans of the run, which give the sizes, places and product groups of boxes. If ``plans`` is None,
+            plans are read from the files that the run names.
         stacking: how much strength boxes lose by stacking, as a ``petmjx.options.stacking.Stacking`` or as a mapping
             that sets some of its fields.
 

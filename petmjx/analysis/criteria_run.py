@@ -265,8 +265,8 @@ def criteria(
     ``petmjx.criteria("plans.json", run="results", only=("support_75", "equilibrium")).judged``
 
     Args:
-        plans: as for ``petmjx.score``. If None, the plans of the run are used, or, without a run, the bundled sample
-            plans.
+        plans: as for ``petmjx.score``. If ``plans`` is None, the plans of the run are used, or, without a run, the
+            bundled sample plans.
         run: a run of the same plans, or its folder. The criteria are compared with the verdicts of this run. If the run
             simulated a plan several times, with different errors, the verdict of the simulation without errors is used.
             In the run of a transport chain, a plan counts as standing if at least the share ``p_arrives`` of its

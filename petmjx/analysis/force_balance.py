@@ -107,10 +107,10 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
     ``limits @ g ≤ 0``. g is the part of each force above the required share·s.
 
     Args:
-        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows). share: (f,) value that
-            each force must have per unit of slack.
+        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows).
+        share: (f,) value that each force must have per unit of slack.
         row_sums: (r,) value that each row must have.
-        limits: (q, f) the matrix in ``limits @ g ≤ 0``. If None, there are no such conditions.
+        limits: (q, f) the matrix in ``limits @ g ≤ 0``. If ``limits`` is None, there are no such conditions.
 
     Returns:
         The slack s; −inf if no s fulfils the conditions, not even an arbitrarily negative s.
@@ -144,8 +144,8 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 
     Args:
         sums: (m, f) factor of each force in each sum.
-        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows). row_sums: (r,) value
-            that each row must have.
+        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows).
+        row_sums: (r,) value that each row must have.
 
     Returns:
         (m, 2) smallest and largest value of each sum; None if no possible forces exist.
@@ -369,7 +369,7 @@ def friction_slack(
         structure: (n,) whether each box belongs to the structure. The corners under these boxes must carry the required
             share.
         newest: number of the box placed last. Later boxes are ignored.
-        sides: the places at which boxes may lean on each other or on walls. If None, boxes may not lean.
+        sides: the places at which boxes may lean on each other or on walls. If ``sides`` is None, boxes may not lean.
     """
     boxes = _hanging_together(contacts, structure, newest, sides)
     points = _points(contacts, boxes, structure, friction, sides)

@@ -269,7 +269,7 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
     """Column → value, for one plan and all columns of KPIs that do not depend on whether the plan stands.
 
     Args:
-        matching: which ordered item each box of the plan is. If None, this is computed.
+        matching: which ordered item each box of the plan is. If ``matching`` is None, it is computed.
     """
     matching = matching or match(plan, order)
     ordered = counts_of(matching)

@@ -168,8 +168,8 @@ def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharin
     that bear a part of its weight; NaN if this box lies on nothing.
 
     Args:
-        strength_n: (n,) largest force that the top of each box can bear, N; NaN if unknown. If None, all strengths are
-            unknown. A box of unknown strength can bear any load.
+        strength_n: (n,) largest force that the top of each box can bear, N; NaN if unknown. If ``strength_n`` is None,
+            all strengths are unknown. A box of unknown strength can bear any load.
     """
     slack = np.where(contacts.n_supports > 0, 1.0, np.nan)
     if strength_n is None:

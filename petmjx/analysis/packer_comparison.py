@@ -199,8 +199,8 @@ def comparison_of(
     """Compare packers by runs that are already loaded. With a single packer, the tables of pairs are empty.
 
     Args:
-        articles: a table of articles, from which properties are read that the orders do not state. If None, the table
-            that all runs name is used.
+        articles: a table of articles, from which properties are read that the orders do not state. If ``articles`` is
+            None, the table that all runs name is used.
 
     Raises:
         InputError: orders are unreadable, or SciPy is missing.

@@ -56,8 +56,8 @@ def against_orders(runs: Mapping[str, RunResults], file: Path, articles: Path | 
         runs: name of each packer → its run.
         file: file of orders, in BED-BPP's form or in any other form that petmjx reads. An order belongs to the plans
             with the same id.
-        articles: a table of articles, from which properties are read that the orders do not state. If None, the table
-            that all runs name is used.
+        articles: a table of articles, from which properties are read that the orders do not state. If ``articles`` is
+            None, the table that all runs name is used.
 
     Raises:
         InputError: a file cannot be read.

@@ -99,9 +99,9 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
     all orders for which any packer has a plan.
 
     Args:
-        against: the comparison of the plans with the caller's orders. If None, the caller gave no orders, and the
-            numbers of ordered boxes that the runs state are used. If the runs do not state these numbers either, an
-            order is assumed to have as many boxes as its largest plan.
+        against: the comparison of the plans with the caller's orders. If ``against`` is None, the caller gave no
+            orders, and the numbers of ordered boxes that the runs state are used. If the runs do not state these
+            numbers either, an order is assumed to have as many boxes as its largest plan.
 
     Returns:
         The columns ``plan_id``, ``packer``, ``order_boxes`` (number of boxes of the order), ``verdict`` (possibly

@@ -156,9 +156,9 @@ class PlanContacts:
         under_low_mm, under_high_mm: (c, 2) lowest and highest x and y of the whole surface under the upper box: the top
             of the lower box, or a deck board. On a carrier without boards, this is the base of the upper box.
         tolerance_mm: largest gap or overlap between two bodies that touch, mm.
-        mass_center_mm: (n, 3) offsets of the centres of mass from the boxes' middles, as in ``Plan``. If None, the
-            centres of mass are in the middles.
-        room: the room between the carrier's walls. If None, the carrier has no walls.
+        mass_center_mm: (n, 3) offsets of the centres of mass from the boxes' middles, as in ``Plan``. If
+            ``mass_center_mm`` is None, the centres of mass are in the middles.
+        room: the room between the carrier's walls. If ``room`` is None, the carrier has no walls.
     """
 
     size_mm: FloatArray
@@ -260,9 +260,9 @@ def find_contacts(
         tolerance_mm: largest vertical gap or overlap of two boxes that touch, and width up to which contacts are
             ignored, mm. The default, half a millimetre, is the rounding error of whole millimetres, as in warnings
             about plans.
-        deck_mm: (b, 2, 2) lowest and highest x and y of each board of the carrier's deck. If None, the carrier extends
-            under all boxes.
-        room: the room between the carrier's walls. If None, the carrier has no walls.
+        deck_mm: (b, 2, 2) lowest and highest x and y of each board of the carrier's deck. If ``deck_mm`` is None, the
+            carrier extends under all boxes.
+        room: the room between the carrier's walls. If ``room`` is None, the carrier has no walls.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     below, above = np.nonzero(_rests(low, high, tolerance_mm))

@@ -215,8 +215,8 @@ def tell(
 
     Args:
         plan_id: the plan's id; or the plan itself.
-        source: a run (its folder, or the result of ``petmjx.load_run``), or plans as for ``petmjx.score``. If None, the
-            bundled sample plans are used.
+        source: a run (its folder, or the result of ``petmjx.load_run``), or plans as for ``petmjx.score``. If
+            ``source`` is None, the bundled sample plans are used.
         plans: the files of a run's plans, if these files have been moved since the run.
         variant: index of the variant, as in the table ``worlds``, for a run that simulated each plan several times. The
             default is the nominal variant, which has no errors.

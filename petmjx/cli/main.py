@@ -123,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
     Args:
-        arguments: the arguments without the program's name. If None, those of this process are used.
+        arguments: the arguments without the program's name. If ``arguments`` is None, those of this process are used.
     """
     _SETTINGS.debug = False
     return run_app(application, arguments)

@@ -60,7 +60,7 @@ def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) ->
     read.
 
     Args:
-        columns: names of the columns. If None, all columns are counted.
+        columns: names of the columns. If ``columns`` is None, all columns are counted.
     """
     metadata, chosen = file.metadata, None if columns is None else set(columns)
     n_bytes = 0
@@ -85,9 +85,9 @@ def read_within(
     file may stand for millions of rows, and a short code may stand for a long text in each row.
 
     Args:
-        columns: names of the columns. If None, all columns are read.
-        free, most: the memory that the columns of any file may take, and the largest memory that they may take even if
-            the file is large, bytes.
+        columns: names of the columns. If ``columns`` is None, all columns are read.
+        free: memory that the columns may take whatever the size of the file, bytes.
+        most: largest memory that the columns may take, even if the file is large, bytes.
         nested: whether columns may contain lists of numbers, and tables of numbers.
 
     Raises:

@@ -104,7 +104,7 @@ def jax_devices(platform: str | None = None) -> list[Any]:
     stays.
 
     Args:
-        platform: one of JAX's platforms, such as "cuda". If None, JAX chooses the platform.
+        platform: one of JAX's platforms, such as "cuda". If ``platform`` is None, JAX chooses the platform.
 
     Raises:
         RuntimeError: JAX has no such devices.
@@ -145,7 +145,7 @@ def device_name(engine: str, threads: int | None = None) -> str:
     """The name of the device on which an engine simulates.
 
     Args:
-        threads: number of threads that an engine on the CPU uses. If None, it uses all threads.
+        threads: number of threads that an engine on the CPU uses. If ``threads`` is None, it uses all threads.
     """
     if engine == "mjx-warp" and cuda_devices():
         return cuda_devices()[0]

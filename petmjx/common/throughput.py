@@ -36,7 +36,7 @@ class Throughput:
         """Set the number of finished worlds.
 
         Args:
-            share: finished share of the whole work, 0 to 1. If None, all worlds count as equal work.
+            share: finished share of the whole work, 0 to 1. If ``share`` is None, all worlds count as equal work.
         """
         work = float(done) if share is None or self._total is None else share * self._total
         if (done, work) == (self._done, self._work):

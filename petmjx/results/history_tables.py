@@ -38,8 +38,10 @@ class Recording:
     histories of stable worlds do not fill the memory.
 
     Attributes:
-        record: how the engine records: time between two frames, and level of detail. If None, nothing is recorded.
-        plan_ids: ids of the plans whose worlds are recorded. If None, the worlds of all plans are recorded.
+        record: how the engine records: time between two frames, and level of detail. If ``record`` is None, nothing is
+            recorded.
+        plan_ids: ids of the plans whose worlds are recorded. If ``plan_ids`` is None, the worlds of all plans are
+            recorded.
         failed_only: whether to keep only the histories of worlds that are not stable.
     """
 

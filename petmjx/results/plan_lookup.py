@@ -54,8 +54,9 @@ def find_plans(
     Args:
         records: plan id → the run's record of the plan. A plan without a record is accepted without a check.
         wanted: ids of the plans to find.
-        given: the present source of the plans. If None, plans are taken from the first of these sources that has them:
-            the plan objects of the run, the run's table ``placements``, the files that the table ``plans`` names.
+        given: the present source of the plans. If ``given`` is None, plans are taken from the first of these sources
+            that has them: the plan objects of the run, the run's table ``placements``, the files that the table
+            ``plans`` names.
 
     Raises:
         InputError: the source ``given`` is unusable.

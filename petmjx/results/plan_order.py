@@ -74,8 +74,8 @@ def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None
     is None if the table has no file.
 
     Args:
-        columns: names of the columns to read, which must include ``plan_id`` and ``variant``. If None, all columns are
-            read.
+        columns: names of the columns to read, which must include ``plan_id`` and ``variant``. If ``columns`` is None,
+            all columns are read.
 
     Raises:
         InputError: a part is damaged or missing.

@@ -124,7 +124,8 @@ class Manifest:
     Attributes:
         settings: command, simulation, sweep, engine and shard, as values that JSON can hold.
         plans: plan id → record, for all plans in the order of the input, including the plans of other shards.
-        placements: function that makes the table ``placements`` of the run's plans. If None, the run has no such table.
+        placements: function that makes the table ``placements`` of the run's plans. If ``placements`` is None, the run
+            has no such table.
     """
 
     settings: Mapping[str, Any]
@@ -143,8 +144,8 @@ class Manifest:
         """Make the table ``plans``.
 
         Args:
-            ordered: plan id → counts from the comparison of the plan with its order. If None, there are no columns
-                about orders.
+            ordered: plan id → counts from the comparison of the plan with its order. If ``ordered`` is None, there are
+                no columns about orders.
         """
         columns: dict[str, Sequence[Any]] = {
             "plan_id": list(self.plans),

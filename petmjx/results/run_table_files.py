@@ -55,7 +55,8 @@ class Tables:
         with its digest. The copies belong to the run only after ``add`` or ``replace_worlds``.
 
         Args:
-            ranks: new ranks for the rows. If None, the rows keep their ranks, and the files are copied byte by byte.
+            ranks: new ranks for the rows. If ``ranks`` is None, the rows keep their ranks, and the files are copied
+                byte by byte.
 
         Raises:
             InputError: a file of the other run is damaged or missing.

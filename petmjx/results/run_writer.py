@@ -95,8 +95,9 @@ class RunWriter(RunInfo):
     (petmjx.results.plan_order).
 
     Args:
-        out_dir: folder of the run, which is created if it does not exist. If None, a run that fits into one part stays
-            in memory; a larger run is written to a temporary folder, which is deleted together with the results.
+        out_dir: folder of the run, which is created if it does not exist. If ``out_dir`` is None, a run that fits into
+            one part stays in memory; a larger run is written to a temporary folder, which is deleted together with the
+            results.
         config: the values of all options as plain JSON values (from ``Simulation.model_dump(mode="json")`` and others).
         params: parameters of the variants of a sweep. Each parameter becomes a column of ``worlds``.
         variants: numbers of the variants of each plan, if they are the same for all plans. Ranks (positions in the

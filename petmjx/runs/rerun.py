@@ -29,8 +29,8 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     """A plan, exactly as the run simulated it.
 
     Args:
-        plans: source of the plan. If None, it is the plan object that the run holds, the run's table of plans, or the
-            input file.
+        plans: source of the plan. If ``plans`` is None, it is the plan object that the run holds, the run's table of
+            plans, or the input file.
 
     Raises:
         InputError: the run has no such plan, or the plan's file no longer exists or has changed.

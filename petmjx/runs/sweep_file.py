@@ -459,7 +459,7 @@ def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str,
 
     Args:
         file: a sweep file with legs, or the name of a ready-made one.
-        n_worlds: number of worlds with errors for each plan. If None, it is the number in the file.
+        n_worlds: number of worlds with errors for each plan. If ``n_worlds`` is None, it is the number in the file.
         simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:
