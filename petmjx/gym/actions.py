@@ -38,12 +38,13 @@ class Table:
 
     Attributes:
         legal: (n, a) mask of legal actions.
-        box: (n, a) index of the box among the visible boxes; ``size_mm``, ``corner_mm``: (n, a, 3) extents and
-            front-left-bottom corner of the box as placed; ``mass_kg``: (n, a) mass of the box.
-        side: (n, a) orientation of the box, as an index into ``SIDES``; ``pallet``: (n, a) number of the pallet within
-            the episode.
-        support: (n, a) supported share of the box's base; ``margin``: (n, a) the pallet's margin of stability after the
-            action if the mask uses physics, else 0.
+        box: (n, a) index of the box among the visible boxes.
+        size_mm, corner_mm: (n, a, 3) extents and front-left-bottom corner of the box as placed.
+        mass_kg: (n, a) mass of the box.
+        side: (n, a) orientation of the box, as an index into ``SIDES``.
+        pallet: (n, a) number of the pallet within the episode.
+        support: (n, a) supported share of the box's base.
+        margin: (n, a) the pallet's margin of stability after the action if the mask uses physics, else 0.
     """
 
     legal: NDArray[np.bool_]
@@ -143,10 +144,12 @@ class Actions:
         """Fill some rows of a table with the actions of their episodes.
 
         Args:
-            rows: (m,) rows of the table; ``episodes``: (m,) for each row, the episode on whose pallets the boxes are
-                placed. If ``episodes`` is None, each row belongs to the episode of the same number.
-            size_mm: (m, k, 3) sizes of the visible boxes; ``mass_kg``: (m, k) masses of the boxes, 0 if there is no
-                box; ``upright``: (m, k, 3) whether each size may be vertical.
+            rows: (m,) rows of the table.
+            episodes: (m,) for each row, the episode on whose pallets the boxes are placed. If ``episodes`` is None,
+                each row belongs to the episode of the same number.
+            size_mm: (m, k, 3) sizes of the visible boxes.
+            mass_kg: (m, k) masses of the boxes, 0 if there is no box.
+            upright: (m, k, 3) whether each size may be vertical.
         """
         table.clear(rows)
         at, box = np.nonzero(mass_kg[:, : self._options.buffer])

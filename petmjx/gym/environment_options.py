@@ -48,7 +48,8 @@ class PalletizingOptions:
             action selects a box, an orientation and a cell of the carrier.
         n_candidates: largest number of places in the list. The list begins with the lowest place of each box, then has
             the second-lowest place of each box, and so on. The list has at least one place for each box of the buffer.
-        action_cell_mm: side of the cells of actions, mm; ``cell_mm``: side of the cells of observed maps, mm.
+        action_cell_mm: side of the cells of actions, mm.
+        cell_mm: side of the cells of observed maps, mm.
         mask: which actions are legal, among those that keep the box on the carrier and below ``max_height_mm``.
             ``geometry``: all actions with which the box is on the carrier and not too high. The name of a criterion of
             docs/criteria.md (``support_75``, … or ``centre``): actions that fulfil the criterion. ``physics``: actions

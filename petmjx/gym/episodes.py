@@ -43,8 +43,8 @@ class EpisodeStep:
     """The results of one step of m episodes.
 
     Attributes:
-        reward: (m,) reward of each episode, which is the weighted sum of the terms; ``terms``: name of each term of the
-            reward → its values (m,) without the weight.
+        reward: (m,) reward of each episode, which is the weighted sum of the terms.
+        terms: name of each term of the reward → its values (m,) without the weight.
         terminated, truncated: (m,) whether each episode was terminated or truncated, as Gymnasium defines these words.
     """
 

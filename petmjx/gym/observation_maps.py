@@ -26,8 +26,8 @@ class Maps:
     """The maps of n pallets. The maps are updated with each new box, and are in single precision like all observations.
 
     Attributes:
-        heights: (n, x, y) height of the highest top of a box above each cell, mm; ``loads``: (n, x, y) largest force on
-            the top of a box above each cell, N.
+        heights: (n, x, y) height of the highest top of a box above each cell, mm.
+        loads: (n, x, y) largest force on the top of a box above each cell, N.
     """
 
     def __init__(self, n: int, cells: tuple[int, int], cell_mm: float) -> None:
@@ -47,8 +47,8 @@ class Maps:
         """Add a box to each of m pallets.
 
         Args:
-            number: (m,) number of the new box on its pallet, from 0; ``size_mm``, ``corner_mm``: (m, 3) extents and
-                corner of the new box.
+            number: (m,) number of the new box on its pallet, from 0.
+            size_mm, corner_mm: (m, 3) extents and corner of the new box.
         """
         self._spans = widened_table(self._spans, int(number.max(initial=0)) + 1)
         self._spans[rows, number] = box_spans = spans(size_mm, corner_mm, self._cell_mm)

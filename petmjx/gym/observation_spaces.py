@@ -42,8 +42,9 @@ class ObservationSpaces:
     """The spaces and the scales of the observations of an environment.
 
     Args:
-        cells: numbers of cells of the maps along x and y; ``n_actions``: number of actions; ``features``: names of the
-            features of candidates.
+        cells: numbers of cells of the maps along x and y.
+        n_actions: number of actions.
+        features: names of the features of candidates.
     """
 
     def __init__(

@@ -60,8 +60,8 @@ class Candidates:
     """Finds the n places for a box that have the lowest cost: low places, with much support, near the carrier's edges.
 
     Args:
-        extent_mm: extent of the carrier along x and y; ``gap_mm``: free space between a box and its neighbours along x
-            and y.
+        extent_mm: extent of the carrier along x and y.
+        gap_mm: free space between a box and its neighbours along x and y.
         least_support: smallest share of a box's base that must be supported. If ``least_support`` is None, any
             supported share is sufficient.
         inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. The
@@ -69,7 +69,8 @@ class Candidates:
             act anywhere.
 
     Attributes:
-        count: number n of actions; ``features``: names of the features of an action.
+        count: number n of actions.
+        features: names of the features of an action.
     """
 
     features = FEATURES
@@ -196,8 +197,8 @@ def _corner_points(
     """The same as ``petmjx.packers.candidate_points.corner_points`` for all boxes of one pile, as an array program.
 
     Args:
-        start, end: lowest and highest x and y of the boxes; ``bottom``, ``top``: heights of the boxes' bottoms and
-            tops.
+        start, end: lowest and highest x and y of the boxes.
+        bottom, top: heights of the boxes' bottoms and tops.
         earlier: row i tells which boxes may be obstacles for the points of box i.
     """
     (x, y), (x_end, y_end) = start.T, end.T

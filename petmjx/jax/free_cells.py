@@ -46,12 +46,14 @@ class Cells:
     then by cell along y.
 
     Args:
-        side_mm: side of a cell; ``least_support``: smallest share of a box's base that must be supported. If
-            ``least_support`` is None, any supported share is sufficient.
+        side_mm: side of a cell.
+        least_support: smallest share of a box's base that must be supported. If ``least_support`` is None, any
+            supported share is sufficient.
         gap_mm: free space between a box and its neighbours along x and y.
 
     Attributes:
-        count: number of actions; ``features``: names of the features of an action.
+        count: number of actions.
+        features: names of the features of an action.
     """
 
     features: Final[tuple[str, ...]] = ()

@@ -66,7 +66,8 @@ def place(
     """Put one box onto each pallet, and simulate the pallets until they are at rest.
 
     Args:
-        size_mm: extents of the boxes as they stand; ``corner_mm``: front-left-bottom corners of the boxes.
+        size_mm: extents of the boxes as they stand.
+        corner_mm: front-left-bottom corners of the boxes.
         active: mask of the pallets that receive a box. If ``active`` is None, all pallets receive a box. Pallets that
             have fallen or are full never receive another box.
 

@@ -54,10 +54,11 @@ class Observation(NamedTuple):
     """The observation of a pallet.
 
     Attributes:
-        height_map: height of the highest top of a box over each cell of the carrier, mm; ``load_map``: largest force on
-            the top of a box over each cell, N.
+        height_map: height of the highest top of a box over each cell of the carrier, mm.
+        load_map: largest force on the top of a box over each cell, N.
         boxes: length, width and height, mm, and mass, kg, of the next boxes; 0 after the last box.
-        left: number of remaining boxes; ``mass``: total mass of the boxes on the pallet, kg.
+        left: number of remaining boxes.
+        mass: total mass of the boxes on the pallet, kg.
         action_mask: (a,) whether each action is legal.
         candidates: (a, f) features of the candidates (``Palletizing.features`` has their names); 0 for illegal actions.
     """
@@ -109,7 +110,8 @@ class Palletizing:
     Args:
         orders: as in ``petmjx/Palletizing-v0``, except that ``endless`` means 256 orders from the generator of random
             orders.
-        orders_seed: seed of the generator; ``look_ahead``: number of visible boxes.
+        orders_seed: seed of the generator.
+        look_ahead: number of visible boxes.
         orders_units, orders_columns, orders_density: as in ``petmjx/Palletizing-v0``.
         actions: if ``cells``, an action selects one of two orientations and a cell of the carrier. If ``candidates``,
             an action selects one of ``n_candidates`` places, which have features. The candidate places are at extreme
