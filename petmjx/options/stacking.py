@@ -33,8 +33,8 @@ class Stacking(CheckedRecord):
     McKee's formula and tests in a press give the strength of a box between two flat plates. On a pallet, the loads on a
     box's walls depend on the boxes above and below.
 
-    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. If nothing is below a part of
-    a wall, this part is assumed to bear no load. No source states how much load it bears.
+    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. A part of a wall with nothing
+    below it is assumed to bear no load, because no source states how much load such a part bears.
     """
 
     interlocked_loss: Annotated[float, within(0, 1)] = Field(
@@ -64,13 +64,13 @@ class Stacking(CheckedRecord):
     )
 
     def with_losses(self, factor: float) -> Self:
-        """The options with each loss by stacking multiplied by ``factor``, but at most 1."""
+        """A copy of these options in which each loss by stacking is multiplied by ``factor``, up to a loss of 1."""
         names = ("interlocked_loss", "overhang_loss", "gap_loss", "soft_deck_loss")
         return self.changed(**{name: min(factor * getattr(self, name), 1.0) for name in names})
 
     @property
     def humidity_loss(self) -> float:
-        """The share of its strength that a box loses by moist air."""
+        """The share of its strength that a box loses because the air is moist."""
         percent, losses = np.array(HUMIDITY_LOSS).T
         return float(np.interp(self.humidity_percent, percent, losses))
 
