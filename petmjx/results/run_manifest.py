@@ -24,7 +24,7 @@ from petmjx.results.run_tables import Parts
 from petmjx.results.schema import plans_schema
 
 DIGEST_BYTES: Final = 8
-"""Length of the digest of a plan, bytes. A digest has 2^64 possible values. In a run of a million plans, the
+"""Length of the digest of a plan, bytes. A digest of 8 bytes has 2^64 possible values. In a run of a million plans, the
 probability that two different plans have the same digest is one in 30 million."""
 
 MOST_NAMED: Final = 4
@@ -58,7 +58,8 @@ class PlanRecord(NamedTuple):
         volume_m3: total volume of the plan's boxes, m³.
         extent_x_m, extent_y_m: extents of the bounding box of all boxes, m.
         height_m: height of the top of the highest box above the carrier, m.
-        number: position of the plan in the input, where skipped plans also have a position; None if it is unknown.
+        number: position of the plan in the input, where skipped plans also have a position; None if the position is
+            unknown.
     """
 
     digest: str
@@ -134,8 +135,8 @@ class Manifest:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The identity as it is written into ``run.json``. The digest of all plans does not depend on the order of the
-        plans."""
+        """The identity of the run as it is written into ``run.json``. The digest of all plans does not depend on the
+        order of the plans."""
         lines = "\n".join(f"{record.digest} {plan_id!r}" for plan_id, record in sorted(self.plans.items()))
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
@@ -223,7 +224,7 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
     """The options of a simulation from ``run.json``. Fields that earlier versions of petmjx did not write are added;
-    each has the value with which it has no effect."""
+    each added field has the value that changes nothing."""
     walls = Walls().model_dump(mode="json")
     later = {"walls": walls, **simulation}
     if isinstance(carrier := later.get("carrier"), Mapping):
@@ -246,7 +247,7 @@ def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):
-                continue  # only one of the two runs has ``errors``; the difference of ``confidence`` says so
+                continue  # one run lacks ``errors``, so the setting ``confidence`` differs and is reported
             inner = f"{path}.{name}" if path else str(name)
             yield from differing_settings(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif _are_tables(was) and _are_tables(now) and len(was) == len(now):
