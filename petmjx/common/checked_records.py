@@ -211,7 +211,7 @@ def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, 
 
 
 def hint(name: str, known: Iterable[str]) -> str:
-    """A hint for a user who has written an unknown name, such as "did you mean scale?", or a list of the known names."""
+    """A hint for a user who wrote an unknown name, such as "did you mean scale?", or a list of the known names."""
     names = list(known)
     close = difflib.get_close_matches(name, names, n=1)
     return f"did you mean {close[0]}?" if close else f"there are {', '.join(names)}"

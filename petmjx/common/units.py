@@ -1,4 +1,5 @@
-"""The only module that converts units. Inside petmjx, all values are in SI units, except that plans are in millimetres."""
+"""The only module that converts units. Inside petmjx, all values are in SI units, except that lengths in plans are in
+millimetres."""
 
 from __future__ import annotations
 

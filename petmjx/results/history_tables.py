@@ -50,7 +50,7 @@ class Recording:
     failed_only: bool = False
 
     def of(self, plan: Plan) -> Record | None:
-        """The settings with which the engine records the worlds of a plan; None if the engine does not record the plan."""
+        """The settings with which the engine records the worlds of a plan; None if these worlds are not recorded."""
         return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
 
     def kept(self, outcome: Outcome) -> Outcome:

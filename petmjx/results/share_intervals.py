@@ -150,7 +150,7 @@ class PairedCounts:
 
     @property
     def difference(self) -> float:
-        """Share of trials that succeed with b, minus share of trials that succeed with a; NaN if there are no trials."""
+        """Share of trials that succeed with b, minus share that succeed with a; NaN if there are no trials."""
         return (self.only_b - self.only_a) / self.n if self.n else float("nan")
 
 
