@@ -13,7 +13,8 @@ _LAST = "Options"
 
 
 class SectionedCommand(TyperCommand):
-    """A command whose help lists options under headings. The heading of an option is its ``rich_help_panel``."""
+    """A command whose help lists options under headings. The attribute ``rich_help_panel`` of an option is its
+    heading."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments, then the options with headings, and finally the options without a heading. The order of
@@ -26,7 +27,7 @@ class SectionedCommand(TyperCommand):
             name, text = row
             heading = getattr(parameter, "rich_help_panel", None) or _LAST
             if parameter.param_type_name == "argument":
-                name, heading = name.partition(" <")[0], "Arguments"  # remove the argument's Python type
+                name, heading = name.partition(" <")[0], "Arguments"  # without the argument's Python type
             sections.setdefault(heading, []).append((name, text))
         for heading in sorted(sections, key=lambda name: name == _LAST):
             with formatter.section(heading):

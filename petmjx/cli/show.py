@@ -96,7 +96,7 @@ def _show_repair(
     """Repair a plan, and write a page that shows the plan before and after the repair.
 
     Args:
-        has_more: whether the user set options that the page about a repair does not support.
+        has_more: whether the user has set options that cannot be combined with ``--repair``.
     """
     from petmjx.options.run_options import RunOptions, sorted_options
     from petmjx.options.simulation import Simulation
@@ -162,7 +162,7 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
             bars: list[ProgressSink] = []
 
             def count(done: int, total: int, shown: ExitStack = shown, bars: list[ProgressSink] = bars) -> None:
-                if not bars:  # only the function that draws films calls ``count``
+                if not bars:  # ``count`` is called only if a film is drawn
                     bars.append(shown.enter_context(progress(total, "frame")))
                 bars[0].update(done)
 

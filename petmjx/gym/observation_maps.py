@@ -14,7 +14,7 @@ from petmjx.loop.growing_tables import FIRST_COLUMNS, widened_table
 from petmjx.loop.height_maps import spans
 
 _AT_ONCE: Final = 512
-"""Number of pallets whose maps are computed at a time. The maps of this number of pallets fit into the cache of a CPU
+"""Number of pallets whose maps are computed at a time. The maps of this many pallets fit into the cache of a CPU
 core."""
 
 _MOST: Final = float(np.finfo(np.float32).max)
@@ -34,7 +34,7 @@ class Maps:
         self._cell_mm = cell_mm
         self.heights: Map = np.zeros((n, *cells), np.float32)
         self.loads: Map = np.zeros((n, *cells), np.float32)
-        # the ranges of cells that each box covers
+        # for each box, the ranges of cells that it covers
         self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)
 
     def clear(self, rows: NDArray[np.int64]) -> None:

@@ -53,8 +53,8 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
 
 @dataclass(frozen=True)
 class Spec:
-    """The shape, the type and the range of an array. ``num_values`` is the number of possible values of an action; None
-    for other arrays."""
+    """The shape, the type and the range of an array. ``num_values`` is the number of possible values of an action; for
+    other arrays, ``num_values`` is None."""
 
     name: str
     shape: tuple[int, ...]
