@@ -79,8 +79,9 @@ the function in this module have the same name as the command, with underscores.
 
 def application(words: Sequence[str] = ()) -> typer.Typer:
     """Make the application. If ``words``, the arguments of the command line, name a command, the application has only
-    this command; otherwise, the application has all commands. Loading the modules of all commands would take longer
-    than scoring a few plans.
+    this command; otherwise, the application has all commands.
+
+    Loading the modules of all commands would take longer than scoring a few plans.
     """
     app = typer.Typer(
         name="petmjx",

@@ -35,7 +35,7 @@ class Candidates:
         z: (p, s) height of each candidate's bottom at rest, mm.
         carried: (p, s) supported area of each candidate's base, mm².
         open: (p, s) whether each candidate can be chosen. A candidate must be inside the carrier's edges. A candidate
-            that was refused because of the balance cannot be chosen until another box is placed under it.
+            that was refused because it would tip cannot be chosen until another box is placed under it.
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
@@ -93,7 +93,8 @@ class Candidates:
         self._add_points([(x, y) for x, y in points[:, 0].tolist()])
 
     def _cover(self, corner: tuple[float, float], ends: tuple[float, float, float]) -> None:
-        """Update the candidates for which the newest box is now the highest box under their base."""
+        """Update those candidates whose base is above the newest box, if the newest box is now the highest box under
+        the base."""
         area = overlap(self.points, self.base, np.array([corner]), np.array([ends[:2]]))[:, :, 0]
         hit, top = area > 0, ends[2]
         higher = hit & (top > self.z + TOUCH_MM)

@@ -61,7 +61,7 @@ class Packed:
 
     @property
     def each(self) -> tuple[PackedOrder, ...]:
-        """The same as ``packed_orders``, under its name in version 0.2."""
+        """The same as ``packed_orders``, under the name that this attribute had in version 0.2."""
         warnings.warn("Packed.each is now Packed.packed_orders", DeprecationWarning, stacklevel=2)
         return self.packed_orders
 
@@ -133,8 +133,9 @@ def pack(
 ) -> Packed:
     """Pack orders with the packer ``physical`` or ``learned``.
 
-    ``physical`` packs densely, and chooses plans that stand in simulations, both if boxes are placed exactly and with
-    the errors of a robot. ``learned`` places boxes in the sequence of their arrival; its plans are simulated as well.
+    ``physical`` packs densely, and chooses plans that stand in simulations in which boxes are placed exactly, and in
+    simulations with the errors of a robot. ``learned`` places boxes in the sequence of their arrival; its plans are
+    simulated as well.
 
     ``petmjx.pack("orders.json", least_share=0.95).save("plans.json")``
 
@@ -146,7 +147,7 @@ def pack(
             frame of items. If ``orders`` is None, ``n`` orders are generated, as in ``petmjx samples``.
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
-        look_ahead: number of boxes that ``learned`` sees at a time. If ``look_ahead`` is None, 1 box is seen.
+        look_ahead: number of boxes that ``learned`` sees at a time. If ``look_ahead`` is None, ``learned`` sees 1 box.
         workers: number of processes for the search. The plans do not depend on this number. Scripts that use more than
             one process need ``if __name__ == "__main__":``.
         on_bad_order: function that is called with the error of each unusable order; the order is then skipped. If
@@ -182,7 +183,7 @@ def pack_each(
     workers: int = 1,
     **options: Any,
 ) -> Iterator[PackedOrder]:
-    """Yield the result of each order as soon as it is known. Arguments are those of ``pack``, except ``orders``.
+    """Yield the result of each order as soon as it is known. All arguments except ``orders`` are those of ``pack``.
 
     Args:
         orders: pairs of an id and an order.

@@ -225,9 +225,10 @@ def with_sustained_force(leg: Outcome, before: BoxMetrics) -> Outcome:
 
 
 def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
-    """The outcome of a world after one more leg. Times are counted from the placement of the first box. Metrics that
-    are largest values, such as the largest force at rest (``sustained_top_force_n``), are the largest values of the
-    journey so far. The poses of the boxes and ``rest_top_force_n`` are the values at the end of the leg.
+    """The outcome of a world after one more leg. Times are counted from the placement of the first box.
+
+    Metrics that are largest values, such as the largest force at rest (``sustained_top_force_n``), are the largest
+    values of the journey so far. The poses of the boxes and ``rest_top_force_n`` are the values at the end of the leg.
 
     Args:
         before: the outcome after the previous leg, in which the pallet still stood.
