@@ -25,14 +25,14 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
-"""Largest distance from the edge of a polygon at which a point outside counts as being on the edge, mm. The distance
-covers the rounding errors of float64 sums of millimetres."""
+"""A point outside a polygon counts as lying on its edge if its distance from the edge is at most this length, mm. The
+distance covers the rounding errors of float64 sums of millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """One convex polygon for each of n boxes. The vertices of a polygon are in counter-clockwise order. All polygons
-    have e vertices in the array; if a polygon has fewer, its last vertex is repeated.
+    """One convex polygon for each of n boxes. The vertices of a polygon are in counter-clockwise order. In the array,
+    all polygons have e vertices; if a polygon has fewer than e vertices, its last vertex is repeated.
 
     Attributes:
         vertex: (n, e, 2) x and y of the vertices, mm; NaN if a box has no polygon.
@@ -76,8 +76,8 @@ class Hulls:
 
 
 def contact_hulls(contacts: PlanContacts) -> Hulls:
-    """For each box, the convex hull of the areas on which the box lies. For a box that lies on a single rectangle, the
-    hull is this rectangle."""
+    """For each box, the convex hull of the areas on which the box lies. If a box lies on a single rectangle, the hull
+    is this rectangle."""
     single = contacts.n_supports == 1
     several = np.flatnonzero(contacts.n_supports > 1)
     hulls: list[FloatArray] = []
@@ -204,7 +204,7 @@ class PlanContacts:
         return on_carrier
 
     def borne_corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n, 4) whether each bottom corner of each box lies on something, within the tolerance. A corner on the edge
+        """(n, 4) whether each bottom corner of each box lies on a support, within the tolerance. A corner on the edge
         of a surface counts as lying on the surface.
 
         Args:
@@ -344,9 +344,9 @@ def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
 
 
 LYING_GAP_M: Final = TOUCH_M
-"""Largest gap between two boxes of which one lies on the other, m, as in the criteria. A smaller value would not do: if
-three supports have the same planned height, differences of micrometres determine which of them bear the load, and these
-differences vary between simulators and between real pallets."""
+"""Largest gap between two boxes of which one lies on the other, m, as in the criteria. A smaller limit would ignore
+some supports: if three supports have the same planned height, differences of micrometres determine which of them bear
+the load, and these differences vary between simulators and between real pallets."""
 
 SIDE_GAP_M: Final = 1e-5
 """Largest gap between two boxes that touch side by side, m: slightly more than the rounding error of a pose in float32.
@@ -379,7 +379,7 @@ class TouchPoints:
     sign: FloatArray
 
     def some(self, which: NDArray[np.bool_]) -> TouchPoints:
-        """Those points for which ``which`` (p,) is true."""
+        """The points for which the mask ``which`` (p,) is true."""
         return TouchPoints(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
@@ -396,7 +396,7 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
 
     model = build_spec(scene, physics).compile()
     model.pair_margin[:] += LYING_GAP_M
-    model.geom_margin[:] += LYING_GAP_M / 2  # half of the gap, because MuJoCo adds the margins of the two geoms
+    model.geom_margin[:] += LYING_GAP_M / 2  # half of it, because MuJoCo adds the margins of two geoms
     data = mujoco.MjData(model)
     poses = data.qpos.reshape(-1, 7)[1:]  # the first pose is that of the carrier
     poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat
