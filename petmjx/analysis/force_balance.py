@@ -19,7 +19,7 @@ A newly placed box affects only its structure: the new box and all boxes that co
 save time without changing the result:
 
 - A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
-  balance the load with vertical forces. This box is treated as part of the carrier, so it belongs to no structure.
+  balance the load with vertical forces. Such a box is treated as part of the carrier, so it belongs to no structure.
 - Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes.
   Friction can help, for example if another box lies across a box and its neighbour, and so holds the box. If friction
   is considered, the slack is the larger one of the slack without friction and the slack with friction.
@@ -111,7 +111,8 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
         forces: (r, f) contribution of each of f forces to each of r equations of balance (rows).
         share: (f,) value that each force must have per unit of slack.
         row_sums: (r,) value that each row must have.
-        limits: (q, f) the matrix in ``limits @ g ≤ 0``. If ``limits`` is None, there are no such conditions.
+        limits: (q, f) the matrix in ``limits @ g ≤ 0``. If ``limits`` is None, only the condition on ``forces`` must
+            hold.
 
     Returns:
         The slack s; −inf if no s fulfils the conditions, not even an arbitrarily negative s.

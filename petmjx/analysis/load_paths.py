@@ -11,7 +11,7 @@ for this criterion. The paper also allows for an uncertain centre of mass; petmj
 
 **Criteria that pass loads down** determine whether the resultant of a box's weight and of the loads on the box acts
 over the box's supports. Each box is checked when it is placed, and all boxes below it are checked again. Two criteria
-pass loads down. Their rules for how a box distributes its weight and the load on it over its supports differ:
+pass loads down. Each has another rule for how a box distributes its weight and the load on it over its supports:
 
 - **lever rule** (the stacking tree): the box presses on each support with a force at the middle of the contact area.
   Two supports share the load by the lever rule. With more than two supports, many sets of forces balance force and

@@ -100,8 +100,8 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
 
     Args:
         against: the comparison of the plans with the caller's orders. If ``against`` is None, the caller gave no
-            orders, and the numbers of ordered boxes that the runs state are used. If the runs do not state these
-            numbers either, an order is assumed to have as many boxes as its largest plan.
+            orders, and the numbers of ordered boxes that the runs state are used. If the runs do not state the numbers
+            of ordered boxes either, an order is assumed to have as many boxes as its largest plan.
 
     Returns:
         The columns ``plan_id``, ``packer``, ``order_boxes`` (number of boxes of the order), ``verdict`` (possibly

@@ -223,7 +223,7 @@ def tell(
         interval_s: time between two frames, s. The default is 0.05 s. There is also a frame at each placement of a box
             and at the end.
         details: whether frames of a new simulation also have accelerations, penetrations and contacts. By default,
-            frames have these details. Only the engine ``mujoco`` can record them. If the run has a recording of the
+            frames have these details. Only the engine ``mujoco`` can record details. If the run has a recording of the
             world, the recording is used, unless ``interval_s`` or ``details`` is given.
         options: fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``; they are allowed only if the source is
             not a run.
@@ -304,8 +304,8 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
 
 
 def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
-    """The engine that makes the story, and a note. This is the engine of the run and an empty note, or, if this engine
-    cannot run here, C MuJoCo and a note about the change."""
+    """The engine that makes the story, and a note. If the run's engine can run on this machine, the result is this
+    engine and an empty note. Otherwise, the result is C MuJoCo and a note about the change."""
     name = config.get("engine")
     if name not in ENGINES:
         return make_engine(

@@ -122,8 +122,8 @@ def run_and_show(
     """Execute a run with a progress bar, and print the results as tables or as JSON.
 
     Args:
-        run: function that executes the run. Its arguments are a watcher (the object that is told about the progress)
-            and the options, including the folder.
+        run: function that executes the run. The arguments of ``run`` are a watcher (the object that is told about the
+            progress) and the options, including the folder.
 
     Raises:
         RunInterrupted: Ctrl-C, SIGTERM or SIGHUP ended the run.

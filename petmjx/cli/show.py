@@ -61,7 +61,7 @@ def show(
 ) -> None:
     """Show what happens to one plan: in words, as a page, in pictures, or as a film.
 
-    If DIR, the folder of a run, is given, the plan is simulated exactly as in that run. Otherwise, the options
+    If DIR, the folder of a run, is given, the plan is simulated exactly as in that run. Without DIR, the options
     determine the simulation. If you request no drawing, the command prints a text about the simulation in the terminal.
     """
     from petmjx.results.read_files import source_files

@@ -93,8 +93,8 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
     thread.
 
     Args:
-        afterwards: whether a signal that arrived while the body ran is delivered after the body. If not, the signal is
-            dropped; this is for a run that is about to end anyway.
+        afterwards: whether a signal that arrived while the body ran is delivered after the body. If ``afterwards`` is
+            False, the signal is dropped, for a run that is about to end anyway.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -101,7 +101,7 @@ class Table:
 
 
 def features_of(options: PalletizingOptions, orders: Orders) -> tuple[str, ...]:
-    """The names of the features that each candidate has with these options."""
+    """The names of the features that each candidate has if the environment has the options ``options``."""
     extra_features = ((UPRIGHT, options.sides == ALL or orders.lie), (PALLET, options.open_pallets > 1))
     return (*FEATURES, *(name for name, is_on in extra_features if is_on))
 

@@ -40,7 +40,8 @@ class PalletizingOptions:
         orders: source of the orders, which are lists of boxes to pack (``petmjx.loop.order_sources.Orders``).
         orders_seed: seed of the generator of random orders.
         orders_units, orders_columns, orders_density: how to read a file of orders that is not in BED-BPP's form, as in
-            the fields of ``petmjx.RunOptions``. If one of these options is None, the most plausible value is used.
+            the fields of ``petmjx.RunOptions``. If ``orders_units``, ``orders_columns`` or ``orders_density`` is None,
+            the most plausible value is used.
         articles: a table of articles (docs/loads.md), from which the strengths of boxes are read.
         look_ahead: number of boxes that are visible in an observation. 1 means online packing. A number as large as the
             order means offline packing.

@@ -222,9 +222,9 @@ class Episodes:
 
     def _look_ahead(self, rows: NDArray[np.int64]) -> None:
         """Find the first box that has a legal action, among the boxes after the next box, and leave out all boxes
-        before it. Only one box of each kind (equal size and mass) is examined, because equal boxes have equal actions.
-        Several kinds are examined in one call, and their number grows from call to call, because even a call for few
-        boxes takes time."""
+        before it. Of each kind of box (equal size and mass), only one box is examined, because equal boxes have equal
+        actions. Several kinds are examined in one call, and their number grows from call to call, because even a call
+        for few boxes takes time."""
         later = {row: self._queues.kinds(row) for row in rows.tolist()}
         first = dict.fromkeys(later, 1)  # kind 0 is the kind of the next box, which is known to have no legal action
         most = 1

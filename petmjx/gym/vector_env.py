@@ -33,7 +33,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
             next step, which ignores the action. SAME_STEP: a new episode begins in the same step; the last observation
             and information of the ended episode are then in ``info``. DISABLED: a new episode begins when ``reset`` is
             called.
-        render_mode: None or "rgb_array".
+        render_mode: "rgb_array" for pictures; None for no pictures.
         options: as for ``PalletizingEnv``, except that the default engine is ``auto``.
 
     Raises:

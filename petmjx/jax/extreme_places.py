@@ -109,7 +109,7 @@ class Candidates:
 
     def _points(self, pile: Pile) -> Points:
         """The extreme points of a pile. Each box has extreme points of its own. Only boxes that were placed before this
-        box are obstacles for them."""
+        box can be obstacles for these points."""
         k = len(pile.present)
         low, high = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
         earlier = (jnp.arange(k)[None] < jnp.arange(k)[:, None]) & pile.present[None]

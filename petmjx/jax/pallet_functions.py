@@ -33,7 +33,7 @@ def empty(
     most_boxes: int = 40,
     **options: Any,
 ) -> State:
-    """Make the state of n empty pallets. This function must not be called under ``jit``, because it loads the engine.
+    """Make the state of n empty pallets. Do not call this function under ``jit``, because it loads the engine.
 
     Args:
         engine: ``mujoco``, ``mjx-warp``, ``mjx-warp-cpu``, or ``auto`` as in ``petmjx.Pallets``.

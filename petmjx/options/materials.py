@@ -137,8 +137,8 @@ def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> 
     None, the value in ``petmjx.Physics`` is used instead.
 
     Args:
-        user_pairs: pairs that the user gives. They take precedence over petmjx's values, and later pairs take
-            precedence over earlier pairs.
+        user_pairs: pairs that the user gives. The pairs of the user take precedence over petmjx's values, and later
+            pairs take precedence over earlier pairs.
     """
     pair = _pair(one, other)
     user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
@@ -153,8 +153,8 @@ def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -
     Upper and lower case of names, and white space around names, are ignored.
 
     Args:
-        user_pairs: pairs that the user gives. They take precedence over petmjx's values, and later pairs take
-            precedence over earlier pairs.
+        user_pairs: pairs that the user gives. The pairs of the user take precedence over petmjx's values, and later
+            pairs take precedence over earlier pairs.
     """
     pair = _pair(one, other)
     frictions = [friction_pair.friction for friction_pair in user_pairs if friction_pair.key == pair]

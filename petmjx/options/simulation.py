@@ -102,7 +102,7 @@ class Quiet(CheckedRecord):
 
     With elliptic friction cones, there are two more conditions. First, each box must be slow or have slowed down.
     Second, no moving box may have become faster, because a box that begins to topple becomes faster. A box that
-    violates one of these conditions is said to creep, and the next box is delayed. Once a creeping box has dropped or
+    violates one of these two conditions is said to creep, and delays the next box. Once a creeping box has dropped or
     tilted too far, it no longer delays the next box, because the outcome is then known.
 
     A box that moves back and forth without net motion is said to tremble. Trembling boxes never delay the next box.

@@ -37,8 +37,8 @@ CLEARANCE_MM: Final = 4.0
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6
-"""Only the lowest candidates of each visible kind of box are rated. Their number is ``MOST_PLACES`` divided by the
-number of visible kinds, or ``LEAST_PLACES`` if that is larger."""
+"""For each visible kind of box, only the lowest candidates are rated. The number of rated candidates per kind is
+``MOST_PLACES`` divided by the number of visible kinds, or ``LEAST_PLACES`` if that is larger."""
 
 SURE: Final = 0.98
 """A probability to stand that is high enough. The packer takes the best candidate whose probability is ``SURE`` or

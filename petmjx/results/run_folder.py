@@ -102,8 +102,8 @@ def text(content: str) -> Write:
 
 
 def write_together(files: Mapping[Path, Write]) -> None:
-    """Write several files. All files are first written completely under hidden names. Only then are they renamed. The
-    folders of the files must exist.
+    """Write several files. All files are first written under hidden names. When all files are complete, they are
+    renamed. The folders of the files must exist.
 
     Raises:
         OSError: a file cannot be written. If an error is raised, existing files are unchanged.

@@ -103,7 +103,8 @@ def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table
 
 
 def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    """The rows of some worlds in a table of a run. Only one part of the table is in memory at a time.
+    """The rows of some worlds in a table of a run. The parts of the table are read one after another, so only one part
+    is in memory at a time.
 
     Args:
         worlds: data frame with the columns ``plan_id`` and ``variant``, one row per world.

@@ -86,7 +86,7 @@ class Parts:
             return list(pool.map(lambda file: self.read(file, columns), files))
 
     def _check_size(self, files: Sequence[Path], columns: Sequence[str] | None) -> None:
-        """Check that the tables in these files, all together, do not take too much memory. Raises InputError."""
+        """Check that the tables in the given files, all together, do not take too much memory. Raises InputError."""
         needed = file_bytes = 0
         for file in files:
             self.check(file)
@@ -114,8 +114,8 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
-        """A copy of this list of files, without the files of ``worlds``, ``boxes`` and the other tables of worlds that
-        have these numbers."""
+        """A copy of this list of files, without those files of ``worlds``, ``boxes`` and the other tables with rows
+        about worlds whose numbers are in ``numbers``."""
         removed_names = {part_name(number) for number in numbers}
         remaining = {
             table: {

@@ -178,7 +178,7 @@ class RunWriter(RunInfo):
         self._ended = False
 
     # Calls from other threads.
-    # Only these methods, ``warnings`` and similar attributes are used outside the writer's thread.
+    # Other threads use only the methods below, ``warnings`` and similar attributes.
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -208,7 +208,8 @@ class RunWriter(RunInfo):
             plan: the plan of the world. The boxes in ``outcome`` have the order of the plan's boxes.
             variant: number of the variant. 0 is the unchanged plan.
             schedule: name of the schedule, which is written to the results.
-            outcome: the outcome. Its values are copied, except ``state``, so the caller may reuse its arrays.
+            outcome: the outcome of the world. The values of the outcome, except ``state``, are copied, so the caller
+                may reuse the outcome's arrays.
             attempts: all attempts (simulations) in order, if the world needed more than one.
             params: name of a parameter → value. Missing values become null.
             interval_n: (boxes, 2) smallest and largest possible force on the top of each box at rest, N; None if they
@@ -481,8 +482,8 @@ class RunWriter(RunInfo):
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._tables = Tables(self.out_dir, parts.without("summary"))
-        # run.json is written before the files that the old run.json lists are deleted. Otherwise, a killed run might
-        # look finished.
+        # run.json is written before the files that the old run.json lists are deleted, because otherwise, a killed run
+        # might look finished.
         self._write_info()
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))

@@ -61,8 +61,8 @@ class SettledPlacement:
         return replace(outcome, history=placed.history.then(outcome.history))
 
     def undriven(self, variant: Variant) -> FinishedWorld:
-        """The finished world of a variant without shaking. Such a world gets the outcome of the placement, and needs no
-        further simulation."""
+        """The finished world of a variant without shaking. A world without shaking gets the outcome of the placement,
+        and needs no further simulation."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
         end = LegEnd(PLACING, 0.0) if variant.legs else None
         return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)

@@ -161,8 +161,8 @@ class Design:
     # Enumeration.
 
     def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
-        """Each placement with the variants that start from it. In a search, a placement comes without variants, because
-        a search makes its variants level by level."""
+        """Each placement, together with the variants that start from its settled state. In a search, a placement comes
+        without variants, because a search makes its variants level by level."""
         return iter(self._kept_placements if self.n_variants <= MOST_KEPT else self._placements())
 
     @cached_property

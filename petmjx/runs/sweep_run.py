@@ -79,7 +79,7 @@ class Answer:
 
     Attributes:
         largest_survived, first_failed: largest level survived and smallest level that failed, in g or as a scale; None
-            if there is no such level.
+            if no level was survived, or if no level failed.
         at_largest, at_failure: results of the tests at these two levels; None if there was no test at the level.
     """
 
@@ -122,8 +122,8 @@ class SweepRun:
             message has the number of placements that have ended.
         on_answer: function that is called for each answer of a search.
         values_of: function that returns column → value, for the columns that the sweep adds to the row of a world.
-        recorded: the completed worlds of the run. These worlds are not simulated again; the answers of a search are
-            computed from their rows.
+        recorded: the completed worlds of the run. Completed worlds are not simulated again; the answers of a search are
+            computed from the rows of completed worlds.
         recording: determines which worlds are recorded, and which histories are stored.
     """
 

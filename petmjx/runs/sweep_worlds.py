@@ -189,8 +189,8 @@ class SweepPlan(Design):
         return scene
 
     def scenes(self, groups: Iterable[PlacementGroup]) -> Iterator[tuple[PlacementGroup, Scene]]:
-        """Each group with the scene of its placement. Scenes of consecutive groups of one plan are made together, which
-        saves time."""
+        """Each group of worlds, together with the scene of the placement that they share. Scenes of consecutive groups
+        of one plan are made together, which saves time."""
         for plan, plan_groups in itertools.groupby(groups, key=lambda group: group.plan):
             these, groups_again = itertools.tee(plan_groups)
             placements = (group.placement for group in groups_again)
@@ -304,7 +304,7 @@ class SweepPlan(Design):
 
     def job_bounds(self, groups: Collection[PlacementGroup]) -> JobBounds:
         """Limits for the jobs of these placements and of the drives and legs that follow them, such as the largest
-        number of steps. Engines prepare themselves with these limits."""
+        number of steps. With these limits, engines prepare themselves before the first job."""
         sim, profiles = self.sweep.simulation, self.sweep.profiles.values()
         jobs = sum(max(len(group.variants), 1) for group in groups)
         box_counts = {group.plan.n_boxes for group in groups}
