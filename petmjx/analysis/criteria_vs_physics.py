@@ -134,7 +134,7 @@ def best_thresholds(
 
     Returns:
         One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (a lower limit), ``published`` (the
-        published threshold), ``n_found_on`` and ``mcc_found_on``. Further columns are those of ``judge`` and
+        published threshold), ``n_found_on`` and ``mcc_found_on``. The row also has the columns of ``judge`` and
         ``mcc_published`` (the MCC of the published threshold), computed on the half on which the threshold is tested.
     """
     joined_plans = with_physics(plans, worlds)

@@ -103,7 +103,8 @@ def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
 
 
 def _verdicts(run: RunResults) -> dict[str, str]:
-    """The verdict on each plan of a run, by the plan's id. The verdict is that of the simulation without errors."""
+    """The verdict on each plan of a run, by the plan's id. If a plan has several simulations, the verdict of the
+    simulation without errors is used."""
     columns = ("plan_id", "variant", "verdict")
     tables = run.parts.table("worlds", columns)
     worlds = pa.concat_tables(tables).filter(pc.field("variant") == 0) if tables else None

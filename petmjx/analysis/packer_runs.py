@@ -171,9 +171,9 @@ def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
     """(n,) for each row of the table, the area of the order's target (such as a pallet), m². All packers' plans for an
-    order have the same target. Usually, the area is that of the carrier. For the carrier ``footprint``, the area is
-    that of the smallest target of the benchmark BED-BPP that is large enough for all packers' plans. If no target is
-    large enough, the area is that of the smallest rectangle that is large enough.
+    order have the same target. Usually, this is the area of the carrier. For the carrier ``footprint``, this is the
+    area of the smallest target of the benchmark BED-BPP that is large enough for all packers' plans. If no target is
+    large enough, this is the area of the smallest rectangle that is large enough.
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y

@@ -398,7 +398,7 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
     model.pair_margin[:] += LYING_GAP_M
     model.geom_margin[:] += LYING_GAP_M / 2  # half of it, because MuJoCo adds the margins of two geoms
     data = mujoco.MjData(model)
-    poses = data.qpos.reshape(-1, 7)[1:]  # the first pose is that of the carrier
+    poses = data.qpos.reshape(-1, 7)[1:]  # the first row is the pose of the carrier
     poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat
     mujoco.mj_kinematics(model, data)
     mujoco.mj_collision(model, data)

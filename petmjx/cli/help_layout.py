@@ -17,8 +17,8 @@ class SectionedCommand(TyperCommand):
     heading."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the arguments, then the options with headings, and finally the options without a heading. The order of
-        headings is that of their first options in the command."""
+        """Write the arguments, then the options with headings, and finally the options without a heading. Headings have
+        the order in which their first options appear in the command."""
         sections: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             row = parameter.get_help_record(ctx)

@@ -57,8 +57,8 @@ def write_physical(
 
 
 def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
-    """Yield a line for each order of which boxes were left out. For generated orders, there are at most ``MOST_NAMED``
-    lines, and a line with the number of the others."""
+    """Yield a line for each order of which boxes were left out. For generated orders, only the first ``MOST_NAMED``
+    lines are yielded, and a line with the number of all further orders."""
     incomplete = [packed for packed in packings if packed.left_out]
     few = incomplete if named else incomplete[:MOST_NAMED]
     for packed in few:

@@ -25,8 +25,8 @@ _FEW_ROWS: Final = 1 << 8
 small, and ``_ROWS`` for all other files."""
 
 _PREFIXED: Final = "DELTA_BYTE_ARRAY"
-"""Name of a Parquet encoding. For each text, it stores the rest of the text, and the length of the prefix that the text
-shares with the previous text. So a few stored bytes can stand for a long text."""
+"""Name of a Parquet encoding. With this encoding, a file stores for each text the length of the prefix that the text
+shares with the previous text, and the rest of the text. So a few stored bytes can stand for a long text."""
 
 
 def open_for_arrow(path: Path) -> pa.NativeFile:
@@ -185,6 +185,6 @@ def parquet_table(path: Path) -> pa.Table:
 
 
 def parquet_rows(path: Path) -> Iterator[dict[str, Any]]:
-    """The rows of a Parquet file, one by one. Limits and errors are those of :func:`parquet_table`."""
+    """The rows of a Parquet file, one by one. The limits and the errors are the same as in :func:`parquet_table`."""
     for batch in parquet_table(path).to_batches(_FEW_ROWS):
         yield from batch.to_pylist()

@@ -61,7 +61,7 @@ class Throughput:
 
     @property
     def rate(self) -> str:
-        """The number of finished worlds per second, over the whole run so far, as text: "12.3 plans/s". The text is
+        """The number of finished worlds per second since the start of the run, as text: "12.3 plans/s". The text is
         empty before the first world is finished."""
         until = self._marks[-1][1] if self._done == self._total else self._clock()
         seconds = until - self._begin

@@ -38,7 +38,7 @@ class Maps:
         self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)
 
     def clear(self, rows: NDArray[np.int64]) -> None:
-        """Set the maps of these pallets to those of empty pallets."""
+        """Set the maps of the pallets in these rows to the maps of empty pallets."""
         self.heights[rows] = self.loads[rows] = 0.0
 
     def add(

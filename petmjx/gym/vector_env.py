@@ -24,7 +24,7 @@ Info = dict[str, Any]
 
 
 class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any]]):
-    """n environments with a pallet each. The results are bit-identical to those of n ``PalletizingEnv``, but all
+    """n environments with a pallet each. The results are bit-identical to the results of n ``PalletizingEnv``, but all
     pallets are simulated in one call.
 
     Args:

@@ -165,8 +165,8 @@ class Host:
         return slot
 
     def _spare(self, pinned: set[int]) -> int:
-        """The number of a pallet in the cache that can be reused: a free pallet, or else the pallet whose last use was
-        longest ago."""
+        """The number of a pallet in the cache that can be reused: a free pallet, or, if no pallet is free, the pallet
+        whose last use was longest ago."""
         if not self._free:
             oldest = next(key for key, slot in self._slots.items() if slot not in pinned)
             self._free.append(self._slots.pop(oldest))

@@ -1,4 +1,4 @@
-"""Timesteps and specifications of the environment for jitted programs. The class names are those of dm_env and
+"""Timesteps and specifications of the environment for jitted programs. The classes have the same names as in dm_env and
 jumanji."""
 
 from __future__ import annotations

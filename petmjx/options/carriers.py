@@ -150,7 +150,7 @@ class OwnCarrier(CheckedRecord):
     from the floor.
 
     A carrier is refused if it could not stand, or if its definition is probably a mistake: if boards overlap or are not
-    connected, no board is on the floor, the top is not level, or the extents or masses are not those of a real carrier.
+    connected, no board is on the floor, the top is not level, or no real carrier has such extents or masses.
     """
 
     name: Name = Field("", description="name of the carrier; by default the file's")

@@ -76,11 +76,11 @@ CUSTOM: Final = "custom"
 
 
 class Physics(CheckedRecord):
-    """The physical parameters of a simulation: contacts, carrier, floor, gravity and timestep. The values are those of
-    the reference implementation (PET-Physics), except for values that differ between the presets: the cone, the
-    carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio, slip_correction,
-    landing_s, skin_m), and whether boxes fall into their places. The coefficient of friction between boxes, 0.5, is
-    that of cardboard on cardboard (CTU Code, Annex 7, Appendix 2).
+    """The physical parameters of a simulation: contacts, carrier, floor, gravity and timestep. The default values are
+    the same as in the reference implementation (PET-Physics), except for values that differ between the presets: the
+    cone, the carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio,
+    slip_correction, landing_s, skin_m), and whether boxes fall into their places. The coefficient of friction between
+    boxes, 0.5, is the value for cardboard on cardboard (CTU Code, Annex 7, Appendix 2).
 
     A ``Physics`` can be made in three ways: from the name of a preset ("pallet"); from a mapping that names a preset
     and changes some of its values (``{"name": "reference", "timestep_s": 0.001}``); or by calling

@@ -31,7 +31,7 @@ fail."""
 
 WORLDS: Final = "worlds"
 """A value of the option ``RunOptions.keep``: keep only the tables with one row per world (one simulation of one plan),
-not those of boxes. The other value is ``ALL``."""
+not the tables with one row per box. The other value is ``ALL``."""
 
 FRAME_INTERVAL_S: Final = 0.05
 """Default time between two frames of a recording, s. At 20 frames per second, a viewer can follow the motion of a

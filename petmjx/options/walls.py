@@ -38,7 +38,8 @@ class Walls(CheckedRecord):
     """The walls around a carrier's top. A ``Walls`` can be made from a list of sides, or from a mapping.
 
     A wall is a rigid upright plate along a whole side, and part of the carrier's body. If a field is None, the
-    carrier's own value is used (``petmjx.options.carriers.walls_of``), or else the value from ``USUAL``.
+    carrier's own value is used (``petmjx.options.carriers.walls_of``), or, if the carrier has none, the value from
+    ``USUAL``.
     """
 
     sides: Annotated[tuple[Side, ...] | None, CliFlag("--walls", "SIDE,…")] = Field(

@@ -249,7 +249,7 @@ def reading_of(
 
 
 def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[str, Any]]:
-    """Split options into those of the packer and those of its simulations."""
+    """Split options into the options of the packer and the options of its simulations."""
     sim, run, sure, of_packer = sorted_options(options, Confidence, PhysicalOptions)
     if other := next((name for name in run if name not in OF_RUN), None):
         raise InputError(f"{other}: a packer has no such option; the run options that it has are {', '.join(OF_RUN)}")

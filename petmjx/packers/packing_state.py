@@ -61,7 +61,7 @@ class NextCandidate(NamedTuple):
 
 
 class FullPacking(NamedTuple):
-    """A packing in which there is no place for any more boxes. The fields are those of ``Packing``."""
+    """A packing in which there is no place for any more boxes. Its fields have the same meanings as in ``Packing``."""
 
     placed: tuple[PlacedBox, ...]
     top_mm: float

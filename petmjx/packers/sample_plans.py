@@ -129,7 +129,8 @@ def generate_one(
 
 
 def loose_share_of(packer: str | None, share: float | None = None) -> float:
-    """The share of loose plans: ``share`` if it is given, else 0 if a packer is named, else ``DEFAULT_LOOSE_SHARE``."""
+    """The share of loose plans. If ``share`` is given, this is ``share``. Otherwise, it is 0 if a packer is named, and
+    ``DEFAULT_LOOSE_SHARE`` if none is named."""
     if share is not None:
         return share
     return DEFAULT_LOOSE_SHARE if packer is None else 0.0
@@ -150,7 +151,7 @@ def write_samples(
     """Write the first ``n`` plans of ``seed`` to a JSON file, gzipped if its name ends in ``.gz``.
 
     Each plan is written as soon as it is made, so memory does not grow with ``n``. ``progress`` is called with the
-    number of plans written so far. The other arguments are those of :func:`generate`.
+    number of plans written so far. The other arguments have the same meanings as in :func:`generate`.
 
     Raises:
         InputError: an argument is wrong (see :func:`generate`), or the file cannot be written.

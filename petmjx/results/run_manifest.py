@@ -28,7 +28,8 @@ DIGEST_BYTES: Final = 8
 probability that two different plans have the same digest is one in 30 million."""
 
 MOST_NAMED: Final = 4
-"""Largest number of differences that a message names. If there are more, the message gives the number of the others."""
+"""Largest number of differences that a message names. If there are more differences, the message states how many it
+does not name."""
 
 
 def plan_digest(plan: Plan) -> str:

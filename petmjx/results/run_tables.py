@@ -77,7 +77,7 @@ class Parts:
         return names
 
     def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
-        """Read all parts of a table in parallel. Errors are those of :meth:`read`."""
+        """Read all parts of a table in parallel. The method raises the same errors as :meth:`read`."""
         files = self.files(table)
         if len(files) < 2:
             return [self.read(file, columns) for file in files]

@@ -293,8 +293,8 @@ class RunWriter(RunInfo):
 
     @property
     def info(self) -> dict[str, Any]:
-        """The entries of ``run.json`` at this moment, without the digest. The counts are those of the written
-        worlds."""
+        """The entries of ``run.json`` at this moment, without the digest. The counts are the numbers of worlds that
+        have been written."""
         return {**self.entries(self.counts), LISTED: self.parts.digests}
 
     def _ask(self, call: Callable[[], Any]) -> Any:

@@ -95,7 +95,7 @@ class SearchBracket:
 
     @property
     def monotone(self) -> bool:
-        """Whether every tested level above the smallest failed level failed as well."""
+        """Whether the pallet failed at every tested level above the smallest failed level, too."""
         return self.highest <= self.failed
 
 

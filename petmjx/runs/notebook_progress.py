@@ -1,4 +1,5 @@
-"""Shows the progress of a run started from Python: a bar below the cell in a notebook, else lines on standard error."""
+"""Shows the progress of a run started from Python: in a notebook, as a bar below the cell; in a script, as lines on
+standard error."""
 
 from __future__ import annotations
 

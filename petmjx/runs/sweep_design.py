@@ -154,7 +154,7 @@ class Design:
 
     def _axes(self, placement: bool) -> list[Axis]:
         """The axes that change placements, or, if ``placement`` is False, the axes that change drives (motions of the
-        carrier). The order of the axes is that of nesting, which may differ from the order in the file."""
+        carrier). The axes are in the order of nesting, which may differ from their order in the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 

@@ -197,8 +197,8 @@ class Sweep(CheckedRecord):
 
     @cached_property
     def profiles(self) -> dict[str, Profile]:
-        """Name → profile, for the profiles that the sweep uses: those of its axis ``profile``, or those of the legs of
-        its chain."""
+        """Name → profile, for the profiles that the sweep uses, either on its axis ``profile`` or in the legs of its
+        chain."""
         if self.legs:
             return profiles_of_legs(self.legs, self.own_profiles)
         names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []

@@ -62,8 +62,8 @@ class Batching:
 
 @dataclass
 class Tally:
-    """What a sweep has cost so far: numbers of simulations, numbers of steps, and times in s. Of each simulation, only
-    the steps of its last attempt, after the soft start, are counted."""
+    """What a sweep has cost up to now: numbers of simulations, numbers of steps, and times in s. Of each simulation,
+    only the steps of its last attempt, after the soft start, are counted."""
 
     placements: int = 0
     placement_steps: int = 0

@@ -280,7 +280,8 @@ class SweepPlan(Design):
         timestep_s = sim.physics.timestep_s
         excitation = profile.excitation(timestep_s, start_s, world)
         if profile.strength is Strength.ANGLE and sim.physics.gravity_m_s2 != STANDARD_GRAVITY:
-            # a tilt turns gravity, so its samples are proportional to gravity; those of other accelerations are not
+            # a tilt turns gravity, so its samples are proportional to gravity; other accelerations do not depend on
+            # gravity
             turned = excitation.samples * (sim.physics.gravity_m_s2 / STANDARD_GRAVITY)
             excitation = replace(excitation, samples=turned)
         left = self._drive_steps_left(plan)
@@ -323,7 +324,8 @@ class SweepPlan(Design):
         return JobBounds(jobs, box_counts, drive_steps, None if drawn else len(profiles), wraps)
 
     def _leg_samples(self, leg: LegSpec) -> int:
-        """Number of steps of a leg: those of its drives and of the pauses between the drives."""
+        """Number of steps of a leg, which is the number of steps of all its drives and of the pauses between the
+        drives."""
         timestep_s = self.sweep.simulation.physics.timestep_s
         pauses = (len(leg.drives) - 1 if leg.drives else 1) * seconds_to_steps(leg.pause_s, timestep_s)
         return pauses + sum(self.sweep.profiles[drive.profile].n_steps(timestep_s) for drive in leg.drives)
