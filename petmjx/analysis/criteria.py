@@ -434,7 +434,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
         lambda inputs: inputs.balance[0],
-        number="even load on every corner",
+        number="share of an even load at every corner",
         ends=True,
     ),
     Criterion(
@@ -444,7 +444,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
         lambda inputs: inputs.balance[1],
-        number="even load on every corner",
+        number="share of an even load at every corner",
         ends=True,
     ),
     Criterion(
