@@ -139,7 +139,7 @@ class _Wall(NamedTuple):
     """A wall of a box, seen from above: a line along x or y.
 
     Attributes:
-        axis: axis along which the wall runs: 0 for x, 1 for y.
+        axis: number of the axis along which the wall runs, which is 0 for x and 1 for y.
         at: the wall's coordinate along the other axis, mm.
         span: begin and end of the wall along ``axis``, mm.
     """

@@ -141,8 +141,8 @@ def answer(
 
 
 def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
-    """(n,) the answer for each box: ``YES`` or ``NO``, depending on the sign of the slack. A slack of NaN gives ``NO``.
-    If ``Criterion.ends`` is set, boxes after the first box that fails get ``NOT_ASKED``."""
+    """(n,) the answer for each box, which is ``YES`` or ``NO``, depending on the sign of the slack. A slack of NaN
+    gives ``NO``. If ``Criterion.ends`` is set, boxes after the first box that fails get ``NOT_ASKED``."""
     rounding = _ROUNDING[criterion.unit]
     stable = (slack > rounding if criterion.strict else slack >= -rounding).astype(np.int8)
     if criterion.ends:

@@ -114,9 +114,9 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     is used.
 
     This rule is needed because a load may act beyond an edge only because of the assumed bedding. So after each
-    placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside. If it finds
-    such forces, the box passes. If it finds none, no later placement is searched. Placements without a search keep the
-    slack of the even bedding.
+    placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside. If the
+    programme finds such forces, the box passes. If it finds none, no forces are searched for later placements.
+    Placements without a search keep the slack of the even bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])

@@ -41,7 +41,7 @@ LEAST_P: Final = 1e-4
 
 
 def p_in_words(p: float) -> str:
-    """A p-value as text: "p = 0.0020" or "p < 0.0001"."""
+    """A p-value as text, such as "p = 0.0020" or "p < 0.0001"."""
     return f"p < {LEAST_P:.4f}" if p < LEAST_P else f"p = {p:.4f}"
 
 

@@ -69,7 +69,7 @@ def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> p
 
 
 def rating_interval(rating: FloatArray, ordered: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
-    """Confidence intervals of ratings: Wilson's interval for an effective number of orders.
+    """Confidence intervals of ratings, computed as Wilson's intervals for an effective number of orders.
 
     A rating is a weighted mean over orders. The value of an order is a share from 0 to 1, and its weight w is its
     number of boxes. Because the weights differ, the rating varies as much as a mean over fewer orders with equal

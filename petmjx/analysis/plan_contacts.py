@@ -227,7 +227,7 @@ class Sides:
     Attributes:
         first, second: (s,) indices of the two boxes that touch, or ``CARRIER`` for a wall. The second box has the
             larger coordinate along the axis.
-        axis: (s,) the horizontal axis that is perpendicular to the rectangle: 0 for x, 1 for y.
+        axis: (s,) the horizontal axis that is perpendicular to the rectangle, 0 for x and 1 for y.
         low_mm, high_mm: (s, 3) lowest and highest corner of the rectangle. The rectangle's extent along ``axis`` is 0.
     """
 
@@ -358,7 +358,7 @@ class TouchPoints:
     """The p points at which boxes touch each other, the carrier or the floor. Each field has one row per point.
 
     Attributes:
-        first, second: (p,) the two bodies that touch: indices of boxes, or ``CARRIER`` for the carrier and for the
+        first, second: (p,) the two bodies that touch, as indices of boxes, or ``CARRIER`` for the carrier and for the
             floor, which do not move.
         position_m: (p, 3) positions of the points, m.
         frame: (p, 3, 3) three unit vectors at each point, one per row: the normal from the first body to the second,

@@ -21,8 +21,8 @@ length are counted."""
 
 _ROWS: Final = 1 << 16
 _FEW_ROWS: Final = 1 << 8
-"""Numbers of rows that are read at a time: ``_FEW_ROWS`` for files in which texts may be long although the file is
-small, and ``_ROWS`` for all other files."""
+"""Numbers of rows that are read at a time. ``_FEW_ROWS`` is for files in which texts may be long although the file is
+small, and ``_ROWS`` is for all other files."""
 
 _PREFIXED: Final = "DELTA_BYTE_ARRAY"
 """Name of a Parquet encoding. With this encoding, a file stores for each text the length of the prefix that the text

@@ -141,7 +141,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
             raise InputError(describe(error)) from None
 
     def changed(self, **values: Any) -> Self:
-        """A copy of the record with other values for some fields, which are checked.
+        """A copy of the record in which some fields have new values. The new values are checked.
 
         If the value of a field is a record, a table can be its new value. The table changes only those entries of the
         record that it names, except that a table with a ``name`` replaces the whole record.

@@ -85,8 +85,8 @@ class Table:
             values[rows] = getattr(table, name)[sources]
 
     def features(self, rows: NDArray[np.int64], names: Sequence[str]) -> NDArray[np.float32]:
-        """(m, a, f) the features of all actions of m episodes: ``FEATURES``, and the further features that ``names``
-        has."""
+        """(m, a, f) the features of all actions of m episodes. Every action has the features ``FEATURES``, and those
+        further features whose names are in ``names``."""
         features = np.empty((len(rows), self.legal.shape[1], len(names)), np.float32)
         extra_columns = {UPRIGHT: self.side // 2, PALLET: self.pallet}
         at = 0

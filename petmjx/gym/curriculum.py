@@ -27,8 +27,8 @@ class Curriculum:
     value changes linearly.
 
     Attributes:
-        boxes: largest number of boxes of an order. All further boxes of the order are dropped. If ``boxes`` is None, no
-            boxes are dropped.
+        boxes: largest number of boxes of an order. If an order has more boxes, the last boxes are dropped. If ``boxes``
+            is None, no boxes are dropped.
         sizes: how much the boxes of an order differ. With the value 0, all boxes have the mean size and mass of the
             order's boxes; with the value 1, all boxes have their own size and mass.
         errors: size of the random placement errors, as in the option ``errors``.

@@ -26,8 +26,8 @@ MOST_WORKERS: Final = 4096
 
 ALL: Final = "all"
 FAILED: Final = "failed"
-"""Two values of the option ``RunOptions.record``: ``all`` records all plans, and ``failed`` records only plans that
-fail."""
+"""Two values of the option ``RunOptions.record``. With ``all``, all plans are recorded; with ``failed``, only plans
+that fail."""
 
 WORLDS: Final = "worlds"
 """A value of the option ``RunOptions.keep``: keep only the tables with one row per world (one simulation of one plan),

@@ -15,7 +15,7 @@ from pydantic import Field
 from petmjx.common.checked_records import CheckedRecord, within
 
 HUMIDITY_LOSS: Final = ((50, 0.0), (60, 0.10), (70, 0.20), (80, 0.32), (90, 0.52), (100, 0.85))
-"""Relative humidity, % → share of their strength that boxes of corrugated board lose. Source: a table of the Fibre Box
+"""Relative humidity, % → share of its strength that a box of corrugated board loses. Source: a table of the Fibre Box
 Association, as reproduced by a maker of boxes (http://www.richbox.com/about_boxes/target_compression.asp)."""
 
 TIME_LOSS: Final = ((10.0, 0.37), (30.0, 0.40), (90.0, 0.45), (180.0, 0.50))

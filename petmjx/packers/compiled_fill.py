@@ -38,8 +38,8 @@ GRAIN_MM: Final = 2.0**-10
 in whatever sequence the areas are added."""
 
 POINTS, POINTS_PER_BOX, PLANES_PER_BOX = 64, 4, 16
-"""Capacities of the tables. There is room for ``POINTS`` + ``POINTS_PER_BOX`` per box corner points, and for
-``PLANES_PER_BOX`` edges of hulls per box. Piles of 80 boxes have 2 points and 5 edges per box."""
+"""Capacities of the tables. There is room for ``POINTS`` corner points and for ``POINTS_PER_BOX`` further corner points
+per box, and for ``PLANES_PER_BOX`` edges of hulls per box. Piles of 80 boxes have 2 points and 5 edges per box."""
 
 _KINDS: Final = {np.float64: wp.float64, np.int32: wp.int32, np.bool_: wp.bool}
 

@@ -152,9 +152,9 @@ def pack(
             one process need ``if __name__ == "__main__":``.
         on_bad_order: function that is called with the error of each unusable order; the order is then skipped. If
             ``on_bad_order`` is None, the error is raised.
-        target: carrier for orders whose file does not name a carrier: ``euro-pallet``, ``rollcontainer``, or sizes in
-            mm such as ``1200x1000``. If ``target`` is None, the carrier is the file's container if that container is a
-            pallet, else a Euro pallet.
+        target: carrier for orders whose file does not name a carrier. This may be ``euro-pallet``, ``rollcontainer``,
+            or sizes in mm such as ``1200x1000``. If ``target`` is None, the carrier is the file's container if that
+            container is a pallet, else a Euro pallet.
         options: options of the packer ``physical``: ``width``, ``branch``, ``clearances_mm``, ``worlds``,
             ``least_share``, ``maximise`` (docs/packers.md). Options of the simulation: ``errors``, a sweep file; fields
             of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``. Options for reading a file of orders:

@@ -68,7 +68,8 @@ class LeftOutItems:
     why: str = ""
 
     def __str__(self) -> str:
-        """Text for messages, such as "order 00100408: 3 of 40 boxes are left out: items 3, 7, 8"."""
+        """The left-out items as a text for messages, as in "order 00100408: 3 of 40 boxes are left out: items 3, 7,
+        8"."""
         many, few = count_text(self.n_items, "box", "boxes"), len(self.numbers)
         numbers = ", ".join(map(str, self.numbers))
         verb, items = ("is", "item") if few == 1 else ("are", "items")
@@ -129,8 +130,8 @@ def generate_one(
 
 
 def loose_share_of(packer: str | None, share: float | None = None) -> float:
-    """The share of loose plans. If ``share`` is given, this is ``share``. Otherwise, it is 0 if a packer is named, and
-    ``DEFAULT_LOOSE_SHARE`` if none is named."""
+    """The share of loose plans. If ``share`` is given, this is ``share``. If ``share`` is None, the share is 0 for a
+    named packer, and else ``DEFAULT_LOOSE_SHARE``."""
     if share is not None:
         return share
     return DEFAULT_LOOSE_SHARE if packer is None else 0.0

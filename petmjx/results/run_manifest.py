@@ -209,7 +209,7 @@ _NOTHING: Final = object()
 
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Rename settings to the names that the command uses. For a score, the entry ``sweep`` becomes two entries:
+    """Rename settings to the names that the command uses. For a score, two entries replace the entry ``sweep``, namely
     ``confidence`` (the number of worlds with errors per plan) and ``errors``. Entries that ``run.json`` may lack get
     their defaults."""
     settings = {"force_intervals": False, "keep": ALL, **settings}

@@ -23,8 +23,8 @@ MOST_AT_ONCE: Final = 8
 """Number of parts of a table that are read at the same time."""
 
 LISTED: Final = "parts"
-"""The entry of ``run.json`` that lists the run's files: table → file name → digest. Other files were left by a killed
-run and are not read."""
+"""The entry of ``run.json`` that lists the run's files: table → file name → digest. Files that this entry does not list
+were left by a killed run, and are not read."""
 
 
 FREE_BYTES: Final = 256 << 20

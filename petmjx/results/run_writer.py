@@ -86,10 +86,10 @@ class _CutShortError(Exception):
 class RunWriter(RunInfo):
     """Writes the results of one run while its worlds finish. A context manager.
 
-    At the end, even after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` states how the run
-    ended: ``finished``, ``interrupted`` or ``failed``. After a disk error, the writer's thread tries again every
-    ``RETRY_S`` seconds, and finished worlds wait in memory. If waiting worlds take more than ``MOST_WAITING_BYTES``,
-    ``add`` raises the error.
+    At the end, even after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` gets the status
+    ``finished``, ``interrupted`` or ``failed``. After a disk error, the writer's thread tries again every ``RETRY_S``
+    seconds, and finished worlds wait in memory. If waiting worlds take more than ``MOST_WAITING_BYTES``, ``add`` raises
+    the error.
 
     Worlds are written in the order in which they finish. Within a part (file), rows are sorted by rank
     (petmjx.results.plan_order).

@@ -131,7 +131,8 @@ def _text(value: object) -> str:
 
 @dataclass(frozen=True)
 class PairedCounts:
-    """How many trials, in which two alternatives a and b were both tried, had each of the four possible outcomes.
+    """Two alternatives a and b were both tried in each of a number of trials. This record counts the trials by their
+    four possible outcomes.
 
     Attributes:
         both, only_a, only_b, neither: number of trials that succeeded with both, only with a, only with b, or with
@@ -155,8 +156,8 @@ class PairedCounts:
 
 
 def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDENCE) -> tuple[float, float]:
-    """Confidence interval of the difference share of b − share of a: Newcombe's square-and-add interval; (−1, 1) if
-    there are no trials.
+    """Newcombe's square-and-add confidence interval of the difference share of b − share of a; (−1, 1) if there are no
+    trials.
 
     Source: Newcombe (1998), "Improved confidence intervals for the difference between binomial proportions based on
     paired data", Statistics in Medicine 17, 2635–2650, method 10. The method combines the Wilson intervals of both

@@ -32,7 +32,7 @@ PLACING: Final = "placing"
 begins."""
 
 AS_IS: Final = ""
-"""The name of the unchanged chain, in columns where changed chains have the name of their remedy."""
+"""Stands for the unchanged chain in columns that hold, for a changed chain, the name of the remedy."""
 
 MOST_LEGS: Final = 100
 

@@ -57,13 +57,15 @@ class Probe:
 
     @classmethod
     def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
-        """The result of a test from its outcome. ``tilt_deg``: angle above which a tilted box has the mode "tilt"."""
+        """The result of a test, made from the outcome of its simulation. ``tilt_deg``: angle above which a tilted box
+        has the mode "tilt"."""
         moving = Flag.MOVING in outcome.flags
         return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), moving, values or {})
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> Probe:
-        """The result of a test from its row in the table ``worlds``: column → value, where None stands for null."""
+        """The result of a test, made from its row in the table ``worlds``: column → value, where None stands for
+        null."""
         culprit = -1 if row["culprit"] is None else int(row["culprit"])
         return cls(Verdict(row["verdict"]), culprit, row["mode"], bool(row["flags"] & Flag.MOVING), row)
 

@@ -54,7 +54,7 @@ class RunStart:
     """Facts that are known at the start of a run.
 
     Attributes:
-        what: the noun for a world in messages: "plan", or "world" if plans have several worlds.
+        what: the noun for a world in messages, which is "plan", or "world" if plans have several worlds.
         total: number of worlds; None if it is unknown, as in searches.
         size: one line with the number of worlds and steps, and the estimated time.
         choice: the engine, and the reason for its choice.
