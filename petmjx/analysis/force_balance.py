@@ -210,7 +210,7 @@ def balance_slack(
     Args:
         friction: coefficients of friction.
         lean: whether the slack with leaning is computed, for which boxes may press on neighbours that they touch side
-            by side. If not, the second array is NaN.
+            by side. If ``lean`` is False, the second array is NaN.
     """
     without = _Stack(contacts, friction)
     ways = [without, _Stack(contacts, friction, find_sides(contacts))] if lean else [without]
@@ -360,8 +360,8 @@ class _Points(NamedTuple):
 def friction_slack(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, friction: Friction, sides: Sides | None = None
 ) -> float:
-    """The slack of a structure (a group of boxes connected by contacts), with friction. Boxes that touch the structure
-    must also be in balance.
+    """The slack of a structure (a group of boxes connected by contacts) if forces of friction may act. Boxes that touch
+    the structure must also be in balance.
 
     The friction (fx, fy) at a point is limited by the pyramid |fx| + |fy| ≤ μ f, which is inside the friction cone. So
     a stack that is balanced with the pyramid is also balanced with the cone. In the limit μ f, the force f is only the

@@ -129,7 +129,7 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
 
 
 def _articles_of(runs: Mapping[str, RunResults]) -> Articles | None:
-    """The table of articles with which all runs were made; None if the runs had different tables or none."""
+    """The table of articles with which all runs were made; None if the runs had different tables or no table."""
     article_files = {how_read(run.info).articles for run in runs.values()}
     file = article_files.pop() if len(article_files) == 1 else None
     return read_articles(file) if file is not None and file.is_file() else None

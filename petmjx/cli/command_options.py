@@ -275,7 +275,7 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
         raise InputError(f"--set {printable(names[0])}: unknown field; there are {', '.join(settable)}")
     try:
         return names, tomllib.loads(f"value = {value}")["value"]
-    # This is the case if the text is not TOML, has a number with thousands of digits, or has lists nested too deeply.
+    # The text is not TOML, or has a number with thousands of digits or lists nested too deeply.
     except (ValueError, RecursionError):
         return names, value.strip()
 

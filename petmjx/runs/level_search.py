@@ -26,7 +26,7 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
     The mode is "drop" if the box dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search
     reports the mode at the lowest level that fails. At a level just above the largest survived level, the mode usually
     shows how the failure began. At a much larger level, a box that slides also falls, so the mode is usually "drop".
-    For an invalid world, the mode is the reason. For a stable world, the mode is "".
+    For an invalid world, the mode is the reason why the world is invalid. For a stable world, the mode is "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
