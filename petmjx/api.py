@@ -1,7 +1,7 @@
 """The functions that simulate plans: ``petmjx.score`` and ``petmjx.sweep``. Both call ``petmjx.runs.simulate``.
 
-Modules that only some runs need are imported when a run needs them. So a plain score does not load the code of sweeps,
-in which each plan has many variants.
+Modules that only some runs need are imported when a run needs them. For example, a plain score does not load the code
+of sweeps, in which each plan has many variants.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 @contextmanager
 def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
     """Yield the watcher of a run: the object that is told about the run's progress. A watcher from the caller is used
-    unchanged. Without a watcher from the caller, a notebook gets a progress bar, and a script gets lines on standard
-    error if ``progress`` is set, otherwise no watcher (None).
+    unchanged. Without a watcher from the caller, the watcher shows a progress bar in a notebook, and prints lines on
+    standard error in a script with ``progress``; in other scripts, the watcher is None.
 
     Raises:
         InputError: the given watcher lacks a method that watchers must have.
@@ -101,15 +101,15 @@ def score(
 ) -> RunResults:
     """Simulate each plan and report whether it stands.
 
-    With ``confidence``, also report how certain that verdict is; with ``chain``, how likely the plan is to survive
-    transport.
+    With ``confidence``, also report how certain the verdict on each plan is. With ``chain``, also report how likely
+    each plan is to survive transport.
 
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
 
     Args:
         plans: a file, a folder, the folder of a run (whose plans are simulated again), a list of files and folders, a
-            data frame with one row per box, a plan, a list of plans or a ``PlanSet``. If None, the bundled sample plans
-            are simulated.
+            data frame with one row per box, a plan, a list of plans or a ``PlanSet``. If ``plans`` is None, the bundled
+            sample plans are simulated.
         watcher: an object whose methods are called as the run proceeds. Without a watcher, notebooks show a progress
             bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
@@ -120,7 +120,7 @@ def score(
         The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames, and ``.info``. A world is one
         simulation of one plan, and has one row in ``.worlds``. With ``confidence`` or ``chain``, each plan has several
         worlds with different errors, and the world without errors has the number 0 in the column ``variant``. With
-        either option, the results also have ``.summary``, a data frame about plans.
+        ``confidence`` or ``chain``, the results also have ``.summary``, a data frame with rows about each plan.
 
     Raises:
         InputError: the plans or options are unusable.
@@ -165,8 +165,8 @@ def sweep(
 
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
-        plans: as for :func:`score`. Plans given here replace the plans that the sweep file names. If None, all plans
-            that the file names are simulated.
+        plans: as for :func:`score`. Plans given here replace the plans that the sweep file names. If ``plans`` is None,
+            all plans that the file names are simulated.
         watcher: as for :func:`score`.
         progress: in a script, print the progress of the run on standard error every few seconds.
         batching: limits for the numbers of settled states and worlds (simulations of one plan each) in memory. The

@@ -6,8 +6,9 @@ stack, for moist air and for time (petmjx.options.stacking). petmjx/analysis/cru
 crushed, surely or possibly. Verdicts do not depend on strengths.
 
 A carton bears load through its walls, and mostly at its corners. So ``walls_of`` computes two shares of a box's walls
-from the plan: the share on which walls of other boxes stand, and the share that has nothing below it (beyond an edge,
-or over a gap between the boards of the carrier). A box on an interlayer sheet stands on the boxes under the sheet.
+from the plan: the share on which walls of other boxes stand, and the share with nothing below, because the wall sticks
+out beyond an edge or lies over a gap between the boards of the carrier. A box on an interlayer sheet stands on the
+boxes under the sheet.
 """
 
 from __future__ import annotations
@@ -82,9 +83,10 @@ def walls_of(
     """Compute how the walls of a plan's boxes are loaded and supported.
 
     Args:
-        extent_mm: extents of the carrier along x and y; the carrier's corner is at the origin. If None, the carrier is
-            as large as the plan.
-        deck_mm: (b, 2, 2) lowest and highest corners of the b boards of the deck. If None, the deck has no gaps.
+        extent_mm: extents of the carrier along x and y; the carrier's corner is at the origin. If ``extent_mm`` is
+            None, the carrier is as large as the plan.
+        deck_mm: (b, 2, 2) lowest and highest corners of the b boards of the deck. If ``deck_mm`` is None, the deck has
+            no gaps.
         tolerance_mm: largest horizontal distance between a wall and the lower wall or edge that bears the wall, mm.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
@@ -100,7 +102,7 @@ def walls_of(
             met[box] = sum(_met_length(wall, lines, tolerance_mm) for wall in walls) / perimeter
         below = [(low[other, :2], high[other, :2]) for other in np.flatnonzero(on[box])]
         if on_carrier[box] and extent_mm is None:
-            continue  # without given extents, the carrier is as large as the plan, so no wall hangs over
+            continue  # without ``extent_mm``, the carrier is as large as the plan, so no wall sticks out beyond it
         if on_carrier[box] and extent_mm is not None:
             below.append((np.zeros(2), np.array(extent_mm)))
         if not below:
@@ -114,8 +116,8 @@ def walls_of(
 
 
 def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Two arrays that tell on what each box stands, directly or with sheets between. (n, n): whether the box of the row
-    stands on the box of the column. (n,): whether a box stands on the carrier."""
+    """Two arrays that tell on what each box stands, directly or on a sheet that lies between. (n, n): whether the box
+    of the row stands on the box of the column. (n,): whether a box stands on the carrier."""
     beside = (shared_length(low[:, 0], high[:, 0]) > LEAST_SHARED_MM) & (
         shared_length(low[:, 1], high[:, 1]) > LEAST_SHARED_MM
     )
@@ -124,7 +126,7 @@ def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[n
     sheets = plan.sheets
     on, carried = touches.copy(), low[:, 2] <= MOST_GAP_MM
     through = touches & sheets[None, :]
-    for _ in range(int(sheets.sum())):  # each pass follows one more sheet in a stack of sheets
+    for _ in range(int(sheets.sum())):  # each pass of the loop follows one more sheet in a stack of sheets
         further = on | ((through.astype(np.int64) @ on.astype(np.int64)) > 0) & beside
         carried = carried | (through & carried[None, :]).any(axis=1)
         if (further == on).all():
@@ -137,7 +139,7 @@ class _Wall(NamedTuple):
     """A wall of a box, seen from above: a line along x or y.
 
     Attributes:
-        axis: axis along which the wall runs: 0 for x, 1 for y.
+        axis: number of the axis along which the wall runs, which is 0 for x and 1 for y.
         at: the wall's coordinate along the other axis, mm.
         span: begin and end of the wall along ``axis``, mm.
     """
@@ -239,7 +241,7 @@ _SHARES: Final = {
     _PEAK: "peak_share",
 }
 """Name of a column with a force on a box → name of the column with this force as a share of the box's strength. Runs
-that did not compute intervals of possible forces lack the second and the third column."""
+that did not compute intervals of possible forces lack the columns with the smallest and the largest possible force."""
 
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
@@ -254,15 +256,17 @@ class Loads:
 
     Attributes:
         run: the run's folder.
-        boxes: one row per box of each world: the box's ``load_share``, and the values from which the share is computed.
+        boxes: one row per box of each world, with the box's ``load_share`` (the force on the box as a share of its
+            strength), and the values from which this share is computed.
         plans: one row per world (one simulation of one plan): whether any box is ``overloaded`` at rest or
-            ``overloaded_at_peak``, and which boxes have the largest shares. If the run computed intervals of possible
-            forces, there are also the columns ``surely_overloaded`` and ``possibly_overloaded``.
+            ``overloaded_at_peak``, and which boxes have the largest ``load_share``. If the run computed intervals of
+            possible forces, there are also the columns ``surely_overloaded`` and ``possibly_overloaded``.
         notes: warnings, one per line: about an unfinished run, about articles without a known strength, and about
             forces at rest in stacks that were wrapped in film and then shaken.
         stacking: the options with which these results were computed: how much strength boxes lose by stacking.
         ways: for the run of a transport chain: how likely each plan is to arrive, and to arrive without crushed boxes,
-            with each remedy (a change to the chain or the load). ``ways`` is None if the run is not that of a chain.
+            with each remedy (a change to the chain or the load). ``ways`` is None if the run did not simulate a
+            transport chain.
     """
 
     run: Path
@@ -318,9 +322,9 @@ def loads(
         run: a run's folder, or the result of ``petmjx.score``.
         articles: a table of strengths (``petmjx.plans.articles.read_articles``). If this table has no entry for a box,
             its strength comes from the plan or, if the plan has none, from the table of articles with which the run was
-            made. If None, only the plan and the run's table are used.
-        plans: the plans of the run, which give the sizes, places and product groups of boxes. If None, plans are read
-            from the files that the run names.
+            made. If ``articles`` is None, only the plan and the run's table are used.
+        plans: the plans of the run, which give the sizes, places and product groups of boxes. If ``plans`` is None,
+            plans are read from the files that the run names.
         stacking: how much strength boxes lose by stacking, as a ``petmjx.options.stacking.Stacking`` or as a mapping
             that sets some of its fields.
 
@@ -421,8 +425,8 @@ def _remaining_share(loss: float, factor: float = 1.0) -> float:
 
 
 def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The four factors (``_FACTORS``) by which each box's strength in a press is multiplied, in three arrays (4, n):
-    for the nominal, the largest and the smallest losses of strength."""
+    """The four factors (``_FACTORS``) by which each box's strength in a press is multiplied. Each of the three arrays
+    (4, n) has these factors for n boxes: for the nominal, the largest and the smallest losses of strength."""
     extent, boards = extent_m(carrier), pallet(carrier)
     extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
     walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)
@@ -492,8 +496,8 @@ def _notes(missing: Counter[str]) -> list[str]:
 
 
 def _film_notes(results: RunResults) -> list[str]:
-    """A list with a note about forces at rest if the run shook stacks that were wrapped in film; otherwise an empty
-    list."""
+    """A list with a note about forces at rest, if the run shook stacks that were wrapped in film. For all other runs,
+    the list is empty."""
     wrap = results.info.get("config", {}).get("simulation", {}).get("wrap") or {}
     turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
     if not (turns > 0).any() or "profile" not in results.worlds:

@@ -53,7 +53,7 @@ class CriterionInputs:
 
     Attributes:
         friction: coefficients of friction, used by force balance.
-        leans: whether force balance is computed a second time, with boxes that may lean on their neighbours.
+        leans: whether force balance is also computed for boxes that may lean on their neighbours.
         strength_n: (n,) the largest force that each box can bear on its top, N; NaN if unknown. ``strength_n`` is None
             if no box has a known strength.
     """
@@ -70,7 +70,7 @@ class CriterionInputs:
 
     @cached_property
     def corners(self) -> IntArray:
-        """(n,) number of bottom corners of each box that lie on something."""
+        """(n,) number of bottom corners of each box that lie on a support."""
         return corners_supported(self.contacts)
 
     @cached_property
@@ -80,8 +80,8 @@ class CriterionInputs:
 
     @cached_property
     def balance(self) -> tuple[FloatArray, FloatArray]:
-        """The slacks of force balance, as two arrays (n,): if boxes do not lean on their neighbours, and if they may
-        lean. If ``leans`` is not set, the second array is NaN."""
+        """Two arrays (n,) with the slacks of force balance: the first if boxes do not lean on their neighbours, the
+        second if boxes may lean. If ``leans`` is not set, the second array is NaN."""
         return balance_slack(self.contacts, self.hulls, self.friction, self.leans)
 
 
@@ -90,19 +90,19 @@ NO: Final = 0
 NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
-"""Unit of a slack → rounding error of the slack, in this unit. A negative slack that is closer to 0 than this error
-counts as 0. (Shares of areas in mm² have smaller rounding errors, 1e-16.)"""
+"""Unit of a slack → rounding error of the slack, in this unit. A negative slack that differs from 0 by less than this
+error counts as 0. (Shares of areas in mm² have smaller rounding errors, 1e-16.)"""
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
     """The answers of c criteria for n boxes. Each box is judged at the moment of its placement, so boxes that are
-    placed later do not matter.
+    placed later do not affect its answer.
 
     Attributes:
         n_supports: (n,) number of areas on which the box lies (``PlanContacts.n_supports``).
         share: (n,) share of each box's base that is borne.
-        corners: (n,) number of bottom corners of each box that lie on something.
+        corners: (n,) number of bottom corners of each box that lie on a support.
         slack: (n, c) the slack of each criterion for each box; NaN if it cannot be computed.
         stable: (n, c) ``YES``, ``NO`` or ``NOT_ASKED``. Force balance is not evaluated for boxes after the first box
             that fails.
@@ -141,8 +141,8 @@ def answer(
 
 
 def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
-    """(n,) the answer for each box: ``YES`` or ``NO``, depending on the sign of the slack. A slack of NaN gives ``NO``.
-    If ``Criterion.ends`` is set, boxes after the first box that fails get ``NOT_ASKED``."""
+    """(n,) the answer for each box, which is ``YES`` or ``NO``, depending on the sign of the slack. A slack of NaN
+    gives ``NO``. If ``Criterion.ends`` is set, boxes after the first box that fails get ``NOT_ASKED``."""
     rounding = _ROUNDING[criterion.unit]
     stable = (slack > rounding if criterion.strict else slack >= -rounding).astype(np.int8)
     if criterion.ends:
@@ -153,7 +153,8 @@ def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
 def support_share(contacts: PlanContacts) -> FloatArray:
     """(n,) share of each box's base that is borne (borne area / base area); 0 for a box that lies on nothing.
 
-    If the bodies below a box overlap each other, as in invalid plans, their common area is counted only once.
+    If the bodies below a box overlap each other, as in invalid plans, the area that they have in common is counted only
+    once.
     """
     area = (contacts.high_mm - contacts.low_mm).prod(axis=1)
     borne = np.bincount(contacts.upper, weights=area, minlength=contacts.n_boxes)
@@ -191,8 +192,8 @@ def corners_supported(contacts: PlanContacts) -> IntArray:
 
 
 def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[float, float, float]) -> FloatArray:
-    """(n,) slack of each box: the borne share of its base, minus the share that is required if this number of its
-    corners is borne.
+    """(n,) slack of each box: the borne share of the box's base, minus the required share. The required share depends
+    on how many corners of the base are borne.
 
     Args:
         least: shares of the base that are required with four borne corners, with three, and with fewer.
@@ -211,20 +212,20 @@ LEAST_CORNERS: Final = 3
 CORNER_AREA_PAPER: Final = (0.60, 0.80, 0.95)
 CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
 """Shares of a box's base that must be borne if the box has four borne corners, three, or fewer. The first tuple is from
-the paper that proposes this criterion; the second is from the code of the same authors."""
+the paper that proposes the criterion; the second is from the code of the paper's authors."""
 
 LEAST_TOLERABLE_G: Final = 0.5
 """Acceleration, in g, that a load on a road vehicle must withstand sideways and rearward. Source: EN 12195-1:2010."""
 
 
 def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
-    """(n,) after the placement of each box, the smallest horizontal acceleration, in g, at which this box or the whole
-    load so far begins to slide or tip.
+    """(n,) for each box, the smallest horizontal acceleration, in g, at which this box or the whole load so far begins
+    to slide or tip, just after the box has been placed.
 
     The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
     friction. A body tips when the acceleration in g reaches a / h. a is the horizontal distance between the body's
     centre of mass and the edge over which the body tips, and h is the height of the centre above this edge. Both
-    conditions follow from statics, and are also those of EN 12195-1.
+    conditions follow from statics; EN 12195-1 has the same conditions.
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
     of_box = hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2]) / half_mm
@@ -233,8 +234,9 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
 
 
 def load_tipping_g(contacts: PlanContacts) -> FloatArray:
-    """(n,) after the placement of each box, the horizontal acceleration, in g, at which the whole load so far tips as
-    one rigid body. The base of this body is the bounding rectangle of the boxes that stand on the carrier."""
+    """(n,) for each box, the horizontal acceleration, in g, at which the load tips as one rigid body, where the load is
+    this box and all boxes placed before it. The base of this body is the bounding rectangle of the boxes that stand on
+    the carrier."""
     low, high = np.full((contacts.n_boxes, 2), np.inf), np.full((contacts.n_boxes, 2), -np.inf)
     on_carrier = contacts.lower == CARRIER
     np.minimum.at(low, contacts.upper[on_carrier], contacts.low_mm[on_carrier])
@@ -256,11 +258,11 @@ MOST_POINTS: Final = {
 }
 """Property of a load → the largest number of points that the property can add to the score of 0 to 100 by which a
 seller rates loads. ``load_points`` explains the properties. The seller publishes these numbers and ``LEAST_POINTS`` but
-no formulas. The formulas of ``load_points`` are assumptions: each is linear between the best and the worst possible
-value."""
+no formulas. The formulas of ``load_points`` are assumptions: the points for a property are a linear function of a
+value, from the worst to the best possible value."""
 
 LEAST_POINTS: Final = 75.0
-"""The seller calls a load stable if it has at least this number of points."""
+"""The seller of ``load_points`` calls a load stable if the load has this number of points or more."""
 
 
 def load_points(contacts: PlanContacts) -> dict[str, float]:
@@ -270,8 +272,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
     - height: all points if the load's centre of mass is at half of the load's height or lower, none if the centre is at
       the top;
     - quadrants: the mass over the lightest quadrant of the load's footprint, divided by a quarter of the load's mass.
-      The mass of a box that lies across two quadrants is divided between them. A load gets no points if nothing lies on
-      the carrier;
+      The mass of a box that lies across two quadrants is divided between them. If no box lies on the carrier, the load
+      gets no points for this property;
     - fill: volume of the boxes, divided by the volume of the load's bounding box;
     - interlock: among the boxes above the first layer, the share that lies on two boxes or more; all points if there is
       only one layer;
@@ -289,7 +291,7 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    # (n, 2) the share of each box that is below the middle of the footprint, along x and along y
+    # (n, 2) the share of each box whose x, or whose y, is smaller than that of the footprint's middle
     left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
@@ -306,8 +308,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
 
 
 def load_points_slack(contacts: PlanContacts) -> FloatArray:
-    """(n,) points of the whole load minus ``LEAST_POINTS``. Only the last box of a plan gets this slack, because an
-    unfinished load has no score. All earlier boxes get the largest possible slack."""
+    """(n,) points of the whole load minus ``LEAST_POINTS``. Only the last box of a plan gets the slack of the load,
+    because an unfinished load has no score. All earlier boxes get the largest possible slack."""
     slack = np.full(contacts.n_boxes, sum(MOST_POINTS.values()) - LEAST_POINTS)
     slack[-1] = sum(load_points(contacts).values()) - LEAST_POINTS
     return slack
@@ -324,16 +326,17 @@ class Criterion:
 
     Attributes:
         name: name of the criterion, which is also the name of its column in tables.
-        asks: the condition under which a box is stable.
+        asks: the condition under which the criterion calls a box stable.
         slack: definition of the slack, in words. The sign of the slack gives the criterion's answer.
         unit: unit of the slack.
         source: publication from which the criterion comes.
         slack_of: function that computes the slacks (n,) of a plan's boxes; NaN for a box without a slack.
-        strict: whether a box with a slack of 0 is unstable.
+        strict: whether the criterion calls a box with a slack of 0 unstable.
         number: name of the quantity that the criterion compares with a threshold; "" if the criterion has no threshold.
         threshold: the threshold with which the quantity ``number`` is compared. The slack is the quantity minus the
             threshold.
-        ends: whether the evaluation of a plan ends at the first box that fails. Later boxes then get no answer.
+        ends: whether the evaluation of a plan ends at the first box that fails. If the evaluation ends, later boxes get
+            no answer.
         usual: whether the criterion is evaluated by default.
     """
 
@@ -431,7 +434,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
         lambda inputs: inputs.balance[0],
-        number="even load on every corner",
+        number="share of an even load at every corner",
         ends=True,
     ),
     Criterion(
@@ -441,7 +444,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
         lambda inputs: inputs.balance[1],
-        number="even load on every corner",
+        number="share of an even load at every corner",
         ends=True,
     ),
     Criterion(
@@ -451,7 +454,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
-        usual=False,  # this criterion accepts all plans if no strengths are known, so it is evaluated only on request
+        usual=False,  # if no strengths are known, this criterion accepts all plans, so it is evaluated only on request
     ),
     Criterion(
         "tolerable_acceleration",

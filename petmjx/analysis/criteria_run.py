@@ -44,8 +44,8 @@ _PLAN_ID: Final = {"plan_id": (TEXT, "id of the packing plan")}
 
 
 def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """The table ``boxes``: one row per box, in packing order. The answer of a criterion is null if the criterion was
-    not evaluated for the box."""
+    """The table ``boxes``: one row per box, in packing order. If a criterion was not evaluated for a box, its answer is
+    null."""
     counts = [plan.n_boxes for plan in plans]
     columns: dict[str, object] = {
         "plan_id": np.repeat(np.array([plan.plan_id for plan in plans], dtype=object), counts),
@@ -66,8 +66,8 @@ def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
 
 
 def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """The table ``plans``: one row per plan. For each criterion, a row says whether all boxes are stable, which box is
-    the first unstable one, and how small the smallest slack is."""
+    """The table ``plans``: one row per plan. For each criterion, a row has whether all boxes are stable, the first
+    unstable box, and the smallest slack of any box."""
     counts = np.array([plan.n_boxes for plan in plans])
     starts = np.r_[0, counts.cumsum()[:-1]]
     columns: dict[str, object] = {
@@ -82,8 +82,8 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
     for number, criterion in enumerate(criteria):
         failed = stable[:, number] == NO
         first = np.minimum.reduceat(np.where(failed, box, never), starts)
-        # Boxes without an answer are ignored. If a box fails and its slack is NaN, the smallest slack of the plan is
-        # NaN.
+        # Boxes without an answer are ignored. If a box fails and has the slack NaN, the smallest slack of the plan is
+        # NaN, too.
         with np.errstate(invalid="ignore"):
             least = np.minimum.reduceat(np.where(stable[:, number] == NOT_ASKED, np.inf, slack[:, number]), starts)
         columns[criterion.name] = first == never
@@ -143,8 +143,8 @@ def criteria_vs_physics_columns() -> Described:
 
 
 def documented_thresholds() -> Described:
-    """The units and descriptions of the columns of the table ``thresholds``. The unit of a threshold differs between
-    rows, so each row states it."""
+    """The units and descriptions of the columns of the table ``thresholds``. Thresholds of different criteria have
+    different units, so each row states the unit of its threshold."""
     in_row = "as in the column unit"
     columns = {
         "criterion": (TEXT, "name of the criterion"),
@@ -244,7 +244,8 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
 
 
 CHUNK: Final = 16
-"""Number of plans that a process receives at a time. The force balance of this number of plans takes half a second."""
+"""Number of plans that a process receives at a time. Computing force balance for this number of plans takes half a
+second."""
 
 
 def criteria(
@@ -265,8 +266,8 @@ def criteria(
     ``petmjx.criteria("plans.json", run="results", only=("support_75", "equilibrium")).judged``
 
     Args:
-        plans: as for ``petmjx.score``. If None, the plans of the run are used, or, without a run, the bundled sample
-            plans.
+        plans: as for ``petmjx.score``. If ``plans`` is None, the plans of the run are used, or, without a run, the
+            bundled sample plans.
         run: a run of the same plans, or its folder. The criteria are compared with the verdicts of this run. If the run
             simulated a plan several times, with different errors, the verdict of the simulation without errors is used.
             In the run of a transport chain, a plan counts as standing if at least the share ``p_arrives`` of its
@@ -393,8 +394,8 @@ def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
 def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) -> pd.DataFrame:
     """One row for each plan of the run, about its nominal world (the simulation without errors). In the run of a
     transport chain, the row is about all simulations of the plan: ``verdict`` says whether at least the share
-    ``p_arrives`` of them reach the end of the chain, ``reason`` is the leg (stage of the transport) in which most of
-    them fail, and ``margin`` is the share that reach the end minus ``p_arrives``.
+    ``p_arrives`` of the simulations reach the end of the chain, ``reason`` is the leg (stage of the transport) in which
+    most of the simulations fail, and ``margin`` is the share of simulations that reach the end, minus ``p_arrives``.
 
     Raises:
         InputError: the run has none of these plans, or a plan has a different number of boxes in the run.
@@ -411,7 +412,7 @@ def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) ->
 
 
 def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]) -> pd.DataFrame:
-    """Return ``worlds``, which has one row per plan, after checking that the run simulated these plans.
+    """Check that the run simulated these plans, and return ``worlds``, which has one row per plan.
 
     Raises:
         InputError: the run has none of these plans, or a plan has a different number of boxes in the run.

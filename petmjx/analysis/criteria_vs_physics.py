@@ -23,8 +23,8 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 
 N_BOOTSTRAP: Final = 4000
-"""Number of bootstrap samples of the plans. With this number, the bounds of an interval vary by about 1 % of the
-interval's width from one bootstrap to another."""
+"""Number of bootstrap samples of the plans. With this number of samples, the bounds of an interval differ between two
+bootstraps by about 1 % of the interval's width."""
 
 CELLS: Final = ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")
 """The cells of the confusion matrix. The first part of a name is the answer of the criterion, the second part the
@@ -49,9 +49,10 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
     Returns:
         One row per criterion: ``criterion``, ``n_plans``, the counts named in ``CELLS``, and the scores named in
         ``SCORES``. Each score has two more columns, ``_low`` and ``_high``, with the bounds of its 95 % bootstrap
-        interval over plans. ``same_first_box`` is a number of plans: the criterion refuses the plan, the plan falls in
-        the simulation, and both name the same box as the first that fails. If ``worlds`` has the column ``share`` (the
-        share of simulations that reach the end of a transport chain), each row also has the columns ``ARRIVES``.
+        interval over plans. ``same_first_box`` is the number of plans that the criterion refuses, that fall in the
+        simulation, and for which criterion and simulation name the same box as the first that fails. If ``worlds`` has
+        the column ``share`` (the share of simulations that reach the end of a transport chain), each row also has the
+        columns ``ARRIVES``.
     """
     judged = with_physics(plans, worlds)
     stands = judged["stands"].to_numpy(dtype=bool)
@@ -84,8 +85,8 @@ def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: int) -> dict[str, float]:
     """The counts of the confusion matrix, and the scores with their intervals.
 
-    The bootstrap draws plans with replacement. Only the four counts of a bootstrap sample matter, so the counts
-    themselves are drawn, from a multinomial distribution.
+    The bootstrap draws plans at random, with replacement. The scores depend only on the four counts of a bootstrap
+    sample, so the counts are drawn directly from a multinomial distribution.
     """
     cells = confusion(accepted, stands)
     row: dict[str, float] = {name: int(count) for name, count in zip(CELLS, cells, strict=True)}
@@ -116,7 +117,7 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
     hit, false, miss, right = np.moveaxis(np.asarray(cells, dtype=np.float64), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         precision, recall = hit / (hit + false), hit / (hit + miss)
-        # two square roots, because the product of all four sums would not be exact in float64
+        # two square roots are multiplied, because the product of all four sums would not be exact in float64
         below = np.sqrt((hit + false) * (hit + miss)) * np.sqrt((right + false) * (right + miss))
         mcc = np.where(below > 0, (hit * right - false * miss) / np.where(below > 0, below, 1.0), 0.0)
     mcc = np.where((hit + miss == 0) | (false + right == 0), np.nan, mcc)
@@ -133,7 +134,7 @@ def best_thresholds(
 
     Returns:
         One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (a lower limit), ``published`` (the
-        published threshold), ``n_found_on`` and ``mcc_found_on``. Further columns are those of ``judge`` and
+        published threshold), ``n_found_on`` and ``mcc_found_on``. The row also has the columns of ``judge`` and
         ``mcc_published`` (the MCC of the published threshold), computed on the half on which the threshold is tested.
     """
     joined_plans = with_physics(plans, worlds)
@@ -146,7 +147,7 @@ def best_thresholds(
         published = criterion.threshold
         number = joined_plans[f"{criterion.name}_slack"].to_numpy(dtype=np.float64) + published
         threshold, mcc = best_threshold(number[first_half], stands[first_half])
-        # without a threshold there is nothing to test
+        # if no threshold was found, there is nothing to test
         judged = ~first_half if np.isfinite(threshold) else np.zeros_like(first_half)
         as_published = confusion(joined_plans[criterion.name].to_numpy(dtype=bool)[~first_half], stands[~first_half])
         row: dict[str, object] = {"criterion": criterion.name, "number": criterion.number, "unit": criterion.unit}
@@ -184,7 +185,7 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
     n_standing = int(stands.sum())
     cells = np.stack([hit, false, n_standing - hit, len(stands) - n_standing - false], axis=-1)
     mcc = scores(cells.astype(np.int64))[2]
-    if not mcc.max() > 0:  # "not >" instead of "<=", so that the function also returns here if the MCC is NaN
+    if not mcc.max() > 0:  # "not >" is used instead of "<=", so that the function also returns here if the MCC is NaN
         return float("nan"), 0.0
     best = np.flatnonzero(mcc >= mcc.max() - 1e-12)
     cut = int(best[len(best) // 2])

@@ -1,6 +1,6 @@
-"""Determines whether the force on the top of a box crushes the box: surely, possibly, or not. The force at rest and the
-peak force are both considered. This module also computes the share of pallets that arrive without crushed boxes at the
-end of a transport chain.
+"""Determines whether the force on the top of a box crushes the box: surely, possibly, or not. Both the force at rest
+and the peak of the force can crush a box. This module also computes the share of pallets that arrive without crushed
+boxes at the end of a transport chain.
 
 The strength of a box is not known exactly: the losses through stacking, moisture and time have a spread. The force at
 rest is not known exactly either: if a box has several supports, statics does not determine how they share the load. So
@@ -64,9 +64,9 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
     possible force on a box as a share of its strength.
 
     Args:
-        boxes: one row per box, with forces and strengths. The forces are those at rest and their peak, the smallest and
-            the largest possible force at rest, and ``SUSTAINED``; the last three may be missing. The strengths are the
-            columns that ``BOX_UNITS`` names.
+        boxes: one row per box, with forces and strengths. The forces are the force at rest, the peak of the force, the
+            smallest and the largest possible force at rest, and ``SUSTAINED``. The last three columns may be missing.
+            The strengths are the columns that ``BOX_UNITS`` names.
         time_factors: the smallest and the largest share of the strength that a box keeps if the load lasts for days.
     """
     peak, rest = boxes["max_top_force_n"], boxes["rest_top_force_n"]
@@ -75,7 +75,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
         np.fmax(rest, sustained) if name not in boxes else boxes[name].fillna(rest)
         for name in ("rest_top_force_low_n", "rest_top_force_high_n")
     )
-    if SUSTAINED in boxes:  # intervals exist only for the end of the chain
+    if SUSTAINED in boxes:  # intervals of possible forces exist only for the end of the chain
         most = np.fmax(most, sustained)
     low, high = boxes["strength_low_n"], boxes["strength_high_n"]
     shortest, longest = time_factors

@@ -6,28 +6,29 @@ Transactions on Graphics 28(5). At each corner of each contact area, the bodies 
 of at most μ times the pressing force. A stack is balanced if there are forces of this kind for which the forces and
 moments on every box, together with its weight, add up to zero.
 
-The slack is dimensionless. If the contact areas of a box have n corners in all, each corner must carry at least s / n
-of the box's own weight. The slack is the largest s for which the stack is balanced. At s = 1, every box rests evenly on
-all its corners. At s = 0, some box is about to tip. At s < 0, the stack would need glue between a box and its support;
-the more negative s is, the stronger the glue. For a box with a free top there is a closed form: take the ray that
-starts in the middle of the corners of the box's contact areas, passes through the box's centre of mass and ends at the
-edge of the corners' convex hull. The position of the centre on this ray is 0 in the middle and 1 at the edge. The slack
-is 1 minus this position.
+The slack is dimensionless. Let the contact areas under a box have n corners in all, and require that each of these
+corners carries at least s / n of the box's own weight. The slack is the largest s for which a stack with this
+requirement is balanced. At s = 1, every box rests evenly on all its corners. At s = 0, some box is about to tip. At s <
+0, the stack would need glue between a box and its support; the more negative s is, the stronger the glue. For a box
+with nothing on its top there is a closed form: take the ray that starts in the middle of the corners of the box's
+contact areas, passes through the box's centre of mass and ends at the edge of the corners' convex hull. Measure the
+position of the centre of mass along this ray, from 0 at the start of the ray to 1 at its end. The slack is 1 minus this
+position.
 
 A newly placed box affects only its structure: the new box and all boxes that contacts connect with it. Three shortcuts
-save time and do not change the result:
+save time without changing the result:
 
 - A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
-  balance the load with vertical forces. This box is treated as part of the carrier, so it belongs to no structure.
+  balance the load with vertical forces. Such a box is treated as part of the carrier, so it belongs to no structure.
 - Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes.
-  Friction can help, for example if another box lies across a box and its neighbour, and so holds the box. The slack is
-  then the larger one of two: the slack without friction and the slack with friction.
+  Friction can help, for example if another box lies across a box and its neighbour, and so holds the box. If friction
+  is considered, the slack is the larger one of the slack without friction and the slack with friction.
 - For a structure of one box, the closed form above gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
-friction. ``lean`` is off by default, because a force between two sides that is possible need not arise. With friction
-at the sides, for example, any box could hang between two neighbours that press on it, even if nothing makes the
-neighbours press.
+friction. ``lean`` is off by default, because two sides that could press on each other need not do so. With friction at
+the sides, for example, the computation would let any box hang between two neighbours that press on it, even if nothing
+makes the neighbours press.
 
 petmjx.analysis.force_intervals uses ``least_and_most`` and ``wrenches`` of this module.
 """
@@ -52,9 +53,9 @@ body's centre."""
 def wrenches(
     first: IntArray, second: IntArray, position_m: FloatArray, direction: FloatArray, centre_m: FloatArray
 ) -> Entries:
-    """The matrix (6 b, p k) that turns forces at contact points into forces and moments on bodies. The matrix has 6
-    rows for each of b bodies, for the force on the body and the moment about its centre, and a column for each of k
-    unit forces at each of p points.
+    """The matrix (6 b, p k) that turns forces at contact points into forces and moments on bodies. Each of b bodies has
+    6 rows, three for the force on the body and three for the moment about its centre. Each of k unit forces at each of
+    p points has a column.
 
     Args:
         first, second: (p,) the two bodies that touch at each point, from 0 to b - 1. A negative number stands for a
@@ -104,13 +105,14 @@ def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
 
 def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limits: Entries | None = None) -> float:
     """The largest slack s ≤ ``EVEN`` for which numbers g ≥ 0 exist with ``forces @ (share·s + g) = row_sums`` and
-    ``limits @ g ≤ 0``. g is the part of each force above the required share·s.
+    ``limits @ g ≤ 0``. g is the part of each force that exceeds the required force share·s.
 
     Args:
-        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows). share: (f,) value that
-            each force must have per unit of slack.
+        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows).
+        share: (f,) value that each force must have per unit of slack.
         row_sums: (r,) value that each row must have.
-        limits: (q, f) the matrix in ``limits @ g ≤ 0``. If None, there are no such conditions.
+        limits: (q, f) the matrix in ``limits @ g ≤ 0``. If ``limits`` is None, only the condition on ``forces`` must
+            hold.
 
     Returns:
         The slack s; −inf if no s fulfils the conditions, not even an arbitrarily negative s.
@@ -139,13 +141,13 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
 
 
 def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> FloatArray | None:
-    """The smallest and the largest possible value of each of m weighted sums of f forces. Possible are all forces g ≥ 0
-    with ``forces @ g = row_sums``.
+    """The smallest and the largest possible value of each of m weighted sums of f forces. All forces g ≥ 0 with
+    ``forces @ g = row_sums`` are possible.
 
     Args:
         sums: (m, f) factor of each force in each sum.
-        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows). row_sums: (r,) value
-            that each row must have.
+        forces: (r, f) contribution of each of f forces to each of r equations of balance (rows).
+        row_sums: (r,) value that each row must have.
 
     Returns:
         (m, 2) smallest and largest value of each sum; None if no possible forces exist.
@@ -170,8 +172,8 @@ def _least_cost_solution(
     """The vector x with the smallest ``costs @ x`` among all vectors for which matrix @ x is between the bounds
     ``rows`` and x is between the bounds ``bounds``. The result is None if there is no such vector.
 
-    The solver is HiGHS. HiGHS is called through SciPy's ``milp``, without integer variables, because ``milp`` has half
-    the overhead of ``linprog``.
+    The solver is HiGHS. HiGHS is called through SciPy's function ``milp`` (without integer variables), because ``milp``
+    has half the overhead of SciPy's ``linprog``.
 
     Raises:
         PetmjxError: HiGHS found no answer.
@@ -190,8 +192,8 @@ def _least_cost_solution(
 
 
 NO_SLACK: Final = -1e-6
-"""Smallest slack of a balanced stack. This limit is below 0 because the solver has a tolerance of 1e-7 of the mean
-weight of the boxes."""
+"""Smallest slack of a balanced stack. This smallest slack is below 0 because the solver has a tolerance of 1e-7 of the
+mean weight of the boxes."""
 
 
 def balance_slack(
@@ -208,7 +210,7 @@ def balance_slack(
     Args:
         friction: coefficients of friction.
         lean: whether the slack with leaning is computed, for which boxes may press on neighbours that they touch side
-            by side. If not, the second array is NaN.
+            by side. If ``lean`` is False, the second array is NaN.
     """
     without = _Stack(contacts, friction)
     ways = [without, _Stack(contacts, friction, find_sides(contacts))] if lean else [without]
@@ -224,8 +226,8 @@ def balance_slack(
 
 
 class _Stack:
-    """A stack that is built box by box, and is checked for balance after each placement until it is not balanced.
-    Either boxes may lean on their neighbours in all checks, or in none."""
+    """A stack that is built box by box. After each placement, the stack is checked for balance, until it is not
+    balanced any more. Either boxes may lean on their neighbours in all checks, or in none."""
 
     def __init__(self, contacts: PlanContacts, friction: Friction, sides: Sides | None = None) -> None:
         self.slack = np.full(contacts.n_boxes, np.nan)
@@ -274,7 +276,7 @@ class _Structures:
 
 
 def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) slack of each box for vertical forces alone, as if nothing lay on top of the box."""
+    """(n,) slack of each box with nothing on its top, for vertical forces alone."""
     n = contacts.n_boxes
     middle = np.full((n, 2), np.nan)
     count = np.maximum(contacts.n_supports, 1)
@@ -285,8 +287,8 @@ def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 
 
 class _VerticalSystem:
-    """The equations of balance for vertical forces at the corners of contact areas. A structure uses the equations of
-    its boxes.
+    """The equations of balance for vertical forces at the corners of contact areas. To compute a structure, the
+    equations of its boxes are used.
 
     The force at a corner presses the upper box upwards and the lower body downwards. Each box has three equations
     (rows): one for the vertical force, and two for the moments about the box's centre along x and y. The unit of forces
@@ -324,8 +326,8 @@ class _VerticalSystem:
 
 
 _DIRECTIONS = 5
-"""Number of unknown forces at a contact point: one of pressure, and four of friction, in both directions along the two
-axes across the pressure."""
+"""Number of unknown forces at a contact point: one of pressure and four of friction. The forces of friction act in both
+directions along two axes that are perpendicular to the pressure."""
 
 
 class Friction(NamedTuple):
@@ -341,7 +343,7 @@ class Friction(NamedTuple):
 
 
 class _Points(NamedTuple):
-    """The p points at which bodies touch. Each field has one row per point.
+    """The p points at which bodies touch each other. Each field has one row per point.
 
     At each point, the pressure on the body ``second`` acts along ``axis``; the pressure on the body ``first`` is
     opposite. ``share`` is the force that a point must carry at a slack of 1, in units of the mean weight of the boxes.
@@ -358,18 +360,19 @@ class _Points(NamedTuple):
 def friction_slack(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, friction: Friction, sides: Sides | None = None
 ) -> float:
-    """The slack of a structure (a group of boxes connected by contacts) if friction may act. All boxes that touch the
-    structure must also be in balance.
+    """The slack of a structure (a group of boxes connected by contacts) if forces of friction may act. Boxes that touch
+    the structure must also be in balance.
 
     The friction (fx, fy) at a point is limited by the pyramid |fx| + |fy| ≤ μ f, which is inside the friction cone. So
-    a stack that is balanced with the pyramid is also balanced with the cone. In μ f, the force f is only the part of
-    the pressure above the share that the point must carry, which does not change the sign of the slack.
+    a stack that is balanced with the pyramid is also balanced with the cone. In the limit μ f, the force f is only the
+    part of the pressure that exceeds the share that the point must carry. This simplification does not change the sign
+    of the slack.
 
     Args:
         structure: (n,) whether each box belongs to the structure. The corners under these boxes must carry the required
             share.
         newest: number of the box placed last. Later boxes are ignored.
-        sides: the places at which boxes may lean on each other or on walls. If None, boxes may not lean.
+        sides: the places at which boxes may lean on each other or on walls. If ``sides`` is None, boxes may not lean.
     """
     boxes = _hanging_together(contacts, structure, newest, sides)
     points = _points(contacts, boxes, structure, friction, sides)
@@ -381,7 +384,7 @@ def friction_slack(
     possible = np.repeat(points.friction[:, None] > 0, _DIRECTIONS, axis=1)
     possible[:, 0] = True
     chosen = np.flatnonzero(possible)
-    row_of = np.append(np.cumsum(boxes) - 1, CARRIER)  # the last entry is the carrier, which does not move
+    row_of = np.append(np.cumsum(boxes) - 1, CARRIER)  # the last entry stands for the carrier, which does not move
     first, second = row_of[points.first], row_of[points.second]
     centre_m = contacts.centre_mm[boxes] / MM_PER_M
     forces = _columns(
@@ -392,7 +395,7 @@ def friction_slack(
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
-    """The entries of a sparse matrix with n columns that lie in the columns ``chosen``. In the result, these columns
+    """Those entries of a sparse matrix with n columns that lie in the columns ``chosen``. In the result, these columns
     are numbered from 0."""
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))

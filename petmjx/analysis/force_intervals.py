@@ -2,9 +2,9 @@
 
 Statics does not determine how three supports share a load, and a simulation's answer depends on the stiffness of its
 contacts. In this module, the forces at all points at which boxes touch (petmjx.analysis.plan_contacts) are unknowns.
-Contact forces press, friction is at most μ times the pressure, and the force and the moment on every box are zero. Two
-linear programmes for each box give the smallest and the largest force on its top. No programme is needed for a box on
-which statics alone determines the force.
+The unknown forces must meet three conditions: contacts can only press, friction is limited to μ times the pressure, and
+the total force and moment on every box are zero. Two linear programmes for each box give the smallest and the largest
+force on its top. If statics alone determines the force on a box's top, the box needs no linear programme.
 
 Friction is limited by the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval contains all forces that the
 cone allows. (petmjx.analysis.force_balance uses the pyramid inside the cone, so that it never calls a stack balanced by
@@ -45,8 +45,8 @@ def need_scipy() -> None:
 
 
 def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> FloatArray | None:
-    """The result of :func:`force_intervals` for the final poses of a simulated stack; None if the simulation gave no
-    forces at rest."""
+    """The result of :func:`force_intervals` for the final poses of a simulated stack. If the simulation gave no forces
+    at rest, the result is None."""
     at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
     return force_intervals(scene, physics, boxes.pos, boxes.quat) if np.isfinite(at_rest).all() else None
 
@@ -91,8 +91,8 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
 
 
 def _hanging_together(touching: TouchPoints, n_boxes: int) -> IntArray:
-    """(n,) the number of the group to which each box belongs. The boxes of a group are connected with each other by
-    contacts."""
+    """(n,) the number of the group to which each box belongs. A group consists of boxes that contacts connect with each
+    other."""
     ends = np.stack([touching.first, touching.second])
     return _groups(ends[:, (ends != CARRIER).all(axis=0)], n_boxes)
 
@@ -118,7 +118,7 @@ def _of_part(
         known: (b, 2) the smallest and largest forces that are known without a linear programme; NaN for the other
             boxes.
     """
-    place = np.full(len(weight) + 1, CARRIER)  # CARRIER is -1, so it refers to the last entry
+    place = np.full(len(weight) + 1, CARRIER)  # CARRIER is -1, so as an index it refers to the last entry
     place[boxes] = np.arange(len(boxes))
     contacts = touching.some(np.maximum(place[touching.first], place[touching.second]) != CARRIER)
     # (p, 4, 3) at each point, a force along each edge of the pyramid

@@ -20,7 +20,8 @@ from petmjx.results.documented_tables import check_tables_free, has_keys
 from petmjx.results.run_folder import csv, parquet, text, write_together
 
 _CREATOR: Final = "petmjx"
-"""Name of the creator in the properties of an Excel workbook. petmjx recognises its own workbooks by this name."""
+"""Name that petmjx writes as the creator into the properties of Excel workbooks. petmjx recognises its own workbooks by
+this name."""
 _MOST_PROPERTIES: Final = 1 << 16
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
@@ -93,7 +94,7 @@ def _workbook(kpis: Kpis) -> bytes:
         for value in values:
             cell = WriteOnlyCell(sheet, printable(value) if isinstance(value, str) else value)
             if isinstance(value, str):
-                cell.data_type = "s"  # otherwise text such as "=1+1" would be read as a formula
+                cell.data_type = "s"  # with any other type, Excel would read text such as "=1+1" as a formula
             cells.append(cell)
         sheet.append(cells)
 
@@ -107,7 +108,7 @@ def _workbook(kpis: Kpis) -> bytes:
     add(orderwise, table.column_names)
     for row in zip(*(column.to_pylist() for column in table.columns), strict=True):
         add(orderwise, row)
-    content = io.BytesIO()  # saved in memory, because openpyxl prints an error if it cannot save to a path
+    content = io.BytesIO()  # in memory, because openpyxl prints an error if it cannot save to a path
     workbook.save(content)
     return content.getvalue()
 
@@ -116,7 +117,7 @@ def _is_our_workbook(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
-    # These errors mean that petmjx did not write the file: it is not a zip file, is encrypted, or uses an unknown
-    # compression.
+    # These errors mean that petmjx did not write the file, because the file is not a zip file, is encrypted, or uses an
+    # unknown compression.
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
         return False

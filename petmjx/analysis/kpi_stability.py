@@ -28,12 +28,12 @@ MOST_SHIFT_Z_M: Final = 0.01
 
 @dataclass(frozen=True)
 class Stability:
-    """Whether plans stand. The first three fields map ids of plans to answers; a plan whose answer is unknown is
-    missing.
+    """Whether plans stand. The fields ``verdicts``, ``stable`` and ``their_rule`` map ids of plans to answers. A plan
+    whose answer is unknown has no entry.
 
     Attributes:
         verdicts: petmjx's verdict on each plan, as text.
-        stable: whether petmjx's verdict is ``stable``; without plans whose verdict is ``invalid``.
+        stable: whether petmjx's verdict on the plan is ``stable``. Plans whose verdict is ``invalid`` have no entry.
         their_rule: whether the plan stands according to BED-BPP's rule.
         notes: lines for the user about unfinished runs, and about runs that the user must still make to get all
             answers.
@@ -47,11 +47,12 @@ class Stability:
 
     @classmethod
     def assumed(cls) -> Stability:
-        """The answers if all plans are assumed to stand according to BED-BPP's rule."""
+        """Answers in which all plans are assumed to stand according to BED-BPP's rule."""
         return cls(all_stand=True, notes=("stability is taken as 1 for all plans, not simulated",))
 
     def column(self, known: Mapping[str, bool], plan_ids: Iterable[str]) -> pd.Series:
-        """A column with one value per plan: 1 if the plan stands, 0 if it does not, null if this is unknown."""
+        """A column with one value per plan, which is 1 if the plan stands, 0 if the plan does not stand, and null if
+        the answer is unknown."""
         is_assumed = known is self.their_rule and self.all_stand
         values = [1 if is_assumed else None if plan_id not in known else int(known[plan_id]) for plan_id in plan_ids]
         return pd.Series(values, dtype="Int64")
@@ -102,7 +103,8 @@ def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
 
 
 def _verdicts(run: RunResults) -> dict[str, str]:
-    """The verdict on each plan of a run, by the plan's id. The verdict is that of the simulation without errors."""
+    """The verdict on each plan of a run, by the plan's id. If a plan has several simulations, the verdict of the
+    simulation without errors is used."""
     columns = ("plan_id", "variant", "verdict")
     tables = run.parts.table("worlds", columns)
     worlds = pa.concat_tables(tables).filter(pc.field("variant") == 0) if tables else None

@@ -37,8 +37,8 @@ class Submission:
     Attributes:
         date: date of the submission, in ISO 8601.
         task: name of the task, as in the file's name.
-        choice: number of items, the next ones in the sequence, among which the packer may choose; None if it may choose
-            among all items.
+        choice: number of the next items of the sequence among which the packer may choose; None if the packer may
+            choose among all items.
     """
 
     date: str
@@ -95,8 +95,8 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
 def write_submission(
     name: str, folder: Path, plans: Mapping[str, Plan], orders: Mapping[str, Order], unusable: int = 0
 ) -> Path:
-    """Check that plans are a valid submission, and write the plans to a file. In the file, the id, product group and
-    number of each item are those in the order.
+    """Check that plans are a valid submission, and write the plans to a file. In the file, each item has the id,
+    product group and number that it has in the order.
 
     Args:
         name: name of the submission (see :func:`parse_name`).
@@ -191,8 +191,10 @@ def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
 
 
 def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:
-    """Yield a text about the first wrong choice of an online packer, if there is one. Each time, the packer must place
-    one of the next ``choice`` items that are still waiting. Items that the packer never places are not counted."""
+    """Yield a text about the first wrong choice of an online packer. If all its choices are allowed, yield nothing. In
+    each step, the packer must place one of the next ``choice`` items that are still waiting. Items that the packer
+    never places are not counted.
+    """
     if len(indices) < n_boxes:
         return
     waiting = sorted(indices)

@@ -1,8 +1,8 @@
 """Computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing, and the rating on its
 leaderboard: ``petmjx.kpis``.
 
-The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md lists these
-KPIs and the columns that petmjx adds. ``COLUMNS`` lists the columns of the table.
+The definitions of the KPIs are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md
+lists these KPIs and the columns that petmjx adds. ``COLUMNS`` lists the columns of the table.
 
 ``direct_support`` determines on what a box lies, by the same method as BED-BPP's evaluator (bed-bpp-env e7459bf,
 ``environment/space_3d.py`` and ``environment/cuboid.py``). For each square millimetre of the target (the pallet or roll
@@ -12,7 +12,7 @@ The support of the new box is the sum of the areas that it has in common with th
 that lies on no other box counts as standing on the target, with support 1. BED-BPP's method has three consequences: if
 two supporting boxes overlap, their common area is counted twice; a box that is pushed in under another box supports it;
 and a floating box counts as standing on the target. In plans without overlapping and floating boxes, the support is the
-share of the base that lies on something.
+share of the base that lies on other boxes or on the target.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from petmjx.results.plan_lookup import plans_in_place
 
 
 class KpiColumn(NamedTuple):
-    """One column of the table of KPIs. ``pandas`` is the type of the column in a data frame. ``mean`` tells whether the
-    mean of the column is shown."""
+    """One column of the table of KPIs. ``pandas`` is the type of the column in a data frame. ``mean`` tells whether
+    petmjx shows the mean of the column."""
 
     name: str
     pandas: str
@@ -111,7 +111,7 @@ HEIGHT_TOLERANCE_MM: Final = 5.0
 
 
 class Support(NamedTuple):
-    """On what n boxes lie directly, according to BED-BPP's method.
+    """The boxes on which n boxes lie directly, and the supported shares, according to BED-BPP's method.
 
     Attributes:
         share: (n,) supported share of each box's base; 1 for a box on the target.
@@ -130,8 +130,8 @@ def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[
 
     Args:
         corner_mm, size_mm: (n, 3) corners and sizes of the boxes as placed, mm, in packing order.
-        extent_mm: extents of the target along x and y; the target's corner is at the origin. Parts of boxes outside the
-            target support nothing.
+        extent_mm: extents of the target along x and y; the target's corner is at the origin. The parts of boxes that
+            lie outside the target support nothing.
     """
     low, high = corner_mm[:, :2], corner_mm[:, :2] + size_mm[:, :2]
     x, y = (_cells(low[:, axis], high[:, axis], extent_mm[axis]) for axis in (0, 1))
@@ -172,8 +172,8 @@ SCORED_HEIGHT_MM: Final = 2_000.0
 """The leaderboard of BED-BPP ignores boxes whose bottom is above this height, mm."""
 
 _EDGE_MM: Final = 1.0
-"""BED-BPP's evaluator computes heights that are too small by this length, mm, because it uses the last whole millimetre
-inside a box."""
+"""BED-BPP's evaluator measures a height up to the last whole millimetre inside a box, so its heights are too small by
+this length, mm."""
 
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 
@@ -269,7 +269,7 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
     """Column → value, for one plan and all columns of KPIs that do not depend on whether the plan stands.
 
     Args:
-        matching: which ordered item each box of the plan is. If None, this is computed.
+        matching: which ordered item each box of the plan is. If ``matching`` is None, it is computed.
     """
     matching = matching or match(plan, order)
     ordered = counts_of(matching)
@@ -371,8 +371,8 @@ def _notes(plans: Mapping[str, Plan], orders: Mapping[str, Order]) -> list[str]:
 def _odd_boxes(
     plans: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching]
 ) -> Iterator[str]:
-    """Up to two lines for the user: one about boxes that were not ordered, with the first plan that has such boxes, and
-    one about boxes that were matched with ordered items by size alone."""
+    """Yield up to two lines for the user: one about boxes that were not ordered, with the first plan that has such
+    boxes, and one about boxes that were matched with ordered items by size alone."""
     odd = OddBoxes()
     for name, matching in matchings.items():
         odd.add(plans[name], orders[name], matching)

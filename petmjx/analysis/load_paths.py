@@ -6,19 +6,19 @@ making this box or a box below it fall. Source: Gao, Wang, Kong, Chong (2025), "
 Stability Validation and Stable Rearrangement Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere
 on its top. For any other box, take those parts of the areas on which it lies that are inside the polygons of the boxes
 below; their convex hull is the polygon of the box. The box stands if its centre of mass is in its own polygon. Later
-boxes may press only inside the polygons, where they cannot tip any box. So no loads need to be computed for this
-criterion. The paper also allows for an uncertain centre of mass; petmjx takes the centre of mass as exact.
+boxes may press on a box only inside its polygon, where they cannot make any box tip. So no loads need to be computed
+for this criterion. The paper also allows for an uncertain centre of mass; petmjx takes the centre of mass as exact.
 
 **Criteria that pass loads down** determine whether the resultant of a box's weight and of the loads on the box acts
-over the box's supports. Each box is checked when it is placed, and all boxes below it are checked again. There are two
-such criteria, with different rules for how a box distributes its weight and the load on it over its supports:
+over the box's supports. Each box is checked when it is placed, and all boxes below it are checked again. Two criteria
+pass loads down. Each has another rule for how a box distributes its weight and the load on it over its supports:
 
 - **lever rule** (the stacking tree): the box presses on each support with a force at the middle of the contact area.
   Two supports share the load by the lever rule. With more than two supports, many sets of forces balance force and
   moments; the rule takes the set with the least sum of squares. Source: Zhao, Zhu, Xu, Huang, Xu (2022), "Learning
   practically feasible policies for online 3D bin packing", Science China Information Sciences 65, arXiv 2108.13680. As
-  on a lever, if the load acts beyond the middle of the outermost contact area, the force on another support is
-  negative.
+  on a lever, if the load acts beyond the middle of the outermost contact area, the rule gives a negative force on
+  another support.
 - **even bedding** (mechanical equilibrium): the pressure on all contact areas of the box is one linear function of x
   and y. The balance of force and moments determines this function, for any number of supports. Source of the criterion:
   Ramos, Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability
@@ -27,10 +27,11 @@ such criteria, with different rules for how a box distributes its weight and the
   box press with its whole weight on every box directly below it, and do not pass loads further down.)
 
 In both rules, forces are linear in the load. So the weight of each box is passed down separately, and the load on a box
-after any placement is a sum over the boxes placed so far. However, supports cannot pull. If the pressure of an even
-bedding would be negative somewhere, other forces are used, which only push: those for which the supports, as springs,
-store the least energy (petmjx.world.load_sharing). If a resultant of the even bedding lies beyond an edge, a linear
-programme determines whether other balancing forces keep all resultants inside (petmjx.world.balance_programme).
+after any placement is a sum over the boxes placed so far. However, real supports cannot pull. If the pressure of an
+even bedding would be negative somewhere, forces that only push are used instead: among these, the forces for which the
+supports, as springs, store the least energy (petmjx.world.load_sharing). If a resultant of the even bedding lies beyond
+an edge, a linear programme determines whether other balancing forces keep all resultants inside
+(petmjx.world.balance_programme).
 """
 
 from __future__ import annotations
@@ -77,8 +78,8 @@ def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
 
 
 def _levels(contacts: PlanContacts) -> IntArray:
-    """(n,) level of each box: 0 if the box lies only on the carrier, else 1 + the highest level of the boxes on which
-    it lies."""
+    """(n,) level of each box. A box that lies only on the carrier has level 0. For any other box, the level is 1 + the
+    highest level of the boxes on which it lies."""
     level = np.zeros(contacts.n_boxes, dtype=np.int64)
     for upper, lower in zip(contacts.upper.tolist(), contacts.lower.tolist(), strict=True):
         if lower != CARRIER:
@@ -109,13 +110,13 @@ _SAME: Final = 1e-9
 
 def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     """(n,) slack of each box for even beddings whose supports can only push, computed as by ``load_slack``. If this
-    slack is negative, but other balancing forces keep all resultants inside the edges, the slack of these forces is
-    used.
+    slack is negative, but other balancing forces keep all resultants inside the edges, the slack of these other forces
+    is used.
 
-    The reason for this: a load may act beyond an edge only because of the assumed bedding. So after each placement with
-    a load beyond an edge, a linear programme searches for forces that keep all loads inside. If there are some, the box
-    passes. The search ends at the first placement for which there are none. Placements without a search keep the slack
-    of the bedding.
+    This rule is needed because a load may act beyond an edge only because of the assumed bedding. So after each
+    placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside. If the
+    programme finds such forces, the box passes. If it finds none, no forces are searched for later placements.
+    Placements without a search keep the slack of the even bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])
@@ -138,14 +139,16 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 def load_slack(
     contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: BuildingLoads | None = None
 ) -> FloatArray:
-    """(n,) after the placement of each box, the smallest distance of a resultant (of the weight of a box and the loads
-    on it) from the edge of the hull of this box's contact areas, mm; positive inside the hull.
+    """(n,) for each box, how far inside the hulls of contact areas loads act just after the box has been placed: the
+    smallest distance of any load from the edge of its hull, mm; negative outside the hull.
 
-    The resultants considered are those of the placed box and of all boxes that bear a part of its weight. The value is
-    NaN if one of these boxes has no support or is lifted.
+    A load is the resultant of a box's own weight and of the loads on the box. The distance is computed for the placed
+    box and for all boxes that bear a part of its weight. The value is NaN if one of these boxes has no support or is
+    lifted.
 
     Args:
-        pushed: the loads for supports that can only push. Needed if some supports would pull according to ``sharing``.
+        pushed: the loads for supports that can only push. ``pushed`` is needed if some supports would pull according to
+            ``sharing``.
     """
     on_box = _loads_on_boxes(contacts, sharing)
     bears = on_box.any(axis=-1)
@@ -164,19 +167,19 @@ def load_slack(
 
 
 def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
-    """(n,) after the placement of each box, the smallest value of 1 − load / strength, among this box and all boxes
-    that bear a part of its weight; NaN if this box lies on nothing.
+    """(n,) for each box, the smallest value of 1 − load / strength just after the box has been placed, among this box
+    and all boxes that bear a part of its weight; NaN if the placed box lies on nothing.
 
     Args:
-        strength_n: (n,) largest force that the top of each box can bear, N; NaN if unknown. If None, all strengths are
-            unknown. A box of unknown strength can bear any load.
+        strength_n: (n,) largest force that the top of each box can bear, N; NaN if unknown. If ``strength_n`` is None,
+            all strengths are unknown. A box of unknown strength can bear any load.
     """
     slack = np.where(contacts.n_supports > 0, 1.0, np.nan)
     if strength_n is None:
         return slack
     on_box = _loads_on_boxes(contacts, sharing)[..., 0]
     bears, boxes = on_box != 0, np.arange(contacts.n_boxes)
-    on_box[boxes, boxes] = 0.0  # a box does not press on its own top
+    on_box[boxes, boxes] = 0.0  # the box's own weight is subtracted, because a box does not press on its own top
     borne = on_box.cumsum(axis=1)
     built = building_loads_of(bearing_of(contacts), [contacts.n_boxes]) if sharing is even_bedding else None
     if built is not None and _pulls(contacts, built):
@@ -223,8 +226,8 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether even beddings would make a support pull after any placement. If so, the loads of even beddings differ
-    from ``built``, the loads for supports that can only push."""
+    """Whether even beddings would make a support pull after any placement. If a support would pull, the loads of even
+    beddings differ from ``built``, the loads for supports that can only push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
     return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))
@@ -276,7 +279,7 @@ def _area_moments(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _sums(values: FloatArray, owner: IntArray, n: int) -> FloatArray:
-    """(n, …) for each of n owners, such as boxes, the sum of the values that belong to the owner."""
+    """(n, …) for each of n owners, such as boxes, the sum of those values that belong to it."""
     sums = np.zeros((n, *values.shape[1:]))
     np.add.at(sums, owner, values)
     return sums

@@ -3,8 +3,8 @@ how much, and with which confidence.
 
 The comparison is paired by orders, since every packer packs the same orders. An order is compared only if the plan of
 every packer has a valid verdict. For each packer, orders without a plan and orders with an invalid simulation are
-counted separately. ``share_at_worst`` is the share of standing plans if orders without a plan and orders with an
-invalid simulation count as plans that fall.
+counted separately. ``share_at_worst`` is the share of standing plans if an order without a plan, or with an invalid
+simulation, counts as a plan that falls.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from petmjx.results.share_intervals import (
 from petmjx.results.to_json import to_json
 
 LEAST_P: Final = 1e-4
-"""Smallest p-value that is shown as a number. A smaller one is shown as "p < 0.0001"."""
+"""Smallest p-value that is shown as a number. A smaller p-value is shown as "p < 0.0001"."""
 
 
 def p_in_words(p: float) -> str:
-    """A p-value as text: "p = 0.0020" or "p < 0.0001"."""
+    """A p-value as text, such as "p = 0.0020" or "p < 0.0001"."""
     return f"p < {LEAST_P:.4f}" if p < LEAST_P else f"p = {p:.4f}"
 
 
@@ -52,7 +52,7 @@ def pair_in_words(row: Mapping[str, Any], confidence: float, pairs: int) -> str:
         row: a row of ``PackerComparison.pairs`` for orders of all sizes, with at least one compared order.
         confidence: confidence of the row's interval. The difference is called significant if its p-value is at most 1 −
             confidence.
-        pairs: number of pairs of packers. The p-value is corrected for as many tests.
+        pairs: number of pairs of packers. The p-value is corrected for this number of tests.
     """
     better, worse = (row["b"], row["a"]) if row["difference"] > 0 else (row["a"], row["b"])
     bounds = (row["low"], row["high"]) if row["difference"] > 0 else (-row["high"], -row["low"])
@@ -97,7 +97,7 @@ SHOWN: Final = (
 
 
 _ARRIVAL_PAIR: Final = ("p_gain", "p_gain_low", "p_gain_high")
-"""Columns that the table ``pairs`` has in addition if the runs simulated transport chains."""
+"""Additional columns of the table ``pairs`` if the runs simulated transport chains."""
 
 TABLES: Final = ("packers", "pairs", "reasons", "decided", "plans")
 """Names of the tables of a comparison."""
@@ -149,7 +149,7 @@ class PackerComparison:
     @property
     def sentences(self) -> tuple[str, ...]:
         """One sentence for each pair of packers: whose plans stand more often, by how much, and with which confidence.
-        There are no sentences if no order is compared."""
+        If no order is compared, there are no sentences."""
         rows = self.pairs[(self.pairs["size"] == ALL_SIZES) & (self.pairs["n"] > 0)]
         return tuple(pair_in_words(row, self.confidence, len(rows)) for row in rows.to_dict("records"))
 
@@ -199,8 +199,8 @@ def comparison_of(
     """Compare packers by runs that are already loaded. With a single packer, the tables of pairs are empty.
 
     Args:
-        articles: a table of articles, from which properties are read that the orders do not state. If None, the table
-            that all runs name is used.
+        articles: a table of articles, from which properties are read that the orders do not state. If ``articles`` is
+            None, the table that all runs name is used.
 
     Raises:
         InputError: orders are unreadable, or SciPy is missing.
@@ -294,9 +294,9 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
 
 
 def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, float]:
-    """The mean of values over orders, and the bounds of its Student interval. The bounds follow from the spread of the
-    values, so they include both the differences between orders and the randomness of each value. The bounds are NaN if
-    there are fewer than two orders, or if all orders have the same value."""
+    """The mean of values over orders, and the bounds of its Student interval. The bounds are computed from the spread
+    of the values, so they take account of the differences between orders and of the randomness of each value. The
+    bounds are NaN if there are fewer than two orders, or if all orders have the same value."""
     valid_values = values.dropna()
     mean, n = float(valid_values.mean()), len(valid_values)
     if n < 2 or valid_values.std() == 0:
@@ -308,7 +308,7 @@ def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, 
 
 
 def _standing_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """A table of whether plans stand, with a row for each compared order and a column for each packer."""
+    """A table that tells which plans stand, with a row for each compared order and a column for each packer."""
     compared = rows[rows["compared"]]
     stands = compared.assign(stands=compared["verdict"] == Verdict.STABLE.value)
     return stands.pivot(index="plan_id", columns="packer", values="stands").reindex(columns=rows["packer"].unique())

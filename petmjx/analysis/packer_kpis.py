@@ -1,5 +1,5 @@
-"""Compares packers' plans with the orders for which they were made: which boxes of the plans were ordered, and the KPIs
-(key performance indicators) of BED-BPP, a public benchmark for packing."""
+"""Compares packers' plans with the orders for which the plans were made: finds out which boxes of the plans were
+ordered, and computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def against_orders(runs: Mapping[str, RunResults], file: Path, articles: Path | 
         runs: name of each packer → its run.
         file: file of orders, in BED-BPP's form or in any other form that petmjx reads. An order belongs to the plans
             with the same id.
-        articles: a table of articles, from which properties are read that the orders do not state. If None, the table
-            that all runs name is used.
+        articles: a table of articles, from which properties are read that the orders do not state. If ``articles`` is
+            None, the table that all runs name is used.
 
     Raises:
         InputError: a file cannot be read.
@@ -129,7 +129,7 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
 
 
 def _articles_of(runs: Mapping[str, RunResults]) -> Articles | None:
-    """The table of articles with which all runs were made; None if the runs had different tables or none."""
+    """The table of articles with which all runs were made; None if the runs had different tables or no table."""
     article_files = {how_read(run.info).articles for run in runs.values()}
     file = article_files.pop() if len(article_files) == 1 else None
     return read_articles(file) if file is not None and file.is_file() else None

@@ -2,7 +2,7 @@
 
 The rating has the same form as that of the benchmark BED-BPP (docs/kpis.md), but uses petmjx's verdict. All boxes of an
 order are lost if the order has no plan, or if the plan falls or has an invalid simulation. Boxes that a plan leaves out
-are lost, too. So a packer wins neither with risky plans nor with plans that leave out many boxes. A box of a plan
+are lost, too. So neither risky plans nor plans that leave out many boxes give a packer a good rating. A box of a plan
 counts only if it was ordered and has the ordered size and mass, and each ordered box counts at most once. If orders are
 given, the rating of a packer depends only on its own plans and on the orders.
 """
@@ -69,14 +69,14 @@ def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> p
 
 
 def rating_interval(rating: FloatArray, ordered: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
-    """Confidence intervals of ratings: Wilson's interval for an effective number of orders.
+    """Confidence intervals of ratings, computed as Wilson's intervals for an effective number of orders.
 
     A rating is a weighted mean over orders. The value of an order is a share from 0 to 1, and its weight w is its
     number of boxes. Because the weights differ, the rating varies as much as a mean over fewer orders with equal
-    weights. Their number is Kish's effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling", section 11.7).
-    Wilson's interval is made for shares of yes-or-no values. The values of orders lie between 0 and 1, and vary at most
-    as much as yes-or-no values with the same mean, so the interval is wide enough. Unlike a bootstrap interval, this
-    interval has a width above 0 even if all plans stand or all plans fall.
+    weights. The number of these fewer orders is Kish's effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling",
+    section 11.7). Wilson's interval is made for shares of yes-or-no values. The values of orders lie between 0 and 1,
+    and vary no more than yes-or-no values with the same mean, so Wilson's interval is wide enough for them. Unlike a
+    bootstrap interval, this interval has a width above 0 even if all plans stand or all plans fall.
 
     Args:
         rating: (p,) ratings of p packers, from 0 to 1.

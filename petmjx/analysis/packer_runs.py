@@ -32,11 +32,11 @@ MEASURES: Final[Mapping[str, str]] = {
     "kpi_2": "kpi_2, volume over area × height",
 }
 """Name of a column with a property of plans → heading of the column. Tables show the means of these columns beside the
-shares of standing plans. To add a column, add a line to this mapping and a column to :func:`plans_of`."""
+shares of standing plans. To add a column, add an entry to this mapping, and add the column to :func:`plans_of`."""
 
 ARRIVES: Final = "p_arrives"
-"""Column that exists if all runs simulated transport chains: the share of a plan's simulations in which the pallet
-arrives at the end of the chain."""
+"""Column with the share of a plan's simulations in which the pallet arrives at the end of the transport chain. The
+column exists if all runs simulated transport chains."""
 
 Run = RunResults | str | Path
 
@@ -48,7 +48,7 @@ def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResu
         InputError: there are fewer than two runs, two runs have the same name, or a folder has no run.
     """
     if isinstance(runs, str | Path | RunResults):
-        runs = [runs]  # a single run, since a string would otherwise be taken as a sequence of letters
+        runs = [runs]  # a string is a single run, and must not be taken as a sequence of letters
     runs_by_name = runs if isinstance(runs, Mapping) else None
     sources: list[Any] = (
         list(runs_by_name.values()) if runs_by_name else list_of(runs, "runs", object, "runs or folders")
@@ -80,7 +80,7 @@ def _names(folders: Sequence[Path]) -> list[str]:
 
 
 def check_names(names: Iterable[str]) -> None:
-    """Check that names can be used as names of folders.
+    """Check that the names of packers can be used as names of folders.
 
     Raises:
         InputError: a name cannot be the name of a folder.
@@ -95,13 +95,13 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
-    """A table with one row for each order and packer, sorted by order. The orders are those that the caller gave, and
-    all orders for which any packer has a plan.
+    """A table with one row for each order and packer, sorted by order. The table has the orders that the caller gave,
+    and all orders for which any packer has a plan.
 
     Args:
-        against: the comparison of the plans with the caller's orders. If None, the caller gave no orders, and the
-            numbers of ordered boxes that the runs state are used. If the runs do not state these numbers either, an
-            order is assumed to have as many boxes as its largest plan.
+        against: the comparison of the plans with the caller's orders. If ``against`` is None, the caller gave no
+            orders, and the numbers of ordered boxes that the runs state are used. If the runs do not state the numbers
+            of ordered boxes either, an order is assumed to have as many boxes as its largest plan.
 
     Returns:
         The columns ``plan_id``, ``packer``, ``order_boxes`` (number of boxes of the order), ``verdict`` (possibly
@@ -171,9 +171,9 @@ def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
     """(n,) for each row of the table, the area of the order's target (such as a pallet), m². All packers' plans for an
-    order have the same target. Usually, the area is that of the carrier. For the carrier ``footprint``, the area is
-    that of the smallest target of the benchmark BED-BPP that is large enough for all packers' plans. If no target is
-    large enough, the area is that of the smallest rectangle that is large enough.
+    order have the same target. Usually, this is the area of the carrier. For the carrier ``footprint``, this is the
+    area of the smallest target of the benchmark BED-BPP that is large enough for all packers' plans. If no target is
+    large enough, this is the area of the smallest rectangle that is large enough.
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y

@@ -25,14 +25,14 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
-"""Largest distance from the edge of a polygon at which a point outside counts as being on the edge, mm. The distance
-covers the rounding errors of float64 sums of millimetres."""
+"""A point outside a polygon counts as lying on its edge if its distance from the edge is at most this length, mm. The
+distance covers the rounding errors of float64 sums of millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """One convex polygon for each of n boxes. The vertices of a polygon are in counter-clockwise order. All polygons
-    have e vertices in the array; if a polygon has fewer, its last vertex is repeated.
+    """One convex polygon for each of n boxes. The vertices of a polygon are in counter-clockwise order. In the array,
+    all polygons have e vertices; if a polygon has fewer than e vertices, its last vertex is repeated.
 
     Attributes:
         vertex: (n, e, 2) x and y of the vertices, mm; NaN if a box has no polygon.
@@ -76,8 +76,8 @@ class Hulls:
 
 
 def contact_hulls(contacts: PlanContacts) -> Hulls:
-    """For each box, the convex hull of the areas on which the box lies. For a box that lies on a single rectangle, the
-    hull is this rectangle."""
+    """For each box, the convex hull of the areas on which the box lies. If a box lies on a single rectangle, the hull
+    is this rectangle."""
     single = contacts.n_supports == 1
     several = np.flatnonzero(contacts.n_supports > 1)
     hulls: list[FloatArray] = []
@@ -156,9 +156,9 @@ class PlanContacts:
         under_low_mm, under_high_mm: (c, 2) lowest and highest x and y of the whole surface under the upper box: the top
             of the lower box, or a deck board. On a carrier without boards, this is the base of the upper box.
         tolerance_mm: largest gap or overlap between two bodies that touch, mm.
-        mass_center_mm: (n, 3) offsets of the centres of mass from the boxes' middles, as in ``Plan``. If None, the
-            centres of mass are in the middles.
-        room: the room between the carrier's walls. If None, the carrier has no walls.
+        mass_center_mm: (n, 3) offsets of the centres of mass from the boxes' middles, as in ``Plan``. If
+            ``mass_center_mm`` is None, the centres of mass are in the middles.
+        room: the room between the carrier's walls. If ``room`` is None, the carrier has no walls.
     """
 
     size_mm: FloatArray
@@ -204,7 +204,7 @@ class PlanContacts:
         return on_carrier
 
     def borne_corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n, 4) whether each bottom corner of each box lies on something, within the tolerance. A corner on the edge
+        """(n, 4) whether each bottom corner of each box lies on a support, within the tolerance. A corner on the edge
         of a surface counts as lying on the surface.
 
         Args:
@@ -227,7 +227,7 @@ class Sides:
     Attributes:
         first, second: (s,) indices of the two boxes that touch, or ``CARRIER`` for a wall. The second box has the
             larger coordinate along the axis.
-        axis: (s,) the horizontal axis that is perpendicular to the rectangle: 0 for x, 1 for y.
+        axis: (s,) the horizontal axis that is perpendicular to the rectangle, 0 for x and 1 for y.
         low_mm, high_mm: (s, 3) lowest and highest corner of the rectangle. The rectangle's extent along ``axis`` is 0.
     """
 
@@ -260,9 +260,9 @@ def find_contacts(
         tolerance_mm: largest vertical gap or overlap of two boxes that touch, and width up to which contacts are
             ignored, mm. The default, half a millimetre, is the rounding error of whole millimetres, as in warnings
             about plans.
-        deck_mm: (b, 2, 2) lowest and highest x and y of each board of the carrier's deck. If None, the carrier extends
-            under all boxes.
-        room: the room between the carrier's walls. If None, the carrier has no walls.
+        deck_mm: (b, 2, 2) lowest and highest x and y of each board of the carrier's deck. If ``deck_mm`` is None, the
+            carrier extends under all boxes.
+        room: the room between the carrier's walls. If ``room`` is None, the carrier has no walls.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     below, above = np.nonzero(_rests(low, high, tolerance_mm))
@@ -344,9 +344,9 @@ def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
 
 
 LYING_GAP_M: Final = TOUCH_M
-"""Largest gap between two boxes of which one lies on the other, m, as in the criteria. A smaller value would not do: if
-three supports have the same planned height, differences of micrometres determine which of them bear the load, and these
-differences vary between simulators and between real pallets."""
+"""Largest gap between two boxes of which one lies on the other, m, as in the criteria. A smaller limit would ignore
+some supports: if three supports have the same planned height, differences of micrometres determine which of them bear
+the load, and these differences vary between simulators and between real pallets."""
 
 SIDE_GAP_M: Final = 1e-5
 """Largest gap between two boxes that touch side by side, m: slightly more than the rounding error of a pose in float32.
@@ -358,7 +358,7 @@ class TouchPoints:
     """The p points at which boxes touch each other, the carrier or the floor. Each field has one row per point.
 
     Attributes:
-        first, second: (p,) the two bodies that touch: indices of boxes, or ``CARRIER`` for the carrier and for the
+        first, second: (p,) the two bodies that touch, as indices of boxes, or ``CARRIER`` for the carrier and for the
             floor, which do not move.
         position_m: (p, 3) positions of the points, m.
         frame: (p, 3, 3) three unit vectors at each point, one per row: the normal from the first body to the second,
@@ -379,7 +379,7 @@ class TouchPoints:
     sign: FloatArray
 
     def some(self, which: NDArray[np.bool_]) -> TouchPoints:
-        """Those points for which ``which`` (p,) is true."""
+        """The points for which the mask ``which`` (p,) is true."""
         return TouchPoints(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
@@ -396,9 +396,9 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
 
     model = build_spec(scene, physics).compile()
     model.pair_margin[:] += LYING_GAP_M
-    model.geom_margin[:] += LYING_GAP_M / 2  # half of the gap, because MuJoCo adds the margins of the two geoms
+    model.geom_margin[:] += LYING_GAP_M / 2  # half of it, because MuJoCo adds the margins of two geoms
     data = mujoco.MjData(model)
-    poses = data.qpos.reshape(-1, 7)[1:]  # the first pose is that of the carrier
+    poses = data.qpos.reshape(-1, 7)[1:]  # the first row is the pose of the carrier
     poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat
     mujoco.mj_kinematics(model, data)
     mujoco.mj_collision(model, data)

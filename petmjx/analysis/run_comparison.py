@@ -122,8 +122,9 @@ class Comparison:
 
     @property
     def flips_within(self) -> float | None:
-        """How near to a threshold all worlds with different verdicts are: the smallest x for which each of them has a
-        ``margin`` between -x and x in at least one run. None if none of them has a margin."""
+        """How near to a threshold all worlds with different verdicts are: the smallest x for which each of these worlds
+        has a ``margin`` between -x and x in at least one run. The result is None if none of these worlds has a margin.
+        """
         nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()
         return None if pd.isna(nearer) else float(nearer)
 
@@ -144,8 +145,8 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
     the same variant.
 
     Args:
-        packers: whether the plans of the runs come from two packers. If so, their plans are expected to differ, and
-            there is no note about different plans.
+        packers: whether the plans of the runs come from two packers. If the plans come from two packers, they are
+            expected to differ, so there is no note about different plans.
 
     Raises:
         InputError: a folder has no run, is damaged, or has the same world twice.
@@ -228,8 +229,8 @@ def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
     position, quaternion = ("pos_x_m", "pos_y_m", "pos_z_m"), ("quat_w", "quat_x", "quat_y", "quat_z")
     distance = np.linalg.norm(rows("b", *position) - rows("a", *position), axis=1)
     q_a, q_b = rows("a", *quaternion), rows("b", *quaternion)
-    # The angle is 4·asin(chord / 2). The chord is the smaller one of |q_a - q_b| and |q_a + q_b|, because q and -q are
-    # the same orientation. Unlike a formula with acos, this formula is exact for small angles.
+    # The angle is 4·asin(chord / 2). The chord is |q_a - q_b| or |q_a + q_b|, whichever is smaller, because q and -q
+    # are the same orientation. Unlike a formula with acos, this formula is exact for small angles.
     chord = np.minimum(np.linalg.norm(q_a - q_b, axis=1), np.linalg.norm(q_a + q_b, axis=1))
     angle = np.degrees(4 * np.arcsin(np.clip(chord / 2, 0, 1)))
     return boxes.assign(position_m_a=0.0, position_m_b=distance, orientation_deg_a=0.0, orientation_deg_b=angle)

@@ -47,7 +47,7 @@ from petmjx.world.job import FORCE, Drive
 from petmjx.world.scene import Scene
 
 MOST_DROPS: Final = 8
-"""Largest number of drops that are listed as separate events."""
+"""Largest number of boxes whose drops are listed as separate events."""
 
 
 class Event(NamedTuple):
@@ -215,16 +215,16 @@ def tell(
 
     Args:
         plan_id: the plan's id; or the plan itself.
-        source: a run (its folder, or the result of ``petmjx.load_run``), or plans as for ``petmjx.score``. If None, the
-            bundled sample plans are used.
+        source: a run (its folder, or the result of ``petmjx.load_run``), or plans as for ``petmjx.score``. If
+            ``source`` is None, the bundled sample plans are used.
         plans: the files of a run's plans, if these files have been moved since the run.
         variant: index of the variant, as in the table ``worlds``, for a run that simulated each plan several times. The
             default is the nominal variant, which has no errors.
         interval_s: time between two frames, s. The default is 0.05 s. There is also a frame at each placement of a box
             and at the end.
-        details: whether frames of a new simulation also have accelerations, penetrations and contacts. The default is
-            yes. Only the engine ``mujoco`` can record these details. If the run has a recording of the world, the
-            recording is used, unless ``interval_s`` or ``details`` is given.
+        details: whether frames of a new simulation also have accelerations, penetrations and contacts. By default,
+            frames have these details. Only the engine ``mujoco`` can record details. If the run has a recording of the
+            world, the recording is used, unless ``interval_s`` or ``details`` is given.
         options: fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``; they are allowed only if the source is
             not a run.
 
@@ -304,7 +304,8 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
 
 
 def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
-    """The engine of a run and "". If this engine cannot run here, C MuJoCo and a note about the change."""
+    """The engine that makes the story, and a note. If the run's engine can run on this machine, the result is this
+    engine and an empty note. Otherwise, the result is C MuJoCo and a note about the change."""
     name = config.get("engine")
     if name not in ENGINES:
         return make_engine(
@@ -352,7 +353,7 @@ def _difference(story: Story, run: RunResults) -> str:
 
 
 def _outcome_text(world: Mapping[str, Any]) -> str:
-    """The verdict on a world, its reason, and the first box that failed, in a few words."""
+    """In a few words, the verdict on a world, the reason of the verdict, and the first box that failed."""
     culprit = world["culprit"]
     by = f" by {world['reason']}" if world["reason"] else ""
     known = culprit is not None and culprit >= 0
@@ -360,7 +361,7 @@ def _outcome_text(world: Mapping[str, Any]) -> str:
 
 
 MOST_LEANING: Final = 3
-"""Largest number of boxes that are named in a line about leaning boxes."""
+"""A line about leaning boxes names this number of boxes, or fewer."""
 
 REASONS: Final = {
     Reason.NONE: "no box shifted by more than {shift}, tilted by more than {tilt:g}° or dropped",
@@ -380,7 +381,7 @@ for thresholds and for the number of boxes that dropped."""
 
 
 def thresholds_of(story: Story) -> Thresholds:
-    """The thresholds with which the verdict was decided."""
+    """The thresholds from which the verdict of the story's world follows."""
     return Thresholds(**story.options.get("thresholds", {}))
 
 
@@ -403,8 +404,8 @@ def reason_in_words(story: Story) -> str:
 
 
 def notes_in_words(story: Story) -> list[str]:
-    """Warnings for the reader, one line each: the story's note, and reasons why the verdict is doubtful, such as boxes
-    that still move."""
+    """Warnings for the reader, one line each: the story's note, and lines with reasons why the verdict is doubtful,
+    such as boxes that still move."""
     outcome = story.outcome
     notes = [story.note] if story.note else []
     if outcome.verdict is Verdict.INVALID:
@@ -432,7 +433,7 @@ def _knife_edge(story: Story) -> str:
     table_edges = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
     recomputed_edges = list(edges_again(story.scene, outcome))
     nearest = nearest_edge(table_edges, outcome.verdict)
-    if nearest is None:  # the tables lack the nearest edge, for example if the load is a box's own weight
+    if nearest is None:  # the tables do not have the nearest edge, for example if the load is a box's own weight
         nearest = nearest_edge(recomputed_edges, outcome.verdict) or nearest_edge([*table_edges, *recomputed_edges])
     else:  # the tables do not tell whether the load is the box's own weight
         nearest = next((edge for edge in recomputed_edges if is_same_edge(edge, nearest)), nearest)
@@ -497,8 +498,8 @@ def _gap_mm(story: Story, box: int) -> float:
 
 
 def _signs(story: Story, box: int) -> list[str]:
-    """A text for each limit that the box had crossed at the time of the first failure, such as "was tilted by 20.1°
-    (limit 20°)". Values between two frames are interpolated."""
+    """A text for each limit that the box had crossed at the moment at which the first box of the world failed, such as
+    "was tilted by 20.1° (limit 20°)". Values between two frames are interpolated."""
     limits = thresholds_of(story)
     pos, quat = (_at(story, values[:, box])[None] for values in (story.history.pos, story.history.quat))
     if not np.isfinite(pos).all():

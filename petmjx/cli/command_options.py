@@ -75,8 +75,8 @@ class _Option:
     """An option of a command, made from a field of an option record.
 
     Attributes:
-        path: names of the fields that lead from the outermost record to the value. Usually, this is a single name; for
-            a field of a record within a record, it is a path such as ``("thresholds", "shift_m")``.
+        path: names of the fields that lead from the outermost record to the value. Usually, ``path`` is a single name;
+            for a field of a record within a record, ``path`` is a tuple such as ``("thresholds", "shift_m")``.
         section: heading under which the help lists the option.
     """
 
@@ -92,8 +92,8 @@ class _Option:
 
     @property
     def kind(self) -> Any:
-        """The type to which typer converts the value: int, float, bool or Path if the field has this type. For other
-        fields, it is text, which the option record converts and checks."""
+        """The type to which typer converts the value: int, float, bool or Path if the field has this type. For all
+        other fields, the type is text, which the option record converts and checks."""
         kinds = get_args(self.info.annotation) or (self.info.annotation,)
         if str in kinds or get_origin(self.info.annotation) is tuple:
             return str
@@ -137,15 +137,15 @@ def takes(
     simulated: str = SIMULATED,
     more: Sequence[tuple[type[CheckedRecord], str]] = (),
 ) -> Callable[[Command], Command]:
-    """Decorator that gives a command the options of ``Simulation`` and ``RunOptions``: all of them, all but some, or
-    only the named ones.
+    """Decorator that gives a command options of ``Simulation`` and ``RunOptions``: all options, all but some, or only
+    some.
 
     The command receives only the options that were typed, as keyword arguments with the names of the fields. Records
     within records become dictionaries. An error about a field names the option in the form in which the user typed it.
 
     Args:
-        fields: names of fields of the two records. If empty, all fields are used.
-        without: fields that are left out.
+        fields: names of fields of the two records. If ``fields`` is empty, all fields are used.
+        without: names of the fields that are left out.
         simulated: heading of the options of ``Simulation``.
         more: further option records, each with the heading of its options in the help. The fields of these records
             replace fields of ``Simulation`` that have the same names.
@@ -275,14 +275,14 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
         raise InputError(f"--set {printable(names[0])}: unknown field; there are {', '.join(settable)}")
     try:
         return names, tomllib.loads(f"value = {value}")["value"]
-    # The text is not TOML, has a number with thousands of digits, or has lists nested too deeply.
+    # The text is not TOML, or has a number with thousands of digits or lists nested too deeply.
     except (ValueError, RecursionError):
         return names, value.strip()
 
 
 def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
     """Store a value at its path in nested tables. The user may set a record by its name, by a table and by single
-    values, in any order; all of them take effect."""
+    values, in any order, and all of these settings take effect."""
     *records, field = path
     for name in records:
         inner = tables.get(name, {})

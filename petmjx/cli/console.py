@@ -1,4 +1,4 @@
-"""Standard output and standard error. Either may be a terminal, a file, a pipe, or closed."""
+"""Standard output and standard error. Each of the two may be a terminal, a file, a pipe, or closed."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "
 
 
 def results_console() -> Console:
-    """A console of rich on standard output. It is as wide as the terminal, or has ``PIPED_WIDTH`` columns if the output
-    is not a terminal."""
+    """A console of the library rich on standard output. The console is as wide as the terminal, or has ``PIPED_WIDTH``
+    columns if the output is not a terminal."""
     from rich.console import Console
 
     piped = "COLUMNS" not in os.environ and not sys.stdout.isatty()

@@ -98,8 +98,8 @@ def _convert_orders(files: list[Path], out: Path, target: str | None, options: d
 
 
 def print_skipped(lines: list[str]) -> None:
-    """Print lines about skipped plans on standard error: the first ``SHOWN_SKIPPED`` lines, and the number of the
-    others."""
+    """Print lines about skipped plans on standard error: the first ``SHOWN_SKIPPED`` lines, and the number of skipped
+    plans without a line."""
     for line in lines[:SHOWN_SKIPPED]:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if len(lines) > SHOWN_SKIPPED:

@@ -33,8 +33,8 @@ def export(
 ) -> None:
     """Write the exact MuJoCo model of one plan as MJCF, with every box at its place. MuJoCo's viewer can open it.
 
-    If DIR, the folder of a run, is given, the model is the one that the run simulated. Otherwise, the options determine
-    the model.
+    If DIR, the folder of a run, is given, the model is the one that the run simulated. Without DIR, the options
+    determine the model.
     """
     from petmjx.results.read_files import source_files
     from petmjx.world.mujoco_model import to_mjcf

@@ -74,8 +74,8 @@ def label(
     """Simulate placements of boxes, and write the results (labels) as data with which a model can be trained or tested.
 
     The command writes a Parquet table for each split (train, validation, test). Orders with the same boxes are always
-    in the same split. It also writes a card that states what the tables contain, how they were made, and how accurate
-    simple rules and petmjx's own estimate are.
+    in the same split. The command also writes a card that states what the tables contain, how they were made, and how
+    accurate simple rules and petmjx's own estimate are.
     """
     from petmjx.cli.run_command import RunInterrupted
     from petmjx.loop.label_files import write_labels

@@ -1,4 +1,4 @@
-"""The command-line application. It reports each error by one line on standard error and an exit code."""
+"""The command-line application, which reports each error by one line on standard error and an exit code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from petmjx.version import __version__
 
 
 class ExitCode(IntEnum):
-    """The exit codes of commands. A command that works returns 0, whether plans stand or fall."""
+    """The exit codes of commands. A command that ends without an error returns 0, whether plans stand or fall."""
 
     OK = 0
     FAILURE = 1
@@ -41,12 +41,12 @@ _BY_SIGNAL = {
     signal.SIGINT: ExitCode.INTERRUPTED,
     signal.SIGTERM: ExitCode.TERMINATED,
 }
-"""Signal → exit code after this signal: 128 + the number of the signal, as in shells."""
+"""Signal → exit code after this signal, which is 128 + the number of the signal, as in shells."""
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
-"""The exception for wrong usage, Click's UsageError. Its module depends on the version of typer, so it is taken from a
-class that inherits from it."""
+"""The exception for wrong usage, Click's UsageError. The module in which Click's UsageError is defined depends on the
+version of typer, so the exception is taken from a class that inherits from it."""
 
 
 _SETTINGS = SimpleNamespace(debug=False)
@@ -79,16 +79,16 @@ the function in this module have the same name as the command, with underscores.
 
 def application(words: Sequence[str] = ()) -> typer.Typer:
     """Make the application. If ``words``, the arguments of the command line, name a command, the application has only
-    this command; otherwise, it has all commands.
+    this command; otherwise, the application has all commands.
 
-    The reason is speed: to load the modules of all commands takes longer than to score a few plans.
+    Loading the modules of all commands would take longer than scoring a few plans.
     """
     app = typer.Typer(
         name="petmjx",
         help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
         epilog="Exit codes: 0 success, whatever the verdicts are; 1 internal failure; 2 unusable input or options; 130 "
         "interrupted (143 by SIGTERM, 129 by SIGHUP).",
-        rich_markup_mode=None,  # in rich's layout, only 24 of 80 columns would be left for the descriptions
+        rich_markup_mode=None,  # rich's layout would leave only 24 of 80 columns for the descriptions
         context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
     )
     app.callback()(options)
@@ -123,7 +123,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
     Args:
-        arguments: the arguments without the program's name. If None, those of this process are used.
+        arguments: the arguments without the program's name. If ``arguments`` is None, the arguments of this process are
+            used.
     """
     _SETTINGS.debug = False
     return run_app(application, arguments)
@@ -137,8 +138,8 @@ def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[st
     try:
         sys.stdout.flush()
     except OSError:
-        # Standard output cannot be written. Without the next line, Python would try to write again at exit, and print
-        # an error.
+        # This branch is for standard output that cannot be written. Without the next line, Python would try to write
+        # again at exit, and print an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
@@ -146,9 +147,9 @@ def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[st
 def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] | None) -> int:
     try:
         command_words = sys.argv[1:] if arguments is None else list(arguments)
-        if "" in command_words:  # refused, because an empty path would mean the current folder
+        if "" in command_words:  # an empty argument is refused, because an empty path would mean the current folder
             raise InputError(f"argument {command_words.index('') + 1} is empty; is a shell variable not set?")
-        if "-" in command_words:  # refused, because "-" would be read as the name of a file
+        if "-" in command_words:  # "-" is refused, because it would be read as the name of a file
             raise InputError(
                 f'argument {command_words.index("-") + 1} is "-", which is not supported: '
                 "name a file, or /dev/stdout for standard output"
@@ -157,7 +158,7 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
             result = make(command_words)(args=command_words or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns this code instead of raising KeyboardInterrupt
             return _report("interrupted", _BY_SIGNAL[signal.Signals(last_stop() or signal.SIGINT)])
-        sys.stdout.flush()  # an error of writing is raised here at the latest
+        sys.stdout.flush()  # if the output cannot be written, this line raises the error
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:
         return _report("interrupted", ExitCode.INTERRUPTED)

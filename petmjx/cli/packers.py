@@ -34,7 +34,7 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
 
     check_names(plans)
     for path in plans.values():
-        if not Path(path).exists():  # check all paths before plans are simulated
+        if not Path(path).exists():  # all paths are checked before any plan is simulated
             raise InputError(f"{printable(path)}: no such file or folder")
     new_folder = None if "out" in options or options.get("resume") else default_folder()
     parent = options.get("out", new_folder)

@@ -1,4 +1,4 @@
-"""Packs orders with a search and a simulation: ``petmjx samples --packer physical``."""
+"""Packs orders with a search and simulations, for the command ``petmjx samples --packer physical``."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 MOST_NAMED: Final = 10
-"""Largest number of generated orders with a separate line about left-out boxes, and largest number of orders that a
-line names."""
+"""Largest number of generated orders for which a separate line about left-out boxes is printed, and largest number of
+orders that a single line names."""
 
 
 def write_physical(
@@ -57,8 +57,8 @@ def write_physical(
 
 
 def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
-    """Yield a line for each order of which boxes were left out. For generated orders, there are at most ``MOST_NAMED``
-    lines, and a line with the number of the others."""
+    """Yield a line for each order of which boxes were left out. For generated orders, only the first ``MOST_NAMED``
+    lines are yielded, and a line with the number of all further orders."""
     incomplete = [packed for packed in packings if packed.left_out]
     few = incomplete if named else incomplete[:MOST_NAMED]
     for packed in few:
@@ -68,7 +68,7 @@ def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
 
 
 def _not_good(packings: list[Any]) -> Iterator[str]:
-    """Yield a line that names orders for which no packing was found that stands in the required share of
+    """Yield a line that names orders without a good packing. A packing is good if it stands in the required share of
     simulations."""
     shaky = [packed for packed in packings if packed.taken is not None and not packed.good]
     if shaky:

@@ -28,7 +28,8 @@ _OF_RUNS = (
     "workers", "ray", "record", "record_interval_s", "record_details", "orders", "allow_large", "out", "overwrite",
     "resume", "shard", "force_intervals", "keep", "confidence", "exact_too",
 )  # fmt: skip
-"""Options of runs and of scores that a repair does not have, because they have no meaning for it."""
+"""Options of runs and of scores that the command ``repair`` does not have, because they have no meaning for a
+repair."""
 
 
 @opt.takes(without=_OF_RUNS, more=((RepairOptions, CHANGED), (Confidence, opt.HOW_SURE)))

@@ -36,8 +36,8 @@ AGAIN_S: Final = 0.05
 
 
 class RunInterrupted(Exception):
-    """Ctrl-C or a signal has ended the run. The message tells how far the run has come. (A KeyboardInterrupt cannot be
-    used: typer would swallow it and its message.)
+    """Ctrl-C or a signal has ended the run. The message tells how far the run has come. (The exception
+    KeyboardInterrupt cannot be used instead, because typer would swallow it and its message.)
 
     Attributes:
         number: number of the signal.
@@ -70,9 +70,9 @@ def last_stop() -> int | None:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Context in which SIGTERM and SIGHUP raise an exception, as Ctrl-C does, so that the code inside can clean up.
-    Signals in quick succession raise only one exception. A signal that the process ignores, as under nohup, remains
-    ignored. Every command runs inside ``stoppable``; a second ``stoppable`` inside it does nothing.
+    """Context in which SIGTERM and SIGHUP raise an exception, as Ctrl-C does, so that the code in the ``with`` block
+    can clean up. Signals in quick succession raise only one exception. A signal that the process ignores, as under
+    nohup, remains ignored. Every command runs inside ``stoppable``; a second ``stoppable`` inside it does nothing.
 
     Python ignores exceptions that are raised while an object is finalised (in ``__del__``), and Ray's objects are
     finalised often. If a signal arrives during a finalisation, the process sends itself the same signal a little later.
@@ -122,8 +122,8 @@ def run_and_show(
     """Execute a run with a progress bar, and print the results as tables or as JSON.
 
     Args:
-        run: function that executes the run. Its arguments are a watcher (the object that is told about the progress)
-            and the options, including the folder.
+        run: function that executes the run. The arguments of ``run`` are a watcher (the object that is told about the
+            progress) and the options, including the folder.
 
     Raises:
         RunInterrupted: Ctrl-C, SIGTERM or SIGHUP ended the run.
@@ -180,7 +180,7 @@ def default_folder() -> Path:
 
 
 def remove_empty(folder: Path) -> None:
-    """Delete an empty folder, in which a run has written nothing, and then its parent folder if that is empty."""
+    """Delete a folder in which a run has written nothing, and then the parent folder if that is empty, too."""
     with suppress(OSError):
         folder.rmdir()
         folder.parent.rmdir()

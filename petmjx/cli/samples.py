@@ -22,7 +22,7 @@ from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Largest number of generated orders with a separate line about left-out boxes."""
+"""Largest number of generated orders for which a separate line about left-out boxes is printed."""
 
 
 @opt.takes(

@@ -61,7 +61,7 @@ def show(
 ) -> None:
     """Show what happens to one plan: in words, as a page, in pictures, or as a film.
 
-    If DIR, the folder of a run, is given, the plan is simulated exactly as in that run. Otherwise, the options
+    If DIR, the folder of a run, is given, the plan is simulated exactly as in that run. Without DIR, the options
     determine the simulation. If you request no drawing, the command prints a text about the simulation in the terminal.
     """
     from petmjx.results.read_files import source_files
@@ -96,7 +96,7 @@ def _show_repair(
     """Repair a plan, and write a page that shows the plan before and after the repair.
 
     Args:
-        has_more: whether the user set options that the page about a repair does not support.
+        has_more: whether the user has set options that cannot be combined with ``--repair``.
     """
     from petmjx.options.run_options import RunOptions, sorted_options
     from petmjx.options.simulation import Simulation
@@ -162,7 +162,7 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
             bars: list[ProgressSink] = []
 
             def count(done: int, total: int, shown: ExitStack = shown, bars: list[ProgressSink] = bars) -> None:
-                if not bars:  # only the function that draws films calls ``count``
+                if not bars:  # ``count`` is called only if a film is drawn
                     bars.append(shown.enter_context(progress(total, "frame")))
                 bars[0].update(done)
 

@@ -30,9 +30,9 @@ def sweep(
 
     For each plan and each set of placement errors, the command simulates the placement of the boxes once. From the
     state in which the boxes are at rest, it then simulates all profiles (motions of the carrier), levels and
-    directions. It writes a row for each simulation, a row for each box of each simulation, and a summary. The summary
-    has the share of simulations in which the plan stands, with a 95 % interval if there are random errors. For a
-    search, it has the largest level survived and the box that fails first.
+    directions. The command writes a row for each simulation, a row for each box of each simulation, and a summary. The
+    summary has the share of simulations in which the plan stands, with a 95 % interval if there are random errors. For
+    a search, the summary has the largest level survived and the box that fails first.
 
     Options of the command replace values in the sweep file's [simulation] table.
     """

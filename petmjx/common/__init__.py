@@ -1,1 +1,2 @@
-"""The base of petmjx: errors, texts, units, files, checks, processes. It imports no other package of petmjx."""
+"""The base of petmjx: errors, texts, units, files, checks, processes. This package imports no other package of
+petmjx."""

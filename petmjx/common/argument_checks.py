@@ -33,12 +33,12 @@ def path_of(value: Any, name: str) -> Path:
 
 
 def text_of(value: Any, name: str) -> str:
-    """The value, if it is text. Raises InputError if it is not."""
+    """The value, if it is text. Raises InputError if the value is not text."""
     return instance_of(value, name, str, "text")
 
 
 def flag_of(value: Any, name: str) -> bool:
-    """The value, if it is True or False. Raises InputError if it is neither."""
+    """The value, if it is True or False. Raises InputError if the value is neither of the two."""
     if not isinstance(value, bool | np.bool_):
         raise InputError(f"{name} must be true or false, {shown_value(value)}")
     return bool(value)
@@ -114,8 +114,8 @@ def array_of(values: Any, name: str, shape: tuple[int, ...], *, may_lack: bool =
     """The values as an array of finite float64 numbers.
 
     Args:
-        shape: shape of one entry: (3,) for an array of shape (n, 3), () for an array of shape (n,).
-        may_lack: whether NaN is allowed, with the meaning that a value is not given.
+        shape: shape of one entry, such as (3,) if the array has the shape (n, 3), or () if it has the shape (n,).
+        may_lack: whether the array may have NaN, which means that a value is not given.
 
     Raises:
         InputError: the value is not an array of finite numbers, or has another shape.

@@ -21,12 +21,12 @@ length are counted."""
 
 _ROWS: Final = 1 << 16
 _FEW_ROWS: Final = 1 << 8
-"""Number of rows that are read at a time. ``_FEW_ROWS`` is used for files in which texts may be long although the file
-is small."""
+"""Numbers of rows that are read at a time. ``_FEW_ROWS`` is for files in which texts may be long although the file is
+small, and ``_ROWS`` is for all other files."""
 
 _PREFIXED: Final = "DELTA_BYTE_ARRAY"
-"""Name of a Parquet encoding. For each text, it stores the rest of the text, and the length of the prefix that the text
-shares with the previous text. So a few stored bytes can stand for a long text."""
+"""Name of a Parquet encoding. With this encoding, a file stores for each text the length of the prefix that the text
+shares with the previous text, and the rest of the text. So a few stored bytes can stand for a long text."""
 
 
 def open_for_arrow(path: Path) -> pa.NativeFile:
@@ -34,17 +34,17 @@ def open_for_arrow(path: Path) -> pa.NativeFile:
     following reason.
 
     Arrow reads Parquet in its own threads. A thread may free its buffers only after the table has been returned. To
-    free buffers that belong to Python, the thread needs the interpreter. If the interpreter is shutting down at that
-    moment, the process aborts ("terminate called without an active exception") or hangs:
+    free a buffer that belongs to Python, such a thread must get the lock of Python's interpreter. If the interpreter is
+    shutting down at that moment, the process aborts ("terminate called without an active exception") or hangs:
     https://github.com/apache/arrow/issues/34314 and https://github.com/apache/arrow/issues/50482.
 
     Raises:
         OSError: the file cannot be read, or is not a regular file; ``strerror`` has the reason.
         ValueError: no file can have this name.
     """
-    # Python checks the file first, since Arrow would wait for FIFOs. pa.OSFile accepts names of any bytes. Other
-    # functions of Arrow read "s3:" as a scheme and "a=1" in a folder's name as a column, and refuse names that are not
-    # UTF-8.
+    # Python checks the file first, since Arrow would wait for ever if the file were a FIFO. pa.OSFile accepts a name
+    # that consists of any bytes. Other functions of Arrow read "s3:" as a scheme and "a=1" in a folder's name as a
+    # column, and refuse names that are not UTF-8.
     with open_regular(path):
         return pa.OSFile(os.fsencode(path))
 
@@ -60,7 +60,7 @@ def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) ->
     read.
 
     Args:
-        columns: names of the columns. If None, all columns are counted.
+        columns: names of the columns. If ``columns`` is None, all columns are counted.
     """
     metadata, chosen = file.metadata, None if columns is None else set(columns)
     n_bytes = 0
@@ -81,13 +81,13 @@ def read_within(
     most: int = MOST_BYTES,
     nested: bool = False,
 ) -> pa.Table:
-    """Read columns of a Parquet file within limits. A file without limits could fill the memory: a few bytes in the
-    file may stand for millions of rows, and a short code may stand for a long text in each row.
+    """Read columns of a Parquet file, but refuse a file whose columns would take too much memory. A few bytes in a file
+    may stand for millions of rows, and a short code may stand for a long text in each row.
 
     Args:
-        columns: names of the columns. If None, all columns are read.
-        free, most: the memory that the columns of any file may take, and the largest memory that they may take even if
-            the file is large, bytes.
+        columns: names of the columns. If ``columns`` is None, all columns are read.
+        free: memory that the columns may take whatever the size of the file, bytes.
+        most: largest memory that the columns may take, even if the file is large, bytes.
         nested: whether columns may contain lists of numbers, and tables of numbers.
 
     Raises:
@@ -110,8 +110,8 @@ def read_within(
                 raise ValueError(f"the column {printable_name(name)} holds lists or tables, which are not supported")
         texts = [name for name in names if _is_text(schema.field(name).type)]
         by_prefix = set(_columns_by_prefix(metadata))
-        # Texts are read as dictionary codes, and are decoded when their lengths are known. Arrow cannot read
-        # prefix-coded texts as codes.
+        # Texts are read as dictionary codes, and are decoded when their lengths are known. If a file stores only the
+        # rest of a text after a shared prefix, Arrow cannot read the text as a code.
         codes = [name for name in texts if name not in by_prefix]
         coded = pq.ParquetFile(stream, metadata=metadata, read_dictionary=codes)
         few = not by_prefix.isdisjoint(names)
@@ -169,7 +169,7 @@ def _decoded_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch
 
 
 def parquet_table(path: Path) -> pa.Table:
-    """Read a whole Parquet file within limits.
+    """Read a whole Parquet file, but refuse a file that would take too much memory.
 
     Raises:
         OSError: the file cannot be read, or is not a regular file.
@@ -185,6 +185,6 @@ def parquet_table(path: Path) -> pa.Table:
 
 
 def parquet_rows(path: Path) -> Iterator[dict[str, Any]]:
-    """The rows of a Parquet file, one by one. Limits and errors are those of :func:`parquet_table`."""
+    """The rows of a Parquet file, one by one. The limits and the errors are the same as in :func:`parquet_table`."""
     for batch in parquet_table(path).to_batches(_FEW_ROWS):
         yield from batch.to_pylist()

@@ -1,6 +1,6 @@
 """Records that check their own values (``CheckedRecord``), and their one-line error messages.
 
-All errors of pydantic are turned into lines here. This module also decides how messages name an option: by its flag if
+This module turns all errors of pydantic into lines. The module also decides how messages name an option: by its flag if
 the command line is running, otherwise by its argument in Python.
 """
 
@@ -41,12 +41,12 @@ def typed_options() -> Iterator[None]:
 
 
 def option(flag: str, value: str = "", *, python: str = "") -> str:
-    """The name of an option in messages: "--overwrite" on the command line, "overwrite=True" in Python.
+    """The name of an option in messages, such as "--overwrite" on the command line or "overwrite=True" in Python.
 
     Args:
         flag: the flag as users type it, such as ``--out``.
-        value: value that the message shows for the argument in Python, such as ``True``. If empty, only the argument's
-            name is shown.
+        value: value that the message shows for the argument in Python, such as ``True``. If ``value`` is empty, only
+            the argument's name is shown.
         python: name of the argument in Python, if it differs from the flag's name.
     """
     if _typed:
@@ -81,14 +81,14 @@ MOST_TOML_BYTES: Final = 16 << 20
 """Largest size of a TOML file. As an example, a list of 100,000 time windows with forces takes half of this size."""
 _MOST_PARTS: Final = 64
 _MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
-"""Matches a dotted key with more than ``_MOST_PARTS`` parts. The time of tomllib grows with the square of the number of
-parts, so a very long key would take minutes."""
+"""Regular expression that matches a dotted key of TOML with more than ``_MOST_PARTS`` parts. The time that tomllib
+needs grows with the square of the number of parts, so a very long key would take minutes."""
 
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
-"""Tags for unions of types, such as a number or a list of numbers: the tag says whether the value is a table, a list or
-a single value. pydantic inserts tags into the path of an error, and ``describe`` removes the tags. The angle brackets
+"""Tags for unions of types, such as a number or a list of numbers. A tag says whether a value is a table, a list or a
+single value. pydantic inserts tags into the path of an error, and ``describe`` removes the tags. The angle brackets
 distinguish tags from names of fields."""
 
 
@@ -141,7 +141,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
             raise InputError(describe(error)) from None
 
     def changed(self, **values: Any) -> Self:
-        """A checked copy with other values for some fields.
+        """A copy of the record in which some fields have new values. The new values are checked.
 
         If the value of a field is a record, a table can be its new value. The table changes only those entries of the
         record that it names, except that a table with a ``name`` replaces the whole record.
@@ -171,7 +171,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
 
 def _lax(annotation: Any, value: Any) -> str:
     """The error text ("must be …") for a value that pydantic would convert silently, such as the text "3" to the number
-    3. "" for all other values."""
+    3. The error text is empty for all other values."""
     union = isinstance(annotation, UnionType) or get_origin(annotation) is Union
     kinds = set(get_args(annotation)) if union else {annotation}
     kinds.discard(type(None))
@@ -199,7 +199,7 @@ def within(low: float, high: float) -> AfterValidator:
 
 def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a record, with new values for some of them. The values are not checked here. The outermost record
-    checks all values together later, so that an error has the path from the outermost record.
+    checks all values together later, so that an error message gives the path of the field from the outermost record.
     """
     fields = {name: getattr(record, name) for name in type(record).model_fields}
     for name, value in values.items():
@@ -211,15 +211,15 @@ def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, 
 
 
 def hint(name: str, known: Iterable[str]) -> str:
-    """A hint for an unknown name: "did you mean scale?", or a list of the known names."""
+    """A hint for a user who wrote an unknown name, such as "did you mean scale?", or a list of the known names."""
     names = list(known)
     close = difflib.get_close_matches(name, names, n=1)
     return f"did you mean {close[0]}?" if close else f"there are {', '.join(names)}"
 
 
 def similar(name: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown name, if there are too many known names for a list: "; did you mean
-    s0-000016?", or ""."""
+    """The end of a message about an unknown name, if there are too many known names for a list. The text suggests the
+    most similar name, as in "; did you mean s0-000016?", or is empty."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f"; did you mean {printable_name(close[0])}?" if close else ""
 
@@ -228,7 +228,7 @@ def complaint(text: str, *path: str | int) -> ValidationError:
     """An error that a validator of a value can raise about a field inside the value.
 
     Args:
-        text: the text that follows the field's path: "must be > 0", or, with a colon, ": unknown field".
+        text: the text that follows the field's path in the message, such as "must be > 0" or ": unknown field".
         path: the keys that lead from the validated value to the field.
     """
     kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
@@ -236,8 +236,8 @@ def complaint(text: str, *path: str | int) -> ValidationError:
 
 
 def shape(value: object) -> str:
-    """Whether a value is a table, a list or a single value: ``TABLE``, ``LIST`` or ``VALUE``. ``Discriminator(shape)``
-    lets pydantic choose the type within a union of types by this answer."""
+    """``TABLE``, ``LIST`` or ``VALUE``, depending on whether a value is a table, a list or a single value. With
+    ``Discriminator(shape)``, pydantic uses this function to choose one type of a union of types."""
     if isinstance(value, Mapping | BaseModel):
         return TABLE
     return LIST if isinstance(value, list | tuple) else VALUE
@@ -245,7 +245,7 @@ def shape(value: object) -> str:
 
 def by_entry(key: str) -> Discriminator:
     """A discriminator for a union of record classes: it chooses the class by the entry ``key`` of a table. The tag of a
-    class is the value of this entry in angle brackets.
+    class in the union is the value of the entry ``key`` in angle brackets.
     """
 
     def tag(value: object) -> str | None:
@@ -260,7 +260,7 @@ def by_entry(key: str) -> Discriminator:
 
 
 def shown_value(value: object) -> str:
-    """The end of a message: "got" and the value, in one line of limited length."""
+    """The end of a message with "got" and the value, in one line of limited length."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):
@@ -272,7 +272,7 @@ def shown_value(value: object) -> str:
 
 
 def describe(error: ValidationError) -> str:
-    """The first of pydantic's errors as one line: "simulation.interval_s must be > 0, got -1"."""
+    """The first of pydantic's errors as one line, such as "simulation.interval_s must be > 0, got -1"."""
     first = error.errors(include_url=False)[0]
     place = _path(first["loc"])
     text = _error_text(first["type"], first.get("ctx", {}), first.get("input"), first["msg"])
@@ -284,7 +284,7 @@ def describe(error: ValidationError) -> str:
 def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
     """The text that follows the path of a field in an error message."""
     if kind in (_COMPLAINT, "value_error"):
-        # raised by a validator of petmjx, so the text is complete
+        # a validator of petmjx raised the error, so the text is complete
         return message.removeprefix("Value error, ")
     if kind == "missing":  # an entry of a list is missing; CheckedRecord itself reports missing fields
         return "is missing"
@@ -292,7 +292,7 @@ def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str)
         return f"{_TEXTS[kind].format(**context)}, {shown_value(value)}"
     if kind in ("too_short", "too_long"):
         most, key = ("most", "max_length") if kind == "too_long" else ("least", "min_length")
-        length = context.get("actual_length")  # None if pydantic did not count to the end
+        length = context.get("actual_length")  # the length is None if pydantic did not count to the end
         limit = count_text(context[key], "entry", "entries")
         return f"must have at {most} {limit}, got {'more' if length is None else length}"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
@@ -314,7 +314,8 @@ def _no_member(context: Mapping[str, str], value: Any) -> str:
 
 
 def _path(location: tuple[int | str, ...]) -> str:
-    """A path in the notation of TOML and Python: fields by name, list entries as [i]. Tags of unions are left out."""
+    """The path of a value within a record, in the notation of TOML and Python: fields by name, list entries as [i]. The
+    path lacks the tags of unions."""
     path = ""
     for part in location:
         if isinstance(part, int):

@@ -39,7 +39,7 @@ def wanted_folder(kind: Kind) -> Path:
 
 
 def why_not_written(kind: Kind) -> str:
-    """The reason why compiled programs cannot be stored in ``wanted_folder``; "" if they can."""
+    """The reason why compiled programs cannot be stored in ``wanted_folder``; "" if they can be stored there."""
     try:
         folder = wanted_folder(kind)
     except RuntimeError as error:
@@ -49,7 +49,8 @@ def why_not_written(kind: Kind) -> str:
 
 
 def cache_folder(kind: Kind) -> Path:
-    """A writable folder for compiled programs: ``wanted_folder`` if it is writable, otherwise a temporary folder.
+    """A writable folder for compiled programs. This is ``wanted_folder`` if that folder is writable, otherwise a
+    temporary folder.
 
     Raises:
         EngineUnavailable: no folder is writable.

@@ -8,7 +8,7 @@ class PetmjxError(Exception):
 
 
 class InputError(PetmjxError):
-    """Unusable plans, sweep files or options. The command line ends with exit code 2."""
+    """Error for unusable plans, sweep files or options. The command line then ends with exit code 2."""
 
 
 class PlanWarning(UserWarning):

@@ -1,4 +1,5 @@
-"""Recognises files of kinds that petmjx cannot read by their first bytes, and provides an error text for each kind."""
+"""Recognises, by the first bytes of a file, the kinds of files that petmjx cannot read, and provides an error text for
+each kind."""
 
 from __future__ import annotations
 

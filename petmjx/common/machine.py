@@ -50,7 +50,7 @@ def own_environment() -> dict[str, str]:
 
 @functools.cache
 def cpu_name() -> str:
-    """The name of the processor. If the system does not know the name, the processor's architecture."""
+    """The name of the processor, or the processor's architecture if the system does not know the name."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -61,7 +61,8 @@ def cpu_name() -> str:
 
 @functools.cache
 def cuda_devices() -> tuple[str, ...]:
-    """Names of the CUDA devices according to the driver. The call takes milliseconds and allocates no device memory."""
+    """Names of the CUDA devices according to the driver. Asking the driver takes milliseconds and allocates no device
+    memory."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -100,11 +101,11 @@ def jax_devices(platform: str | None = None) -> list[Any]:
     """JAX's devices. JAX is started in a way that leaves device memory for Warp.
 
     When JAX first searches for its devices, XLA reserves three quarters of a GPU's memory unless an environment
-    variable forbids it. petmjx sets this variable only while JAX lists the devices. A value that the user has set
-    stays.
+    variable forbids it. petmjx sets this variable only while JAX lists the devices. If the user has set the variable,
+    its value stays.
 
     Args:
-        platform: one of JAX's platforms, such as "cuda". If None, JAX chooses the platform.
+        platform: one of JAX's platforms, such as "cuda". If ``platform`` is None, JAX chooses the platform.
 
     Raises:
         RuntimeError: JAX has no such devices.
@@ -145,7 +146,7 @@ def device_name(engine: str, threads: int | None = None) -> str:
     """The name of the device on which an engine simulates.
 
     Args:
-        threads: number of threads that an engine on the CPU uses. If None, it uses all threads.
+        threads: number of threads that an engine on the CPU uses. If ``threads`` is None, the engine uses all threads.
     """
     if engine == "mjx-warp" and cuda_devices():
         return cuda_devices()[0]

@@ -34,8 +34,8 @@ def check_outputs(
     Args:
         files: the files to be written. Names in ``/dev`` may always be written.
         inputs: files that the command reads, and folders whose files the command reads.
-        folder: the folder that the user named, if the user did not name the files. This folder may be a link, and it
-            need not exist.
+        folder: the folder that the user named, if the user did not name the files. The folder may be a link, and need
+            not exist.
         is_ours: function that tells whether petmjx wrote a file of ``folder``.
 
     Raises:

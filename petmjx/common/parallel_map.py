@@ -12,8 +12,8 @@ from typing import Final, Generic, Self, TypeVar
 from petmjx.common.processes import process_pool, stop
 
 ALONE: Final = 256
-"""If there are fewer tasks than this, all tasks run in this process. For tasks that take milliseconds, starting other
-processes would take longer."""
+"""Number of tasks below which all tasks run in this process. If the tasks take milliseconds, starting other processes
+would take longer than running the tasks."""
 
 _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
@@ -41,10 +41,11 @@ def ordered_results(
 
     Args:
         function: a function defined in a module (or ``functools.partial`` of one), since other processes import it.
-        tasks: the arguments of the calls. This process iterates over the tasks, only as far ahead as necessary.
-        workers: number of processes. If 1, only this process is used. Scripts that use several processes need ``if
-            __name__ == "__main__":``.
-        alone: if there are fewer tasks than this, all tasks run in this process. The default is ``ALONE``.
+        tasks: the arguments of the calls. This process takes the next task from the iterable only when another process
+            can soon start it.
+        workers: number of processes. If ``workers`` is 1, only this process is used. Scripts that use several processes
+            need ``if __name__ == "__main__":``.
+        alone: number of tasks below which all tasks run in this process. The default is ``ALONE``.
         chunk: number of tasks that another process receives at a time.
     """
     tasks, alone = iter(tasks), ALONE if alone is None else alone
@@ -76,8 +77,8 @@ class UnorderedResults(Generic[Task, Result]):
 
     Args:
         function, tasks: arguments of ``ordered_results``, which explains them.
-        workers: number of processes. If 1, only this process is used, and it runs a task when ``take`` waits for a
-            result.
+        workers: number of processes. If ``workers`` is 1, only this process is used, and it runs a task when ``take``
+            waits for a result.
     """
 
     def __init__(self, function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> None:
@@ -101,7 +102,7 @@ class UnorderedResults(Generic[Task, Result]):
         """Take the results that are ready. Each result comes with the number of its task.
 
         Args:
-            waits: whether to wait until at least one result is ready, if any task is left.
+            waits: whether to wait until at least one result is ready. If no task is left, the method never waits.
         """
         if self._pool is None:
             results = [(number, self._function(task)) for number, task in islice(self._tasks, int(waits))]

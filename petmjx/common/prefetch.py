@@ -22,10 +22,10 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
     """Yield the items of generators, while threads make further items in advance. The items of one generator keep their
     order. The items of different generators are mixed, in the order in which they are made.
 
-    The threads start when the first item is requested. All threads make items until ``most`` items wait in the queue,
-    and then each thread makes one more. An error of a generator is raised after all items that were made before the
-    error. The caller may close the returned generator early. Each source is then closed in its thread, after its
-    current item, and ``close`` returns when all threads have ended.
+    The threads start when the first item is requested. The threads make items until ``most`` items wait in the queue,
+    and then each thread makes one more item and pauses. An error of a generator is raised after all items that were
+    made before the error. The caller may close the returned generator early. Each generator that makes items is then
+    closed in its thread, after its current item, and ``close`` returns when all threads have ended.
 
     Args:
         most: number of items that may wait before the threads pause.

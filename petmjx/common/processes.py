@@ -26,8 +26,8 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
     Args:
         gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even if it does not use
             the GPU.
-        nice: niceness (lower priority) that is added to the processes, so that this process has priority over them. The
-            value has no effect on systems without niceness.
+        nice: niceness (lower priority) that is added to the processes, so that this process has priority over them. On
+            systems without niceness, ``nice`` has no effect.
     """
     return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu, nice))
 
@@ -61,8 +61,8 @@ boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with
 CPU of a machine with an H200 GPU."""
 
 _FEW: Final = 2
-"""Largest number of pieces that the calling thread processes alone, because it ends before other threads could
-start."""
+"""Largest number of pieces that the calling thread processes alone. With this number of pieces or fewer, other threads
+would start too late to help."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -93,8 +93,8 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
     thread.
 
     Args:
-        afterwards: whether a signal that arrived while the body ran is delivered after the body. If not, the signal is
-            dropped; this is for a run that is about to end anyway.
+        afterwards: whether a signal that arrived while the body ran is delivered after the body. If ``afterwards`` is
+            False, the signal is dropped, for a run that is about to end anyway.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -120,7 +120,7 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
 EVERY: Final = (50_000, 20, 100)
 """Thresholds of Python's garbage collector: the number of new objects after which it collects the youngest generation,
 and the numbers of collections after which it collects the two older generations. With Python's default of 700, 10 and
-10, it would scan all objects of JAX and Warp again and again while these packages start."""
+10, the collector would scan all objects of JAX and Warp again and again while these packages start."""
 
 
 def claim_process() -> None:
@@ -143,8 +143,8 @@ def collect_rarely() -> None:
 
 @contextlib.contextmanager
 def no_collection() -> Iterator[None]:
-    """Collect no garbage while the body runs. Useful for code that makes very many objects without cycles: the
-    collector would scan these objects again and again."""
+    """Collect no garbage while the body runs. This context is useful for code that makes very many objects without
+    cycles: otherwise, the collector would scan these objects again and again."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -30,7 +30,8 @@ _KINDS: Final = (
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file for reading. FIFOs, sockets and devices are refused at once, because some of them never end.
+    """Open a regular file for reading. FIFOs, sockets and devices are refused at once, because reading some of them
+    would never end.
 
     Raises:
         OSError: the file cannot be read, or is not a regular file; ``strerror`` has the reason.
@@ -49,7 +50,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_regular(path: Path, most: int) -> bytearray:
-    """Read the bytes of a regular file. If the file grows while it is read, it is read to its new end.
+    """Read the bytes of a regular file. If the file grows during the reading, the new bytes are read, too.
 
     Args:
         most: largest size in bytes. A larger file is refused, if possible before it is read.
@@ -80,10 +81,11 @@ def _too_large(most: int) -> OSError:
 
 
 def size(n_bytes: int) -> str:
-    """A number of bytes as messages show it: "4 GiB", "16 MiB"."""
+    """A number of bytes as messages show it, such as "4 GiB" or "16 MiB"."""
     return f"{n_bytes >> 30} GiB" if n_bytes >= 1 << 30 else f"{n_bytes >> 20} MiB"
 
 
 def allowed_bytes(file_bytes: int, free: int = FREE_BYTES, most: int = MOST_BYTES) -> int:
-    """Number of bytes that a file of this size may unpack to. The rule is the same for gzip and Parquet."""
+    """Largest number of bytes to which a file of ``file_bytes`` bytes may unpack. The limit is the same for gzip and
+    Parquet."""
     return min(most, max(free, MOST_RATIO * file_bytes))

@@ -39,7 +39,7 @@ def shortened_text(text: str) -> str:
 
 
 def first_names(names: Sequence[str], most: int = 5) -> str:
-    """A text with the first of many names from files, in the form that messages show: "a, b and 3 more"."""
+    """A text with the first of many names from files, in the form that messages show, such as "a, b and 3 more"."""
     more_text = f" and {len(names) - most:,} more" if len(names) > most else ""
     return ", ".join(map(printable_name, names[:most])) + more_text
 
@@ -61,14 +61,14 @@ UNNAMED: Final = "no article"
 
 
 def box_in_words(box: int, article: str) -> str:
-    """The name of a box in messages: "box 22 (candy-00100723)", or "box 22" without an article. The number is the box's
-    index in packing order, from 0.
+    """The name of a box in messages, such as "box 22 (candy-00100723)", or "box 22" if the box has no article. The
+    number is the box's index in packing order, from 0.
     """
     return f"box {box} ({printable_name(article)})" if article else f"box {box}"
 
 
 def box_label(box: int, article: str) -> str:
-    """A short label of a box: "22 candy-00100723", or "22" without an article."""
+    """A short label of a box, such as "22 candy-00100723", or "22" if the box has no article."""
     return f"{box} {article}" if article else str(box)
 
 
@@ -90,8 +90,8 @@ def one_line(error: BaseException) -> str:
 
 
 def count_text(number: int, noun: str, plural: str | None = None) -> str:
-    """A count with its noun: "1 plan", "2,000 plans". ``plural`` is needed if the plural is not the noun with an added
-    s."""
+    """A count with its noun, such as "1 plan" or "2,000 plans". ``plural`` is needed if the plural is not the noun with
+    an added s."""
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 
@@ -113,7 +113,7 @@ def duration(seconds: float) -> str:
 
 
 def time_left(seconds: float) -> str:
-    """A remaining time as text: "45 s", "1 min 45 s", "2 h 5 min"."""
+    """A remaining time as text, such as "45 s", "1 min 45 s" or "2 h 5 min"."""
     rounded_s = round(seconds)
     if rounded_s < 60:
         return f"{rounded_s} s"
@@ -123,7 +123,7 @@ def time_left(seconds: float) -> str:
 
 
 def three_digits(value: float, sign: bool = False) -> str:
-    """A number of any size as text, with at least three digits: "0.00123", "12.3", "1,234", "1.23e+06".
+    """A number of any size as text with at least three digits, such as "0.00123", "12.3", "1,234" or "1.23e+06".
 
     Args:
         sign: whether positive numbers also get a sign.

@@ -20,7 +20,7 @@ class Throughput:
 
     Args:
         total: number of worlds; None if it is unknown.
-        what: the noun for a world in messages: ``plan``; or ``world`` in sweeps.
+        what: the noun that stands for a world in messages, which is ``plan``, or ``world`` in sweeps.
         clock: function that returns the present time, s.
     """
 
@@ -29,14 +29,15 @@ class Throughput:
         self._done, self._work = 0, 0.0
         self._begin = clock()
         self._marks = deque([(0.0, self._begin)])
-        """Pairs: an amount of finished work, in worlds, and the time at which this amount was reached, s. ``left``
-        computes the rate of work from the time since the oldest pair."""
+        """Pairs of numbers. Each pair has an amount of finished work, in worlds, and the time at which this amount was
+        reached, s. ``left`` computes the rate of work from the time since the oldest pair."""
 
     def update(self, done: int, share: float | None = None) -> None:
         """Set the number of finished worlds.
 
         Args:
-            share: finished share of the whole work, 0 to 1. If None, all worlds count as equal work.
+            share: finished share of the whole work, 0 to 1. If ``share`` is None, each world is taken as the same
+                amount of work.
         """
         work = float(done) if share is None or self._total is None else share * self._total
         if (done, work) == (self._done, self._work):
@@ -53,14 +54,14 @@ class Throughput:
 
     @property
     def count(self) -> str:
-        """The number of finished worlds as text: "5 of 12 plans", or "5 plans" if the total is unknown."""
+        """The number of finished worlds as text, such as "5 of 12 plans", or "5 plans" if the total is unknown."""
         if self._total is None:
             return count_text(self._done, self._what)
         return f"{self._done:,} of {count_text(self._total, self._what)}"
 
     @property
     def rate(self) -> str:
-        """The number of finished worlds per second, over the whole run so far, as text: "12.3 plans/s". The text is
+        """The number of finished worlds per second since the start of the run, as text: "12.3 plans/s". The text is
         empty before the first world is finished."""
         until = self._marks[-1][1] if self._done == self._total else self._clock()
         seconds = until - self._begin
@@ -68,11 +69,11 @@ class Throughput:
 
     @property
     def left(self) -> str:
-        """The time that the remaining worlds will take, as text: "1 min 20 s left". The text is empty at the end, and
-        if the time is unknown.
+        """The time that the remaining worlds will take, as text such as "1 min 20 s left". The text is empty at the end
+        of the run, and if the remaining time is unknown.
 
-        If n worlds remain, the estimate is the time that the last n finished worlds took. The rate of the whole run
-        would be misleading near the end, when few worlds are left and these take long.
+        If n worlds remain, the estimate is the time that the last n finished worlds took. Near the end, the rate of the
+        whole run would be misleading, because the last few worlds take long.
         """
         if not self._work or self._total is None or self._done >= self._total:
             return ""
@@ -82,5 +83,5 @@ class Throughput:
 
     @property
     def words(self) -> list[str]:
-        """The three texts ``count``, ``rate`` and ``left``, without those that are empty."""
+        """Those of the three texts ``count``, ``rate`` and ``left`` that are not empty."""
         return [part for part in (self.count, self.rate, self.left) if part]

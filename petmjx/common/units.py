@@ -1,5 +1,5 @@
-"""Conversions of units. No other module converts units. Inside petmjx, all values are in SI units, except that plans
-are in millimetres."""
+"""The only module that converts units. Inside petmjx, all values are in SI units, except that lengths in plans are in
+millimetres."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ def round_to_micrometre(value_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Round lengths in metres to whole micrometres; halves are rounded up. The reference implementation (PET-Physics)
     rounds in the same way when it writes its models.
 
-    The value in micrometres is first rounded to a thousandth. So 0.1234565 m is rounded up as a half, although its
-    float64 value is slightly below the half.
+    The value in micrometres is first rounded to a thousandth. So 0.1234565 m is rounded up to 0.123457 m, although the
+    float64 number nearest to 0.1234565 is slightly smaller than 0.1234565.
     """
     micrometres: NDArray[Any] = np.round(value_m * MICROMETRES_PER_M, 3)
     return np.floor(micrometres + 0.5) / MICROMETRES_PER_M

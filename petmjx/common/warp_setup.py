@@ -1,8 +1,8 @@
 """Set-up of Warp for petmjx: chooses the folder of compiled kernels (petmjx/common/compile_caches.py), and stops Warp
 from printing.
 
-The settings are made when petmjx first uses Warp, and apply to the whole process, including the caller's own Warp
-programs. If the caller has already changed a setting, it stays as it is.
+petmjx changes Warp's settings when it first uses Warp. The settings apply to the whole process, including the caller's
+own Warp programs. A setting that the caller has already changed stays as it is.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def set_up_warp() -> None:
     if warp.config.kernel_cache_dir is None:
         warp.config.kernel_cache_dir = str(cache_folder("warp"))
     if warp.config.enable_tiles_in_stack_memory:
-        warp.config.enable_tiles_in_stack_memory = None  # None: Warp decides, and keeps tiles off the stack on x86
+        warp.config.enable_tiles_in_stack_memory = None  # with None, Warp keeps tiles off the stack on x86
     if warp.config.log_level == warp.LOG_INFO:
         warp.config.log_level = warp.LOG_ERROR
     if not cuda_devices():

@@ -1,8 +1,8 @@
 """Environments for reinforcement learning with Gymnasium. Importing this package registers the environment
-``petmjx/Palletizing-v0``. The package needs the extra ``gym``.
+``petmjx/Palletizing-v0``. The package needs petmjx's extra ``gym``.
 
 ``gymnasium.make("petmjx.gym:petmjx/Palletizing-v0")`` imports this package. ``PalletizingVecEnv`` is the environment
-for Stable-Baselines3, and needs the extra ``sb3``.
+for Stable-Baselines3, and needs petmjx's extra ``sb3``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ if f"petmjx/{ENVIRONMENT}" not in registry:
 
 
 def __getattr__(name: str) -> Any:
-    if name == "PalletizingVecEnv":  # imported only on request, because the import loads Stable-Baselines3 and PyTorch
+    if name == "PalletizingVecEnv":
+        # this module is imported only on request, because it loads Stable-Baselines3 and PyTorch
         from petmjx.gym.sb3_vec_env import PalletizingVecEnv
 
         return PalletizingVecEnv

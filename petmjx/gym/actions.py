@@ -19,13 +19,14 @@ from petmjx.loop.placement_bounds import STANDS
 
 FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
 """Features of a candidate, which is a box at a place: the index of the box among the visible boxes, whether the box is
-turned by 90°, its corner and its extents in mm, its mass in kg, and the supported share of its base. The last feature
-is the pallet's margin of stability with this box, if the mask of legal actions uses physics (else 0)."""
+turned by 90°, its corner and its extents in mm, its mass in kg, and the supported share of its base. If the mask of
+legal actions uses physics, the last feature is the pallet's margin of stability with the box; otherwise, it is 0."""
 
 UPRIGHT: Final = "upright"
 PALLET: Final = "pallet"
 """Further features of a candidate: which size of the box is vertical (0: height, 1: width, 2: length), and the number
-of the pallet. Only environments in which an action chooses the vertical size or the pallet have these features."""
+of the pallet. Only environments in which an action may choose the vertical size or the pallet have the two further
+features."""
 
 SIDES: Final = np.array([(0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)])
 """(6, 3) the six orientations of a box. Each row tells which size is along x, y and z (0: length, 1: width, 2: height).
@@ -38,12 +39,13 @@ class Table:
 
     Attributes:
         legal: (n, a) mask of legal actions.
-        box: (n, a) index of the box among the visible boxes; ``size_mm``, ``corner_mm``: (n, a, 3) extents and
-            front-left-bottom corner of the box as placed; ``mass_kg``: (n, a) mass of the box.
-        side: (n, a) orientation of the box, as an index into ``SIDES``; ``pallet``: (n, a) number of the pallet within
-            the episode.
-        support: (n, a) supported share of the box's base; ``margin``: (n, a) the pallet's margin of stability after the
-            action if the mask uses physics, else 0.
+        box: (n, a) index of the box among the visible boxes.
+        size_mm, corner_mm: (n, a, 3) extents and front-left-bottom corner of the box as placed.
+        mass_kg: (n, a) mass of the box.
+        side: (n, a) orientation of the box, as an index into ``SIDES``.
+        pallet: (n, a) number of the pallet within the episode.
+        support: (n, a) supported share of the box's base.
+        margin: (n, a) the pallet's margin of stability after the action if the mask uses physics, else 0.
     """
 
     legal: NDArray[np.bool_]
@@ -83,8 +85,8 @@ class Table:
             values[rows] = getattr(table, name)[sources]
 
     def features(self, rows: NDArray[np.int64], names: Sequence[str]) -> NDArray[np.float32]:
-        """(m, a, f) the features of all actions of m episodes: ``FEATURES``, and the further features that ``names``
-        has."""
+        """(m, a, f) the features of all actions of m episodes. Every action has the features ``FEATURES``, and those
+        further features whose names are in ``names``."""
         features = np.empty((len(rows), self.legal.shape[1], len(names)), np.float32)
         extra_columns = {UPRIGHT: self.side // 2, PALLET: self.pallet}
         at = 0
@@ -99,7 +101,7 @@ class Table:
 
 
 def features_of(options: PalletizingOptions, orders: Orders) -> tuple[str, ...]:
-    """The names of the features that each candidate has with these options."""
+    """The names of the features that each candidate has if the environment has the options ``options``."""
     extra_features = ((UPRIGHT, options.sides == ALL or orders.lie), (PALLET, options.open_pallets > 1))
     return (*FEATURES, *(name for name, is_on in extra_features if is_on))
 
@@ -121,7 +123,7 @@ class Actions:
         corners: FloatArray = np.indices(self._cells).reshape(2, -1).T.astype(np.float64) * cell
         self._grid = None if options.actions == CANDIDATES else corners
         self._sides = SIDES if options.sides == ALL or orders.lie else SIDES[:2]
-        # at least one action for each box that may come next
+        # each box that may come next needs at least one action
         most = max(options.n_candidates, options.buffer)
         ways = options.open_pallets * options.buffer * len(self._sides)
         self.count = most if self._grid is None else ways * len(corners)
@@ -143,10 +145,12 @@ class Actions:
         """Fill some rows of a table with the actions of their episodes.
 
         Args:
-            rows: (m,) rows of the table; ``episodes``: (m,) for each row, the episode on whose pallets the boxes are
-                placed. If ``episodes`` is None, each row belongs to the episode of the same number.
-            size_mm: (m, k, 3) sizes of the visible boxes; ``mass_kg``: (m, k) masses of the boxes, 0 if there is no
-                box; ``upright``: (m, k, 3) whether each size may be vertical.
+            rows: (m,) rows of the table.
+            episodes: (m,) for each row, the episode on whose pallets the boxes are placed. If ``episodes`` is None,
+                each row belongs to the episode of the same number.
+            size_mm: (m, k, 3) sizes of the visible boxes.
+            mass_kg: (m, k) masses of the boxes, 0 if there is no box.
+            upright: (m, k, 3) whether each size may be vertical.
         """
         table.clear(rows)
         at, box = np.nonzero(mass_kg[:, : self._options.buffer])
@@ -200,8 +204,8 @@ class Actions:
         table.margin[into] = margin[stands]
 
     def _sides_of(self, size_mm: FloatArray, upright: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(b, s) which of s orientations each of b boxes may have. An orientation is left out if the box looks the same
-        as in an earlier orientation."""
+        """(b, s) which of s orientations each of b boxes may have. An orientation is not allowed if the box looks the
+        same in an earlier orientation."""
         sizes = size_mm[:, self._sides]
         may = np.ones(sizes.shape[:2], bool)
         if self._options.sides != ALL:
@@ -217,8 +221,8 @@ class Actions:
         return np.asarray((force_n > self.strength_n[pallets, : force_n.shape[1]]).any(axis=1))
 
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) whether each place is legal as far as geometry decides. If the mask uses physics, places that geometry
-        allows are tested afterwards."""
+        """(c,) whether each place is legal according to geometry. If the mask uses physics, these places are later
+        tested by simulations."""
         if places.centred is not None:
             return places.centred
         return places.support > 0 if self.asks_physics else np.ones(len(places.row), bool)
@@ -253,12 +257,12 @@ class Actions:
 
 def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """Choose at most ``most`` places for each episode: first the best place of each box, then the second-best place of
-    each box, and so on. If one box has few places, more places of the other boxes are chosen.
+    each box, and so on. If a box has only few places, more places of the other boxes are chosen.
 
     Args:
         row: (c,) episode of each place, in ascending order.
-        seen: (c,) number of each place's box, in ascending order. Boxes of different episodes have different numbers.
-            The places of a box are sorted, with the best place first.
+        seen: (c,) number of the box of each place, in ascending order. Boxes of different episodes have different
+            numbers. The places of a box are sorted, with the best place first.
 
     Returns:
         Indices of the chosen places, in ascending order.
@@ -268,7 +272,7 @@ def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArra
 
 
 def _ranks(of: NDArray[np.intp]) -> NDArray[np.int64]:
-    """For each entry, its position (0, 1, 2, …) within the group of entries with the same value. Entries with the same
-    value must be adjacent."""
+    """For each entry of an array, the position (0, 1, 2, …) of the entry within the group of entries with the same
+    value. Entries with the same value must be adjacent."""
     first = np.flatnonzero(np.diff(of, prepend=-1))
     return np.arange(len(of)) - np.repeat(first, np.diff(first, append=len(of)))

@@ -23,14 +23,14 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Curriculum:
-    """Properties of episodes, each as a pair of values: at level 0 and at level 1. Between these levels, the values
-    change linearly.
+    """Properties of episodes, each as a pair of values: one for level 0 and one for level 1. Between these levels, each
+    value changes linearly.
 
     Attributes:
-        boxes: largest number of boxes of an order. All further boxes of the order are dropped. If ``boxes`` is None, no
-            boxes are dropped.
-        sizes: how much the boxes of an order differ. At 0, all boxes have the mean size and mass of the order's boxes;
-            at 1, they have their own sizes and masses.
+        boxes: largest number of boxes of an order. If an order has more boxes, the last boxes are dropped. If ``boxes``
+            is None, no boxes are dropped.
+        sizes: how much the boxes of an order differ. With the value 0, all boxes have the mean size and mass of the
+            order's boxes; with the value 1, all boxes have their own size and mass.
         errors: size of the random placement errors, as in the option ``errors``.
     """
 
@@ -59,7 +59,7 @@ class Curriculum:
         return cls(**ranges)
 
     def order(self, boxes: Boxes, level: float) -> Boxes:
-        """The order as it is used in an episode of this level."""
+        """The order as it is used in an episode of level ``level``."""
         size, mass = boxes.size_mm.mean(axis=0), boxes.mass_kg.mean()
         if self.boxes is not None:
             boxes = boxes.take(slice(round(_between(self.boxes, level))))
@@ -80,7 +80,7 @@ class Curriculum:
 
 
 def level_of(options: object, n: int, *others: str) -> FloatArray | None:
-    """(n,) the levels that the options of ``reset`` set for n environments; None if they set no level.
+    """(n,) the levels that the options of ``reset`` set for n environments; None if the options set no level.
 
     Args:
         others: names of the other options that ``reset`` of the environment has.

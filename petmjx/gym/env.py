@@ -29,7 +29,7 @@ def spaces_of(episodes: Episodes) -> tuple[spaces.Dict, spaces.Discrete]:
 
 
 class PalletizingEnv(gym.Env[Observation, np.int64]):
-    """Boxes arrive one after another. Each action places one box on the pallet, and a simulation decides whether the
+    """Boxes arrive one after another. Each action places one box on the pallet, and a simulation shows whether the
     pallet stands.
 
     An episode ends when the pallet does not stand, or when no remaining box has a legal place. Boxes for which there is
@@ -62,8 +62,8 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         """Begin an episode. Equal seeds give equal episodes.
 
         Args:
-            options: a dict that may have the entry ``level``, from 0 to 1. The entry sets the level of difficulty of
-                this and all later episodes.
+            options: a dict that may have the entry ``level``, from 0 to 1. This entry sets the level of difficulty of
+                the new episode and of all later episodes.
         """
         super().reset(seed=seed)
         if (level := level_of(options, 1)) is not None:

@@ -33,28 +33,32 @@ MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, SURE, PHYSICS, LOADS)
 
 @dataclass(frozen=True)
 class PalletizingOptions:
-    """Options of ``petmjx/Palletizing-v0``. The environment also has the options of ``petmjx.Pallets``.
+    """Options of ``petmjx/Palletizing-v0``. Besides these options, the environment has the options of
+    ``petmjx.Pallets``.
 
     Attributes:
         orders: source of the orders, which are lists of boxes to pack (``petmjx.loop.order_sources.Orders``).
         orders_seed: seed of the generator of random orders.
         orders_units, orders_columns, orders_density: how to read a file of orders that is not in BED-BPP's form, as in
-            the fields of ``petmjx.RunOptions``. For an option that is None, the most plausible value is used.
+            the fields of ``petmjx.RunOptions``. If ``orders_units``, ``orders_columns`` or ``orders_density`` is None,
+            the most plausible value is used.
         articles: a table of articles (docs/loads.md), from which the strengths of boxes are read.
         look_ahead: number of boxes that are visible in an observation. 1 means online packing. A number as large as the
             order means offline packing.
-        buffer: number of boxes from which an action may choose. These boxes are the first of the visible boxes.
+        buffer: number of boxes from which an action may choose. The boxes of the buffer are the first of the visible
+            boxes.
         actions: if ``candidates``, an action selects a place from a list of places with features. If ``cells``, an
             action selects a box, an orientation and a cell of the carrier.
         n_candidates: largest number of places in the list. The list begins with the lowest place of each box, then has
             the second-lowest place of each box, and so on. The list has at least one place for each box of the buffer.
-        action_cell_mm: side of the cells of actions, mm; ``cell_mm``: side of the cells of observed maps, mm.
+        action_cell_mm: side of the cells of actions, mm.
+        cell_mm: side of the cells of observed maps, mm.
         mask: which actions are legal, among those that keep the box on the carrier and below ``max_height_mm``.
             ``geometry``: all actions with which the box is on the carrier and not too high. The name of a criterion of
             docs/criteria.md (``support_75``, … or ``centre``): actions that fulfil the criterion. ``physics``: actions
-            after which the pallet stands in a trial simulation. ``sure``: actions after which the pallet stands beyond
-            doubt, so that no trial is needed. ``loads``: actions after which the pallet stands in a trial simulation
-            and no box is overloaded.
+            after which the pallet stands in a trial, which is a simulation on a copy of the pallet. ``sure``: actions
+            after which the pallet surely stands, so that no trial is needed. ``loads``: actions after which the pallet
+            stands in a trial and no box is overloaded.
         max_height_mm: largest allowed height of a box's top, mm.
         gap_mm: free space that a robot needs between a box and its neighbours along x and y, mm.
         rewards: weights of the terms of the reward (``petmjx.loop.rewards.TERMS``).
@@ -95,7 +99,7 @@ class PalletizingOptions:
 
     @classmethod
     def of(cls, arguments: dict[str, Any]) -> tuple[Self, dict[str, Any]]:
-        """Split ``arguments`` into the options of this class and the remaining entries.
+        """Split ``arguments`` into options of ``PalletizingOptions`` and all remaining entries.
 
         Raises:
             InputError: a value is unusable.

@@ -1,5 +1,5 @@
-"""n episodes that run side by side: their states, and their steps. The environments are built on the class
-``Episodes``."""
+"""The states and the steps of n episodes that run side by side, in the class ``Episodes``, on which all environments
+are built."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.rewards import TERMS, Placement
 
 _MOST_ORDERS: Final = 100
-"""Largest number of orders that are drawn for an episode. A new order is drawn if no box of an order fits on the empty
-carrier."""
+"""Largest number of orders that are drawn for one episode. If no box of the drawn order fits on the empty carrier,
+another order is drawn."""
 
 _MOST_KINDS: Final = 16
 """Largest number of kinds of boxes (boxes with equal size and mass) that one search for a placeable box examines, for
@@ -43,8 +43,8 @@ class EpisodeStep:
     """The results of one step of m episodes.
 
     Attributes:
-        reward: (m,) reward of each episode, which is the weighted sum of the terms; ``terms``: name of each term of the
-            reward → its values (m,) without the weight.
+        reward: (m,) reward of each episode, which is the weighted sum of the terms.
+        terms: name of each term of the reward → its values (m,) without the weight.
         terminated, truncated: (m,) whether each episode was terminated or truncated, as Gymnasium defines these words.
     """
 
@@ -55,7 +55,7 @@ class EpisodeStep:
 
 
 class Episodes:
-    """n episodes that run side by side. Every pallet belongs to one of the episodes.
+    """n episodes that run side by side. Each episode has one or several pallets.
 
     Args:
         options: options of ``PalletizingOptions`` and arguments of ``petmjx.Pallets``.
@@ -157,7 +157,7 @@ class Episodes:
         last = self.pallets.n_boxes[on]
         queues: list[NDArray[Any]] = []
 
-        def go_on() -> None:  # updates that need only the places of boxes, not the results of the simulation
+        def go_on() -> None:  # these updates need only the places of boxes, not the results of the simulation
             self._actions.strength_n[on, last] = self._queues.take(rows, box)
             self._maps.add(on, last, size, corner)
             queues.extend(self._queues.kept(rows))
@@ -169,7 +169,7 @@ class Episodes:
         )
         if self._actions.asks_physics:
             self._look(rows[report.stable & ~self._are_full(rows)])
-        fallen = ~report.stable  # boxes that were left out after a pallet had fallen do not count
+        fallen = ~report.stable  # boxes that were left out after a pallet had fallen are not counted
         self._queues.restore(rows[fallen], [values[fallen] for values in queues])
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[on], 0.0)
@@ -195,13 +195,13 @@ class Episodes:
         return pallets
 
     def _are_full(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """(m,) whether all pallets of each episode have the largest allowed number of boxes."""
+        """(m,) for each episode, whether all its pallets have the largest allowed number of boxes."""
         full: NDArray[np.bool_] = self.pallets.n_boxes[self._pallets_of(rows)].min(axis=1) >= self.pallets.most_boxes
         return full
 
     def _drawn_errors(self, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Draw the placement errors of the next boxes, in the form of arguments of ``Pallets.place``. The result is
-        empty if there are no errors."""
+        """Draw random placement errors for the next boxes, in the form of arguments of ``Pallets.place``. If the
+        environment has no placement errors, the result is empty."""
         if not self._errors[rows].any():
             return {}
         rngs = [self._rngs[row] for row in rows.tolist()]
@@ -222,11 +222,11 @@ class Episodes:
 
     def _look_ahead(self, rows: NDArray[np.int64]) -> None:
         """Find the first box that has a legal action, among the boxes after the next box, and leave out all boxes
-        before it. Only one box of each kind (equal size and mass) is examined, because equal boxes have equal actions.
-        Several kinds are examined in one call, and their number grows from call to call, because even a call for few
-        boxes takes time."""
+        before it. Of each kind of box (equal size and mass), only one box is examined, because equal boxes have equal
+        actions. Several kinds are examined in one call, and their number grows from call to call, because even a call
+        for few boxes takes time."""
         later = {row: self._queues.kinds(row) for row in rows.tolist()}
-        first = dict.fromkeys(later, 1)  # kind 0, that of the next box, is known to have no action
+        first = dict.fromkeys(later, 1)  # kind 0 is the kind of the next box, which is known to have no legal action
         most = 1
         while first:
             numbers = {row: range(begin, min(begin + most, len(later[row][0]))) for row, begin in first.items()}

@@ -13,7 +13,7 @@ from petmjx.loop.order_sources import Boxes
 
 _MORE: Final = 32
 """Number of boxes that the table holds for each episode in addition to the visible boxes. When this number of boxes has
-been removed, the row is refilled."""
+been removed from an episode's row of the table, the row is refilled."""
 
 
 _STRENGTH: Final = 4
@@ -44,7 +44,8 @@ class Queues:
         # `_first`. Values are 0 after the last box.
         self._next: FloatArray = np.zeros((n, seen + _MORE, 8))
         self._first: NDArray[np.int64] = np.zeros(n, np.int64)
-        self._behind: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes that are not in the table yet
+        # for each episode, the number of boxes that are not in the table yet
+        self._behind: NDArray[np.int64] = np.zeros(n, np.int64)
         self.counts: NDArray[np.int64] = np.zeros(n, np.int64)
         self.left_out: NDArray[np.int64] = np.zeros(n, np.int64)
 
@@ -67,26 +68,28 @@ class Queues:
         return strength
 
     def leave_out(self, rows: NDArray[np.int64], count: int) -> None:
-        """Remove the first ``count`` boxes of each of these queues, and count them as left out."""
+        """Remove the first ``count`` boxes from each of the queues in these rows, and count the removed boxes as left
+        out."""
         n_removed = np.minimum(self.counts[rows], count)
         self.left_out[rows] += n_removed
         self._go_on(rows, n_removed)
 
     def kinds(self, row: int) -> tuple[NDArray[np.intp], FloatArray]:
-        """The first box of each kind among the remaining boxes of a queue. Boxes of the same kind differ at most in
-        strength. Returns (k,) the positions of these boxes in the queue, in ascending order, and (k, 8) their rows. The
-        method may only be used if all boxes so far were taken from the front of the queue."""
+        """The first box of each kind among the remaining boxes of a queue. Boxes of one kind are equal, except that
+        their strengths may differ. Returns (k,) the positions of these boxes in the queue, in ascending order, and (k,
+        8) their rows. This method may be used only if all boxes so far have been removed from the front of the queue.
+        """
         boxes = self._boxes[row].rows
         boxes = boxes[len(boxes) - int(self.counts[row]) :]
         first = np.sort(np.unique(np.delete(boxes, _STRENGTH, axis=1), axis=0, return_index=True)[1])
         return first, boxes[first]
 
     def kept(self, rows: NDArray[np.int64]) -> list[NDArray[Any]]:
-        """A copy of the states of these queues, as an argument of ``restore``."""
+        """A copy of the states of the queues in these rows, from which ``restore`` can set them again."""
         return [values[rows] for values in self._arrays]
 
     def restore(self, rows: NDArray[np.int64], kept: Iterable[NDArray[Any]]) -> None:
-        """Set the states of these queues to a copy made by ``kept``."""
+        """Set the states of the queues in these rows to a copy that ``kept`` has made."""
         for values, before in zip(self._arrays, kept, strict=True):
             values[rows] = before
 
@@ -108,7 +111,7 @@ class Queues:
     def _fill(self, row: int) -> None:
         """Move the remaining boxes of a row to the row's beginning, and append boxes until the row is full."""
         boxes, table = self._boxes[row], self._next[row]
-        # If more boxes were left out than the table held, fewer boxes remain to be added than ``_behind`` states.
+        # If more boxes were left out than were in the table, fewer boxes remain to be added than ``_behind`` states.
         behind = min(int(self._behind[row]), int(self.counts[row]))
         n_items, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:n_items] = table[first : first + n_items].copy()

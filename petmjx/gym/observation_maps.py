@@ -14,7 +14,7 @@ from petmjx.loop.growing_tables import FIRST_COLUMNS, widened_table
 from petmjx.loop.height_maps import spans
 
 _AT_ONCE: Final = 512
-"""Number of pallets whose maps are computed at a time. The maps of this number of pallets fit into the cache of a CPU
+"""Number of pallets whose maps are computed at a time. The maps of this many pallets fit into the cache of a CPU
 core."""
 
 _MOST: Final = float(np.finfo(np.float32).max)
@@ -26,19 +26,19 @@ class Maps:
     """The maps of n pallets. The maps are updated with each new box, and are in single precision like all observations.
 
     Attributes:
-        heights: (n, x, y) height of the highest top of a box above each cell, mm; ``loads``: (n, x, y) largest force on
-            the top of a box above each cell, N.
+        heights: (n, x, y) height of the highest top of a box above each cell, mm.
+        loads: (n, x, y) largest force on the top of a box above each cell, N.
     """
 
     def __init__(self, n: int, cells: tuple[int, int], cell_mm: float) -> None:
         self._cell_mm = cell_mm
         self.heights: Map = np.zeros((n, *cells), np.float32)
         self.loads: Map = np.zeros((n, *cells), np.float32)
-        # the ranges of cells that each box covers
+        # for each box, the ranges of cells that it covers
         self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)
 
     def clear(self, rows: NDArray[np.int64]) -> None:
-        """Set the maps of these pallets to those of empty pallets."""
+        """Set the maps of the pallets in these rows to the maps of empty pallets."""
         self.heights[rows] = self.loads[rows] = 0.0
 
     def add(
@@ -47,8 +47,8 @@ class Maps:
         """Add a box to each of m pallets.
 
         Args:
-            number: (m,) number of the new box on its pallet, from 0; ``size_mm``, ``corner_mm``: (m, 3) extents and
-                corner of the new box.
+            number: (m,) number of the new box on its pallet, from 0.
+            size_mm, corner_mm: (m, 3) extents and corner of the new box.
         """
         self._spans = widened_table(self._spans, int(number.max(initial=0)) + 1)
         self._spans[rows, number] = box_spans = spans(size_mm, corner_mm, self._cell_mm)
@@ -83,8 +83,8 @@ class Maps:
         on_threads(load, np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE)))
 
     def _over(self, box_spans: NDArray[np.integer]) -> tuple[Map, Map]:
-        """Two arrays (x, m) and (y, m), for the cells along x and along y: 1 if the box of each of m pallets covers
-        these cells, else 0.
+        """Two arrays (x, m) and (y, m), for the cells along x and along y. An entry is 1 if the box of a pallet (one of
+        m) covers the cell, and otherwise 0.
 
         Args:
             box_spans: (m, 2, 2) the ranges of cells that one box of each pallet covers, from ``spans``.

@@ -17,12 +17,12 @@ LOAD_N: Final = 500.0
 BOX_KG: Final = 10.0
 PALLET_KG: Final = 300.0
 LEFT: Final = 20.0
-"""Constants of the scales x / (x + half), which map the constant ``half`` to 0.5 and all other positive values to
-numbers between 0 and 1. The constants are a typical load on a box, N, a typical mass of a box and of a pallet, kg, and
-a typical number of remaining boxes, in orders of groceries (docs/loop.md)."""
+"""Constants of scales. A scale x / (x + half) maps the value ``half`` to 0.5, and every positive value to a number
+between 0 and 1. The constants are a typical load on a box, N, a typical mass of a box and of a pallet, kg, and a
+typical number of remaining boxes, in orders of groceries (docs/loop.md)."""
 
 LARGEST_N: Final = 1e6
-"""Largest force in observations, N: the weight of a pallet of 100 t. Larger forces are replaced by this value."""
+"""Largest force in observations, N: the weight of a pallet of 100 t. Every larger force is replaced by this value."""
 
 _LENGTHS: Final = ("x", "y", "z", "length_x", "length_y", "height")
 
@@ -42,8 +42,9 @@ class ObservationSpaces:
     """The spaces and the scales of the observations of an environment.
 
     Args:
-        cells: numbers of cells of the maps along x and y; ``n_actions``: number of actions; ``features``: names of the
-            features of candidates.
+        cells: numbers of cells of the maps along x and y.
+        n_actions: number of actions.
+        features: names of the features of candidates.
     """
 
     def __init__(

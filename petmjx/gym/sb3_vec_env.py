@@ -1,5 +1,6 @@
 """``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: in each step, one engine simulates n pallets.
-The environment provides masks of legal actions for MaskablePPO of sb3-contrib. This module needs the extra ``sb3``.
+The environment provides masks of legal actions for MaskablePPO of sb3-contrib. This module needs petmjx's extra
+``sb3``.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         self._began_s = time.monotonic()
 
     def reset(self) -> dict[str, NDArray[Any]]:
-        """Begin all episodes. If ``seed`` was called before, the episodes have the seeds that ``seed`` set."""
+        """Begin all episodes. If the method ``seed`` was called before, the new episodes have the seeds that it set."""
         level = [options["level"] for options in self._options if "level" in options]
         if len(level) not in (0, self.num_envs):
             raise InputError("options: give all environments a level, or none")
@@ -124,13 +125,13 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
             return [float(self.env.episodes.level[row]) for row in rows]
         if attr_name in self._methods:
             return [partial(self._methods[attr_name], row) for row in rows]
-        # if the attribute is missing, has_attr turns the AttributeError into False
+        # the method has_attr turns the AttributeError of a missing attribute into False
         value = getattr(self.env, attr_name)
         return [value for _ in rows]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set the attribute ``level``, which is the level of difficulty from the next episode on. The value is one
-        number, or a number for each environment. No other attribute can be set.
+        number, or a number for each environment. Only the attribute ``level`` can be set.
 
         Raises:
             InputError: the name is not ``level``, there is no curriculum, a level is not from 0 to 1, the number of

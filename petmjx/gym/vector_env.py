@@ -24,7 +24,7 @@ Info = dict[str, Any]
 
 
 class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any]]):
-    """n environments with a pallet each. The results are bit-identical to those of n ``PalletizingEnv``, but all
+    """n environments with a pallet each. The results are bit-identical to the results of n ``PalletizingEnv``, but all
     pallets are simulated in one call.
 
     Args:
@@ -33,8 +33,8 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
             next step, which ignores the action. SAME_STEP: a new episode begins in the same step; the last observation
             and information of the ended episode are then in ``info``. DISABLED: a new episode begins when ``reset`` is
             called.
-        render_mode: None or "rgb_array"; ``options``: as for ``PalletizingEnv``, except that the default engine is
-            ``auto``.
+        render_mode: "rgb_array" for pictures; None for no pictures.
+        options: as for ``PalletizingEnv``, except that the default engine is ``auto``.
 
     Raises:
         InputError: an option is unusable.
@@ -77,7 +77,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
 
         Args:
             options: a dict with the entries ``reset_mask`` and ``level``. ``level`` is one number or an array (n,),
-                from 0 to 1, and sets the level of difficulty from these episodes on.
+                from 0 to 1, and sets the level of difficulty of the new episodes and of all later episodes.
             seed: seed of the first environment, to which 1 is added for each further environment; or a list with a seed
                 for each environment.
         """
@@ -98,7 +98,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return self.episodes.observed(self._all), self._info(rows)
 
     def step(self, actions: Any) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """Carry out the actions of all environments whose episode is running. Each action places a box."""
+        """Carry out one action in each environment whose episode is running. Each action places a box."""
         chosen = np.asarray(actions)
         if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
             raise InputError(f"actions must be {self.num_envs} whole numbers, got shape {chosen.shape}")

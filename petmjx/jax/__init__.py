@@ -34,7 +34,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name == "Told":  # the name of the class PlacementArrays in version 0.2
+    if name == "Told":  # in version 0.2, the class PlacementArrays was called Told
         warnings.warn("petmjx.jax.Told is now petmjx.jax.PlacementArrays", FutureWarning, stacklevel=2)
         return PlacementArrays
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -31,7 +31,7 @@ from petmjx.world.scene import IDENTITY_QUAT
 from petmjx.world.supports import TOUCH_M
 
 ROOM: Final = 2
-"""Factor by which buffers are larger than usual, because a jitted program cannot enlarge them. If a pallet needs still
+"""Factor by which buffers are larger than usual, because a jitted program cannot enlarge them. If a pallet needs even
 larger buffers, its result is invalid."""
 
 
@@ -40,7 +40,7 @@ _EPSILON: Final = float(np.finfo(np.float32).eps)
 
 class Device:
     """The constant part of a state: the options, the simulator with its kernel, and the numbers of boards and boxes for
-    which it has room."""
+    which the simulator has room."""
 
     def __init__(self, sim: Simulation, simulator: Simulator, boards: int, width: int) -> None:
         self.sim, self.simulator, self.boards, self.width = sim, simulator, boards, width
@@ -76,8 +76,8 @@ class Device:
     def _released(
         self, worlds: Any, half: jax.Array, target: jax.Array, mass: jax.Array
     ) -> tuple[Int[Array, " world"], Float[Array, " world"]]:
-        """The body on which each new box lies, and the height of the new box's centre when the hand releases it, m
-        (petmjx/world/release_places.py)."""
+        """Two values for each new box: the body on which the box lies, and the height of the box's centre at the moment
+        of its release, m (petmjx/world/release_places.py)."""
         physics = self.sim.physics
         present = jnp.arange(self.width) < worlds.n_boxes[:, None]
         low, high = target - half, target + half
@@ -94,8 +94,8 @@ class Device:
         return support, target[:, 2] - jnp.where(support != NOTHING, depth, 0.0)
 
     def placed(self, open_: OpenState, box: NewBox, gets: jax.Array) -> OpenState:
-        """The worlds after each of them has received one more box and come to rest. Worlds for which ``gets`` is false
-        do not change.
+        """The state of the worlds after one more box has been placed in each world for which ``gets`` is true, and all
+        these worlds have come to rest. The other worlds do not change.
 
         Under ``jax.vmap``, the worlds of all states in the batch are simulated side by side.
         """
@@ -120,8 +120,8 @@ class Device:
         return after
 
     def results(self, open_: OpenState, known: jax.Array) -> PlacementArrays:
-        """The results of worlds. If ``known`` is false for a world, the world's reason is ``ended``, and its numbers
-        are 0 or -1."""
+        """The results of the last placement in each world. If ``known`` is false for a world, the reason of this world
+        is ``ended``, and all its numbers are 0 or -1."""
         state, worlds, limits = open_.state, open_.worlds, self.sim.thresholds
         here = jnp.arange(self.width) < state.placed[:, None]
         middle, quat = motion.middles(state.qpos, worlds.middle), state.qpos[..., 3:]

@@ -3,7 +3,7 @@ carrier's edges), as seen from all four corners of the carrier. The module is an
 
 The extreme points are those of ``petmjx.packers.learned_candidates``: Crainic, Perboli, Tadei (2008), "Extreme
 point-based heuristics for three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384, computed for the
-pile and for its three mirror images. If only points as seen from one corner were used, narrow useless strips would
+pile and for its three mirror images. With the extreme points as seen from a single corner, narrow useless strips would
 remain along the opposite edges of the carrier.
 """
 
@@ -23,21 +23,22 @@ from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
 FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
 """Features of a candidate (a box at a place): whether the box is turned by 90°; its corner and its extents, mm; its
 mass, kg; and the supported share of its base. ``inside`` is the distance of the box's centre of mass from the edge of
-the hull of the box's contacts, mm. ``below`` is the smallest distance, among all boxes below, of a box's load from the
-edge of the hull of that box's contacts, mm. Both distances are positive inside a hull, negative outside, and at most
-200 mm."""
+the hull of the box's contacts, mm. ``below`` is the smallest distance for any of the boxes below: the distance of the
+load on a box below from the edge of the hull of that box's own contacts, mm. Both distances are positive inside a hull,
+negative outside, and at most 200 mm."""
 
 _PER_ASIDE: Final = 0.01
-"""Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Among equally low
-places, the place nearest to the edges is therefore preferred (``cost_mm`` of petmjx/packers/learned_candidates.py)."""
+"""Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Because of this
+cost, the place nearest to the edges is preferred among equally low places (``cost_mm`` of
+petmjx/packers/learned_candidates.py)."""
 
 LOOKED_AT: Final = 3
 """Number of places that are examined for each candidate. More places than candidates are examined because some places
 have too little support."""
 
 _FAR: Final = 1e9
-"""Cost of a place that cannot be used. Points that do not exist have this value as coordinate, mm, which is beyond
-every carrier."""
+"""Cost of a place that cannot be used. This number is also the coordinate of points that do not exist, mm, since it is
+beyond every carrier."""
 
 
 class Points(NamedTuple):
@@ -57,19 +58,20 @@ class View(NamedTuple):
 
 
 class Candidates:
-    """Finds the n places for a box that have the lowest cost: low places, with much support, near the carrier's edges.
+    """Finds the n places for a box that have the lowest cost. A place has a low cost if it is low, has much support,
+    and is near the carrier's edges.
 
     Args:
-        extent_mm: extent of the carrier along x and y; ``gap_mm``: free space between a box and its neighbours along x
-            and y.
+        extent_mm: extent of the carrier along x and y.
+        gap_mm: free space between a box and its neighbours along x and y.
         least_support: smallest share of a box's base that must be supported. If ``least_support`` is None, any
             supported share is sufficient.
-        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. The
-            required distance is never more than a fifth of the shorter side of the box's base. 0 means that loads may
-            act anywhere.
+        inside_mm: how far inside the convex hull of a box's contacts the load of the box must act, mm; but a fifth of
+            the shorter side of the box's base is always enough. If ``inside_mm`` is 0, loads may act anywhere.
 
     Attributes:
-        count: number n of actions; ``features``: names of the features of an action.
+        count: number n of actions.
+        features: names of the features of an action.
     """
 
     features = FEATURES
@@ -96,18 +98,18 @@ class Candidates:
     def put(
         self, statics: Statics, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile
     ) -> Statics:
-        """The balance of the pile after one more box. The values of the new box are stored in this row. If ``row`` is
-        beyond the last row, the box is ignored. ``pile`` does not contain the new box."""
+        """The balance of the pile after one more box, whose values are stored in row ``row``. If ``row`` is beyond the
+        last row, the box is ignored. ``pile`` does not contain the new box."""
         contacts = contacts_of(size_mm[None], corner_mm[None], pile)
         return with_box(statics, row, contacts, mass_kg, least_m(size_mm[None], self._inside)[0])
 
     def view(self, pile: Pile, statics: Statics) -> View:
-        """Compute the part of ``ways`` that does not depend on the next box."""
+        """Compute those values for ``ways`` that do not depend on the next box."""
         return View(self._points(pile), pile, statics)
 
     def _points(self, pile: Pile) -> Points:
-        """The extreme points of a pile. Each box has its own points, for which only the boxes placed before it are
-        obstacles."""
+        """The extreme points of a pile. Each box has extreme points of its own. Only boxes that were placed before this
+        box can be obstacles for these points."""
         k = len(pile.present)
         low, high = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
         earlier = (jnp.arange(k)[None] < jnp.arange(k)[:, None]) & pile.present[None]
@@ -124,7 +126,7 @@ class Candidates:
         return Points(at.reshape(-1, 2), jnp.broadcast_to(mirrors[:, None], at.shape).reshape(-1, 2))
 
     def ways(self, view: View, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:
-        """The actions for a box of this size. If the size is 0, there are no legal actions."""
+        """The actions for a box of size ``size_mm``. If the size is 0, there are no legal actions."""
         points, pile, statics = view
         sizes = jnp.stack([size_mm, size_mm[jnp.array([1, 0, 2])]])
         bases = (sizes + self._gap)[:, None, :2]
@@ -154,8 +156,8 @@ class Candidates:
     def _costs(
         self, corner: Float[Array, "place 2"], base: Float[Array, "place 2"], pile: Pile
     ) -> tuple[Float[Array, " place"], Float[Array, " place"]]:
-        """(p,) the cost of each place, and (p,) the height at which the box's bottom would be, mm. In this method,
-        sizes of boxes include the gap to their neighbours."""
+        """(p,) the cost of each place, and (p,) the height at which the box's bottom would be, mm. In this method, the
+        size of a box includes the gap to its neighbours."""
         lows, highs = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
         end = corner + base
         area = jnp.broadcast_to(jnp.where(pile.present[None], 1.0, 0.0), (len(corner), len(lows)))
@@ -175,8 +177,8 @@ class Candidates:
         self, cost: Float[Array, " place"], corner: Float[Array, "place 2"], z: Float[Array, " place"], turned: Array
     ) -> tuple[Array, Bool[Array, " action"]]:
         """(q,) the indices of the q places with the lowest cost, and (q,) whether each place can be used. Each place is
-        listed once, although several points may give the same place. Therefore, the cheapest place is taken repeatedly,
-        which on a GPU is also faster than sorting all places."""
+        listed once, although several points may give the same place. To leave out repeated places, the method takes the
+        cheapest remaining place again and again, which on a GPU is also faster than sorting all places."""
 
         def take(cost: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
             best = cost.argmin()
@@ -196,8 +198,8 @@ def _corner_points(
     """The same as ``petmjx.packers.candidate_points.corner_points`` for all boxes of one pile, as an array program.
 
     Args:
-        start, end: lowest and highest x and y of the boxes; ``bottom``, ``top``: heights of the boxes' bottoms and
-            tops.
+        start, end: lowest and highest x and y of the boxes.
+        bottom, top: heights of the boxes' bottoms and tops.
         earlier: row i tells which boxes may be obstacles for the points of box i.
     """
     (x, y), (x_end, y_end) = start.T, end.T

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 TOUCH_MM: Final = 0.01
-"""If the heights of two tops differ by less than this length, they count as equal. In single precision, heights of 10 m
+"""Two tops whose heights differ by less than this length count as equally high. In single precision, heights of 10 m
 are exact to 0.001 mm."""
 
 TURNS: Final = 2
@@ -46,12 +46,14 @@ class Cells:
     then by cell along y.
 
     Args:
-        side_mm: side of a cell; ``least_support``: smallest share of a box's base that must be supported. If
-            ``least_support`` is None, any supported share is sufficient.
+        side_mm: side of a cell.
+        least_support: smallest share of a box's base that must be supported. If ``least_support`` is None, any
+            supported share is sufficient.
         gap_mm: free space between a box and its neighbours along x and y.
 
     Attributes:
-        count: number of actions; ``features``: names of the features of an action.
+        count: number of actions.
+        features: names of the features of an action.
     """
 
     features: Final[tuple[str, ...]] = ()
@@ -73,17 +75,17 @@ class Cells:
         self.count = TURNS * len(corners)
 
     def no_boxes(self, most: int) -> None:
-        """The balance of an empty pile: None, because this class does not need the balance."""
+        """The balance of an empty pile, which is None, because this class does not need the balance."""
 
     def put(self, statics: None, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile) -> None:
-        """The balance of the pile after one more box: None, because this class does not need the balance."""
+        """The balance of the pile after one more box, which is None, because this class does not need the balance."""
 
     def view(self, pile: Pile, statics: None) -> Pile:
-        """Compute the part of ``ways`` that does not depend on the next box, which is the pile."""
+        """Compute those values for ``ways`` that do not depend on the next box: only the pile."""
         return pile
 
     def ways(self, pile: Pile, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:
-        """The actions for a box of this size. If the size is 0, there are no legal actions."""
+        """The actions for a box of size ``size_mm``. If the size is 0, there are no legal actions."""
         size = jnp.where(self._turned[:, None], size_mm[jnp.array([1, 0, 2])][None], size_mm[None])
         low, high = self._corners, self._corners + size[:, :2]
         ends = pile.corner_mm + pile.size_mm

@@ -2,8 +2,8 @@
 are kept outside the program, which reaches them through a callback.
 
 The state of a pallet depends only on its boxes and their sequence, so the boxes identify the state. The settled worlds
-(pallets at rest) that were used most recently are kept in a cache, with their boxes as the key. If a world is needed
-that is not in the cache, it is simulated again, with a bit-identical result.
+(pallets at rest) that were used most recently are kept in a cache, with their boxes as the key. A world that is needed,
+but is no longer in the cache, is simulated again, with a bit-identical result.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ class Host:
         return self._of_all(arguments, keeps=True)
 
     def try_all(self, *arguments: Any) -> list[NDArray[Any]]:
-        """The same as ``place``, but the pallets with the new boxes are not kept."""
+        """The same as ``place``, but the pallets with the new boxes are not stored in the cache."""
         return self._of_all(arguments, keeps=False)
 
     def _of_all(self, arguments: tuple[Any, ...], *, keeps: bool) -> list[NDArray[Any]]:
-        """Place the boxes of all rows in one call. Under ``jax.vmap``, arrays have additional leading axes. An
-        additional axis has length 1 if the array is the same for the whole batch."""
+        """Place the boxes of all rows in one call. Under ``jax.vmap``, arrays have additional leading axes. If an array
+        is the same for the whole batch, the length of its additional axis is 1."""
         arrays = [(np.asarray(argument), beyond) for argument, beyond in zip(arguments, _BEYOND, strict=True)]
         shape = np.broadcast_shapes(*(values.shape[: values.ndim - beyond] for values, beyond in arrays))
         rows = []
@@ -127,7 +127,7 @@ class Host:
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            self._slots.update(world_of_key)  # only now the pallets have the new boxes
+            self._slots.update(world_of_key)  # from here on, the pallets have the new boxes
             write_results(columns, rows, self._pallets.results(np.array(into)))
         return columns
 
@@ -142,8 +142,9 @@ class Host:
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
-        """The number of a pallet in the cache that has these boxes. A pallet that is not in the cache is simulated
-        first. The number is added to ``pinned``, so that the pallet is not reused for other boxes during this call."""
+        """The number of a pallet in the cache that has exactly these boxes. A pallet that is not in the cache is
+        simulated first. The number is added to ``pinned``, so that the pallet is not reused for other boxes during the
+        same call of the callback."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
         n_cached = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
         slot = self._slots[keys[n_cached]] if n_cached >= 0 else -1
@@ -164,8 +165,8 @@ class Host:
         return slot
 
     def _spare(self, pinned: set[int]) -> int:
-        """The number of a pallet in the cache that can be reused: a free pallet, or else the pallet whose last use was
-        longest ago."""
+        """The number of a pallet in the cache that can be reused: a free pallet, or, if no pallet is free, the pallet
+        whose last use was longest ago."""
         if not self._free:
             oldest = next(key for key, slot in self._slots.items() if slot not in pinned)
             self._free.append(self._slots.pop(oldest))

@@ -33,7 +33,7 @@ def empty(
     most_boxes: int = 40,
     **options: Any,
 ) -> State:
-    """Make the state of n empty pallets. This function must not be called under ``jit``, because it loads the engine.
+    """Make the state of n empty pallets. Do not call this function under ``jit``, because it loads the engine.
 
     Args:
         engine: ``mujoco``, ``mjx-warp``, ``mjx-warp-cpu``, or ``auto`` as in ``petmjx.Pallets``.
@@ -66,13 +66,14 @@ def place(
     """Put one box onto each pallet, and simulate the pallets until they are at rest.
 
     Args:
-        size_mm: extents of the boxes as they stand; ``corner_mm``: front-left-bottom corners of the boxes.
+        size_mm: extents of the boxes as they stand.
+        corner_mm: front-left-bottom corners of the boxes.
         active: mask of the pallets that receive a box. If ``active`` is None, all pallets receive a box. Pallets that
             have fallen or are full never receive another box.
 
     Returns:
-        The new state, and the results of the pallets. The only result of a pallet that had fallen before is the reason
-        ``ended``.
+        The new state, and the results of the pallets. A pallet that had already fallen has only the reason ``ended`` as
+        its result.
     """
     n = _pallets(state)
     boxes = _boxes(size_mm, corner_mm, mass_kg, n)
@@ -93,7 +94,7 @@ def try_all(
     pallet: Int[Array, " candidate"],
 ) -> PlacementArrays:
     """Put each candidate (a box at a place) onto a copy of its pallet, and return the results. Each candidate is tried
-    alone, and a pallet may have several candidates.
+    on a separate copy, so a pallet may have several candidates.
 
     If the pallet of a candidate has fallen, is full or does not exist, the candidate counts as not stable, and its
     reason is ``ended``.
@@ -126,8 +127,8 @@ def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
 
 
 def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The boxes as arrays. Raises InputError for wrong shapes. The numbers are not checked, because they are unknown
-    under ``jit``."""
+    """The boxes as arrays. Raises InputError for wrong shapes. The function does not check the numbers, because these
+    are unknown under ``jit``."""
     arrays = []
     for name, values, shape in (
         ("size_mm", size_mm, (m, 3)),
@@ -145,8 +146,8 @@ def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Arra
 
 
 def _check_numbers(boxes: tuple[jax.Array, ...], requested: jax.Array) -> None:
-    """Raise InputError if a size, coordinate or mass of a requested box is out of range. Under ``jit``, nothing is
-    checked, because the numbers are unknown."""
+    """Raise InputError if a size, coordinate or mass of a requested box is out of range. Under ``jit``, the numbers are
+    unknown, so the function checks nothing."""
     if any(isinstance(array, jax.core.Tracer) for array in (*boxes, requested)):
         return
     for name, values in zip(("size_mm", "corner_mm", "mass_kg"), boxes, strict=True):

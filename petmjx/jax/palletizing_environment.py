@@ -31,8 +31,8 @@ from petmjx.options.simulation import Simulation
 
 GEOMETRY: Final = "geometry"
 MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}}
-"""Name of a mask of legal actions → smallest share of a box's base that must be supported. None if any share is
-sufficient."""
+"""Name of a mask of legal actions → smallest share of a box's base that must be supported. The value is None if any
+share is sufficient."""
 
 CELLS: Final = "cells"
 CANDIDATES: Final = "candidates"
@@ -44,7 +44,7 @@ _DRAWN: Final = 256
 their number must be finite."""
 
 _EDGE: Final = 1e-4
-"""Tolerance of single precision, as a share of a cell's side. If a box ends this close to the edge of a cell, it counts
+"""Tolerance of single precision, as a share of a cell's side. A box that ends this close to the edge of a cell counts
 as ending at the edge."""
 
 _LARGEST: Final = float(np.finfo(np.float32).max)
@@ -54,10 +54,11 @@ class Observation(NamedTuple):
     """The observation of a pallet.
 
     Attributes:
-        height_map: height of the highest top of a box over each cell of the carrier, mm; ``load_map``: largest force on
-            the top of a box over each cell, N.
+        height_map: height of the highest top of a box over each cell of the carrier, mm.
+        load_map: largest force on the top of a box over each cell, N.
         boxes: length, width and height, mm, and mass, kg, of the next boxes; 0 after the last box.
-        left: number of remaining boxes; ``mass``: total mass of the boxes on the pallet, kg.
+        left: number of remaining boxes.
+        mass: total mass of the boxes on the pallet, kg.
         action_mask: (a,) whether each action is legal.
         candidates: (a, f) features of the candidates (``Palletizing.features`` has their names); 0 for illegal actions.
     """
@@ -109,19 +110,20 @@ class Palletizing:
     Args:
         orders: as in ``petmjx/Palletizing-v0``, except that ``endless`` means 256 orders from the generator of random
             orders.
-        orders_seed: seed of the generator; ``look_ahead``: number of visible boxes.
+        orders_seed: seed of the generator.
+        look_ahead: number of visible boxes.
         orders_units, orders_columns, orders_density: as in ``petmjx/Palletizing-v0``.
         actions: if ``cells``, an action selects one of two orientations and a cell of the carrier. If ``candidates``,
             an action selects one of ``n_candidates`` places, which have features. The candidate places are at extreme
             points (points at which a box touches other boxes or the carrier's edges), as seen from all four corners of
             the carrier. Low and well supported places come first.
-        mask: which actions are legal. ``geometry``: all actions that keep the box on the carrier and below
-            ``max_height_mm``. ``support_50`` … ``support_100``: of these actions, those after which at least 50 % … 100
-            % of the box's base is supported.
+        mask: which actions are legal. With ``geometry``, all actions that keep the box on the carrier and below
+            ``max_height_mm`` are legal. With ``support_50`` … ``support_100``, at least 50 % … 100 % of the box's base
+            must also be supported.
         gap_mm: free space that a robot needs between a box and its neighbours along x and y.
-        inside_mm: smallest distance inside the hull of a box's contacts at which the load of each box must act. The
-            required distance is never more than a fifth of the shorter side of the box's base. 0 means that loads may
-            act anywhere. ``inside_mm`` is only for ``candidates``. The packer ``balanced`` uses 20 mm.
+        inside_mm: only for ``candidates``: how far inside the convex hull of a box's contacts the load of the box must
+            act, mm; but a fifth of the shorter side of the box's base is always enough. If ``inside_mm`` is 0, loads
+            may act anywhere. The packer ``balanced`` uses 20 mm.
         action_cell_mm, cell_mm: side of the cells of actions, and side of the cells of observed maps.
         rewards: weights of the terms of the reward.
         most_illegal: number of illegal actions after which an episode is truncated; an illegal action changes nothing.
@@ -168,7 +170,7 @@ class Palletizing:
         self._empty = empty(1, carrier=carrier, engine=engine, most_boxes=most_boxes, **options)
         sim = Simulation(**{"carrier": carrier, **options})
         extent = extent_m(sim.carrier)
-        assert extent is not None  # otherwise ``empty`` would have raised an error
+        assert extent is not None  # for any other engine, ``empty`` would have raised an error
         self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
         gap, inside = (
             number_of(value, name, 0.0, LARGEST_GAP_MM)
@@ -296,8 +298,8 @@ class Palletizing:
         """The state with the actions for the next box. Boxes for which there is no legal place are left out.
 
         Args:
-            most: largest number of boxes that the pallet can have at this moment, if this is known. If ``most`` is
-                given, the program becomes smaller.
+            most: largest number of boxes that the pallet can have at this moment, if this is known. With ``most``, the
+                compiled program is smaller.
         """
         statics: Any = state.statics if most is None else self._actions.no_boxes(most)
         view: Any = self._actions.view(self._pile(state, most), statics)
@@ -313,7 +315,7 @@ class Palletizing:
             ways = self._actions.ways(view, box[:3], box[3])
             return state._replace(ways=ways._replace(legal=ways.legal & ~state.over)), jnp.array(False)
 
-        # the loop does not change these two fields, so they are left out
+        # the loop does not change these two fields, so the loop's state does not have them
         small = state._replace(pallet=None, statics=None)
         looked, _ = jax.lax.while_loop(goes_on, look, (small, jnp.array(True)))
         return looked._replace(pallet=state.pallet, statics=state.statics)

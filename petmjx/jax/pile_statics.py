@@ -2,9 +2,9 @@
 whose docstring names the sources, but in single precision.
 
 A load is a vector (F, F·x, F·y) in kg and kg·m, where F acts at (x, y). A box presses on the boxes below it with a
-pressure that is a linear function of x and y. This pressure is linear in the load. So a 3 × 3 matrix for each pair of
-boxes computes the part of the load on one box that reaches the other box. Adding a box to the pile therefore needs only
-one product of matrices.
+pressure that is a linear function of x and y. This pressure is linear in the load. So for each pair of boxes, a 3 × 3
+matrix turns the load on the upper box into the part of this load that reaches the lower box. Adding a box to the pile
+therefore needs only one product of matrices.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ from petmjx.jax.free_cells import TOUCH_MM, Pile
 from petmjx.packers.pile_balance import FAR_M, MARGIN_SHARE
 
 _ANGLES: Final = np.arange(32) * (2 * np.pi / 32)
-"""Directions in which the corners of a hull are searched for. For each direction, the corner that reaches farthest in
-this direction is found. Other corners are missed, so a computed hull may be too small, but never too large."""
+"""Directions in which the corners of a hull are searched for. For each direction, the corner of the hull that reaches
+farthest in this direction is computed. All other corners are ignored, so a computed hull may be too small, but never
+too large."""
 
 _NO_EDGE: Final = -1e3
-"""Offset of an edge that does not exist, m. Every load is far inside an edge with this offset."""
+"""Offset of an edge that does not exist, m. With this offset, every load lies far inside the edge."""
 
 _EXACT: Final = jax.lax.Precision.HIGHEST
 """Precision of matrix products. With JAX's default precision, GPUs round the factors to 10 bits."""
 
 Planes = Float[Array, "*rows 32 3"]
-"""Edges of hulls, each as (d, n_x, n_y). A point p is outside an edge by the distance d + n · p."""
+"""Edges of hulls. An edge is stored as (d, n_x, n_y): a point p lies outside the edge by the distance d + n · p."""
 
 
 class Statics(NamedTuple):
@@ -41,7 +42,7 @@ class Statics(NamedTuple):
         load: (k, 3) load of each box: its own weight and all loads from above.
         passed: (k, k, 3, 3) matrices that compute, from a load on each box, the load that reaches each box below.
         planes: (k, 32, 3) edges of the hull of each box's contacts.
-        least: (k,) smallest distance inside the hull at which the load of each box must act, m.
+        least: (k,) how far inside the hull of its contacts the load of each box must act, m.
     """
 
     load: Float[Array, "box 3"]
@@ -113,10 +114,10 @@ def hull_planes(contacts: Contacts) -> Planes:
 def margins_m(
     statics: Statics, contacts: Contacts, planes: Planes, mass_kg: Float[Array, ""]
 ) -> tuple[Float[Array, " placement"], Float[Array, " placement"], Bool[Array, " placement"]]:
-    """Three values for each of q boxes, if the box were put onto the pile. First, the distance inside the hull of the
-    box's contacts at which its weight acts, m. Second, the smallest of these distances for the loads of all boxes
-    below, m. Third, whether the loads of all boxes below act far enough inside the hulls of their contacts. Distances
-    are at most ``FAR_M``."""
+    """Three arrays (q,), with a value for each of q boxes that might be put onto the pile. The first has the distance
+    by which the box's weight would act inside the hull of the box's contacts, m. The second has the smallest distance
+    by which the load of any box below would act inside the hull of that box's contacts, m. The third tells whether the
+    loads of all boxes below would act far enough inside. A distance above ``FAR_M`` is replaced by ``FAR_M``."""
     floats = ~contacts.bears.any(axis=1) & ~contacts.on_carrier
     inside = jnp.where(floats, -FAR_M, -planes[..., 0].max(axis=1))
     moments, inverse = _moments(contacts)
@@ -134,8 +135,8 @@ def margins_m(
 
 
 def least_m(size_mm: Float[Array, "placement 3"], least_mm: float) -> Float[Array, " placement"]:
-    """(q,) smallest distance inside the hull at which the load of each box must act, m, as in the packer ``balanced``.
-    The distance is ``least_mm``, or a share of the shorter side of the box's base if this is less."""
+    """(q,) how far inside the hull of its contacts the load of each box must act, m, as in the packer ``balanced``.
+    This distance is ``least_mm``, or, if less, a share of the shorter side of the box's base."""
     return jnp.minimum(least_mm, MARGIN_SHARE * size_mm[:, :2].min(axis=1)) / MM_PER_M
 
 
@@ -146,8 +147,8 @@ def with_box(
     mass_kg: Float[Array, ""],
     least: Float[Array, ""],
 ) -> Statics:
-    """The balance of the pile after one more box with these contacts. The values of the new box are stored in this row.
-    If ``row`` is beyond the last row, the box is ignored."""
+    """The balance of the pile after one more box, which has the contacts ``contacts``. The values of the new box are
+    stored in row ``row``. If ``row`` is beyond the last row, the box is ignored."""
     (x, y), on_carrier = contacts.middle[0], contacts.on_carrier[0]
     moments, inverse = _moments(contacts)
     # converts a load relative to the origin into one relative to the middle of the base
@@ -173,8 +174,8 @@ def with_box(
 
 def _moments(contacts: Contacts) -> tuple[Float[Array, "placement box 3 3"], Float[Array, "placement 3 3"]]:
     """The integral ∫ (1, x, y)ᵀ (1, x, y) dA over each contact of a box, and the inverse of the sum of these matrices
-    over all contacts of the box. Coordinates are relative to the middle of the base. Such coordinates make the moments
-    small, so that the inverse is exact enough in single precision."""
+    over all contacts of the box. Coordinates are relative to the middle of the base. With coordinates relative to the
+    middle, moments are small, so that the inverse is exact enough in single precision."""
     middle, side = (contacts.start + contacts.end) / 2, contacts.end - contacts.start
     area = jnp.where(contacts.bears, side.prod(axis=-1), 0.0)
     x, y = middle[..., 0], middle[..., 1]

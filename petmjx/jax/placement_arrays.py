@@ -43,7 +43,7 @@ def shapes(m: int, k: int) -> list[tuple[tuple[int, ...], type[Any]]]:
 
 
 def empty_results(m: int, k: int) -> list[NDArray[Any]]:
-    """The results of m placements in which nothing was placed, as a list of arrays."""
+    """The results of m placements for which no box was placed, as a list of arrays."""
     columns: list[NDArray[Any]] = [np.zeros(shape, kind) for shape, kind in shapes(m, k)]
     columns[1][:], columns[2][:], columns[3][:], columns[7][:] = REASONS.index(ENDED), -1, -1.0, True
     return columns

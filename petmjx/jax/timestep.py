@@ -1,4 +1,4 @@
-"""Timesteps and specifications of the environment for jitted programs. The class names are those of dm_env and
+"""Timesteps and specifications of the environment for jitted programs. The classes have the same names as in dm_env and
 jumanji."""
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
 
 @dataclass(frozen=True)
 class Spec:
-    """The shape, the type and the range of an array. ``num_values`` is the number of possible values of an action; None
-    for other arrays."""
+    """The shape, the type and the range of an array. ``num_values`` is the number of possible values of an action; for
+    other arrays, ``num_values`` is None."""
 
     name: str
     shape: tuple[int, ...]

@@ -57,7 +57,8 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
 box."""
 
 _GRID_WALLS: Final = Walls(sides=(), height_mm=1500.0, gap_mm=5.0, thickness_mm=30.0, mass_kg_m2=6.0, material=STEEL)
-"""Walls made of a lattice of steel tubes. The values are typical. No source with values of a real model was found."""
+"""Walls made of a lattice of steel tubes. The sizes and masses are typical; no source was found that states them for a
+real model."""
 
 WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
     Carrier.ROLLCONTAINER_GRID: _GRID_WALLS,
@@ -89,8 +90,8 @@ MOST_BOARDS: Final = 64
 ``mjx-jax`` compiles code for each pair."""
 
 TOUCH_MM: Final = 0.5
-"""Largest gap or overlap between two boards that touch, mm. It is the rounding error of lengths in whole millimetres;
-boxes have the same tolerance (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
+"""Largest gap or overlap between two boards that touch, mm. The value is the rounding error of lengths in whole
+millimetres; boxes have the same tolerance (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
 
 _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
 """Smallest and largest length of a carrier's longer side, and largest height of a carrier, mm. Real examples: the
@@ -106,8 +107,9 @@ _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
 """Smallest and largest density of a board, kg/m³. Foam has 15 kg/m³, wood 400 to 800 kg/m³, steel 7,850 kg/m³ and lead
 11,340 kg/m³."""
 _LEVEL_MM: Final = 10.0
-"""Length below the carrier's highest point, mm. A board whose upper face is within this length belongs to the carrier's
-top, unless another board lies on it. All boards of the top must end at the same height."""
+"""A depth below the carrier's highest point, mm. A board whose upper face is less than ``_LEVEL_MM`` below the highest
+point belongs to the carrier's top, unless another board lies on it. All boards of the top must end at the same height.
+"""
 _ROUNDING_MM: Final = 1e-6
 _UNITS: Final = ((1000.0, "metres"), (25.4, "inches"), (10.0, "centimetres"))
 _USUAL_MM: Final = (300.0, 2500.0)
@@ -148,7 +150,7 @@ class OwnCarrier(CheckedRecord):
     from the floor.
 
     A carrier is refused if it could not stand, or if its definition is probably a mistake: if boards overlap or are not
-    connected, no board is on the floor, the top is not level, or the extents or masses are not those of a real carrier.
+    connected, no board is on the floor, the top is not level, or no real carrier has such extents or masses.
     """
 
     name: Name = Field("", description="name of the carrier; by default the file's")
@@ -192,7 +194,7 @@ class OwnCarrier(CheckedRecord):
 
     @model_validator(mode="after")
     def _opens_its_walls(self) -> Self:
-        self.walls.check_open()  # checked here, so that the message names the carrier's file
+        self.walls.check_open()  # walls are checked here, so that the message names the carrier's file
         return self
 
     @model_validator(mode="after")
@@ -303,10 +305,11 @@ def _bears(lower: Board, upper: Board) -> bool:
 
 
 def _check_stand(carrier: OwnCarrier) -> None:
-    """Check that the carrier's centre of mass is above the convex hull of the boards on the floor.
+    """Check that the carrier does not tip over: its centre of mass must be above the convex hull of the boards on the
+    floor.
 
-    The directions from the centre of mass to the corners of these boards are sorted by angle. The centre is above the
-    hull if no two neighbouring directions differ by 180° or more.
+    The directions from the centre of mass to the corners of these boards are sorted by angle. The centre of mass is
+    above the hull if no two neighbouring directions differ by 180° or more.
     """
     masses = carrier.masses_kg
     x, y = (
@@ -338,7 +341,7 @@ def read_carrier(path: Path) -> OwnCarrier:
 
     Raises:
         InputError: the file does not define a valid carrier. The message is one line with the file, the board and the
-            field: "mine.toml: boards[3].size_mm[2] must be > 0, got 0".
+            field, such as "mine.toml: boards[3].size_mm[2] must be > 0, got 0".
     """
     tables = read_toml(path)
     try:
@@ -350,8 +353,8 @@ def read_carrier(path: Path) -> OwnCarrier:
 def carrier_given(value: Any, info: ValidationInfo) -> Any:
     """Validator of options whose value is a carrier: the name of a built-in carrier, or the path of a TOML file.
 
-    Mappings and records are returned unchanged, and are checked later. A path in a sweep file is relative to the file's
-    folder.
+    If the value is a mapping or a record, the validator returns it unchanged, because other code checks it later. A
+    path in a sweep file is relative to the folder of the sweep file.
     """
     if isinstance(value, str) and value in set(Carrier):
         return Carrier(value)
@@ -382,7 +385,7 @@ def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
 
 
 def walls_of(carrier: Carrier | OwnCarrier, walls: Walls) -> Walls:
-    """The walls of a carrier, with a value for each field except possibly ``friction``. If the user does not set a
-    field, it has the carrier's value, or else the value from ``USUAL``."""
+    """The walls of a carrier, with a value for each field except possibly ``friction``. A field that the user does not
+    set has the carrier's value, or, if the carrier has none, the value from ``USUAL``."""
     of_carrier = carrier.walls if isinstance(carrier, OwnCarrier) else WALLS_OF_CARRIERS.get(carrier, USUAL)
     return walls.or_of(of_carrier).or_of(USUAL)

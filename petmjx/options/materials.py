@@ -74,8 +74,8 @@ FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
 the CTU Code uses 75 % of this coefficient (option ``physics.kinetic_friction_share``)."""
 
 KINETIC_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {pair: kinetic for pair, (_, kinetic) in _PALLETS.items()}
-"""Pair of materials in alphabetical order → coefficient of kinetic friction between them. Pairs without a known
-coefficient are missing."""
+"""Pair of materials in alphabetical order → coefficient of kinetic friction between them. Pairs whose coefficient is
+unknown have no entry."""
 
 RESTITUTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     ("cardboard", "cardboard"): RESTITUTION,
@@ -83,7 +83,7 @@ RESTITUTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
 }
 """Pair of materials in alphabetical order → restitution (speed after a bounce as a share of the speed before). The
 value is the middle of the range that was measured for cartons, 0.1 to 0.3 (TU/e, T-RO 2023). When a carton falls on a
-hard surface, the carton itself absorbs the energy, so the value is the same for all hard surfaces."""
+hard surface, the carton itself absorbs the energy, so its restitution is the same on all hard surfaces."""
 
 _MOST_NAMED: Final = 5
 
@@ -109,8 +109,8 @@ class FrictionPair(CheckedRecord):
 
     @property
     def key(self) -> tuple[str, str]:
-        """The two materials in alphabetical order, in lower case and without white space around them. Pairs of the same
-        materials have equal keys."""
+        """The two materials in alphabetical order, in lower case and without white space around them. Two pairs of the
+        same two materials have equal keys, in whatever order the materials are given."""
         return _pair(*self.between)
 
 
@@ -133,12 +133,12 @@ class LandingPair(CheckedRecord):
 
 
 def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> tuple[float | None, float | None]:
-    """The restitution of a pair of materials, and the time in which a landing box is stopped, s. If a value is None,
-    the value of ``petmjx.Physics`` is used.
+    """The restitution of a pair of materials, and the time in which a landing box is stopped, s. If one of the two is
+    None, the value in ``petmjx.Physics`` is used instead.
 
     Args:
-        user_pairs: pairs that the user gives. They take precedence over petmjx's values, and later pairs take
-            precedence over earlier pairs.
+        user_pairs: pairs that the user gives. The pairs of the user take precedence over petmjx's values, and later
+            pairs take precedence over earlier pairs.
     """
     pair = _pair(one, other)
     user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
@@ -153,8 +153,8 @@ def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -
     Upper and lower case of names, and white space around names, are ignored.
 
     Args:
-        user_pairs: pairs that the user gives. They take precedence over petmjx's values, and later pairs take
-            precedence over earlier pairs.
+        user_pairs: pairs that the user gives. The pairs of the user take precedence over petmjx's values, and later
+            pairs take precedence over earlier pairs.
     """
     pair = _pair(one, other)
     frictions = [friction_pair.friction for friction_pair in user_pairs if friction_pair.key == pair]
@@ -162,11 +162,11 @@ def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -
 
 
 def kinetic_share_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
-    """The kinetic friction of a pair of materials, as a share of the pair's static friction. None means that the share
-    in ``petmjx.Physics`` is used.
+    """The kinetic friction of a pair of materials, as a share of the pair's static friction. If the result is None, the
+    share in ``petmjx.Physics`` is used.
 
     Args:
-        user_pairs: pairs that the user gives, as in ``friction_between``.
+        user_pairs: pairs of materials that the user gives, as in ``friction_between``.
     """
     pair = _pair(one, other)
     user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)

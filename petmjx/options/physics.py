@@ -20,14 +20,14 @@ HIGHEST_RESTITUTION: Final = 0.9
 to 0.6 in single tosses."""
 
 LANDING_S: Final = 0.003
-"""Time in which the preset ``pallet`` stops a landing box, s. With this value, a box that falls 10 mm penetrates its
+"""Time in which the preset ``pallet`` stops a landing box, s. With this time, a box that falls 10 mm penetrates its
 support by less than 1 mm, and a box that falls 300 mm by less than 9 mm. The time is one and a half steps of 2 ms,
-which is sufficient for an accurate landing. The value is an assumption, because no measurements of the stiffness of
+which is sufficient for an accurate landing. The time is an assumption, because no measurements of the stiffness of
 landing cartons are known."""
 
 SHORTEST_LANDING_S: Final = 0.0002
 LONGEST_LANDING_S: Final = 0.02
-"""Smallest and largest value of ``landing_s``, the time in which a landing box is stopped, s."""
+"""Smallest and largest allowed value of ``landing_s``, the time in which a landing box is stopped, s."""
 
 RESTITUTION: Final = 0.2
 """Restitution of cardboard (speed after a bounce as a share of the speed before): the middle of the range 0.1 to 0.3.
@@ -62,7 +62,7 @@ def _impedances(values: Triple) -> Triple:
 
 
 def _contact_times(values: tuple[float, float]) -> tuple[float, float]:
-    # Negative values are allowed, because MuJoCo reads them as stiffness and damping.
+    # Two negative numbers are allowed, because MuJoCo reads negative numbers as stiffness and damping.
     if max(map(abs, values)) > 1e6:
         raise ValueError(f"must be from -1e+06 to 1e+06, got {values}")
     return values
@@ -76,11 +76,11 @@ CUSTOM: Final = "custom"
 
 
 class Physics(CheckedRecord):
-    """The physical parameters of a simulation: contacts, carrier, floor, gravity and timestep. The values are those of
-    the reference implementation (PET-Physics), except for values that differ between the presets: the cone, the
-    carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio, slip_correction,
-    landing_s, skin_m), and whether boxes fall into their places. The coefficient of friction between boxes, 0.5, is
-    that of cardboard on cardboard (CTU Code, Annex 7, Appendix 2).
+    """The physical parameters of a simulation: contacts, carrier, floor, gravity and timestep. The default values are
+    the same as in the reference implementation (PET-Physics), except for values that differ between the presets: the
+    cone, the carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio,
+    slip_correction, landing_s, skin_m), and whether boxes fall into their places. The coefficient of friction between
+    boxes, 0.5, is the value for cardboard on cardboard (CTU Code, Annex 7, Appendix 2).
 
     A ``Physics`` can be made in three ways: from the name of a preset ("pallet"); from a mapping that names a preset
     and changes some of its values (``{"name": "reference", "timestep_s": 0.001}``); or by calling
@@ -147,16 +147,16 @@ class Physics(CheckedRecord):
     def carrier_skin_m(self) -> float:
         """Distance by which the carrier is enlarged for collision detection, m.
 
-        The carrier is enlarged by twice as much as boxes. So if a box stands flush with the carrier's edge, the box's
-        face is inside the enlarged carrier, and collision detection finds contacts at the box's corners
-        (docs/validation.md).
+        The carrier is enlarged by twice the length by which boxes are enlarged. So if a box stands flush with the
+        carrier's edge, the box's face is inside the enlarged carrier, and collision detection finds contacts at the
+        box's corners (docs/validation.md).
         """
         return 2 * self.skin_m
 
     @property
     def has_landings(self) -> bool:
-        """Whether boxes that land have another contact law than boxes at rest (petmjx/world/contact_laws.py). Such a
-        law needs elliptic friction cones."""
+        """Whether boxes that land have another contact law than boxes at rest (petmjx/world/contact_laws.py). A contact
+        law for landings needs elliptic friction cones."""
         return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
@@ -175,7 +175,7 @@ class Physics(CheckedRecord):
     @classmethod
     def _from_preset(cls, values: Any) -> Any:
         """Accept the name of a preset, or a mapping that changes a preset, as the value of the record."""
-        if values == CUSTOM:  # the name "custom" alone does not define any values
+        if values == CUSTOM:  # the name "custom" without further values defines no parameters
             raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {shown_value(values)}")
         if isinstance(values, str):
             values = {"name": values}
@@ -204,7 +204,7 @@ PHYSICS["reference"] = Physics(
     falls_into_place=True,
 )
 """The presets, by name. ``reference`` has the values of the reference implementation (PET-Physics). With ``pallet``,
-pallets come to rest (docs/validation.md). For this purpose, ``pallet`` has elliptic friction cones, an impedance that
-rises from 0.1 to 0.999 within 0.1 mm, and stiff friction: a box that a sideways force pushes, but that friction holds,
-slips 250 times more slowly than with MuJoCo's defaults. ``pallet`` also has the friction of cardboard on a wooden
-pallet (CTU Code, Annex 7, Appendix 2)."""
+simulated pallets come to rest instead of creeping (docs/validation.md). For this purpose, ``pallet`` has elliptic
+friction cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and stiff friction: a box that a sideways force
+pushes, but that friction holds, slips 250 times more slowly than with MuJoCo's defaults. ``pallet`` also has the
+friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""

@@ -72,7 +72,7 @@ class Placing(CheckedRecord):
 
     @property
     def for_errors(self) -> Placing:
-        """The options for the placement of boxes whose places or sizes have errors."""
+        """These options as they apply to boxes whose places or sizes have errors: ``auto`` becomes ``hand``."""
         return self.model_copy(update={"name": Way.HAND}) if self.name is Way.AUTO else self
 
     @property
@@ -82,4 +82,4 @@ class Placing(CheckedRecord):
 
 
 EXACT: Final = Placing(name=Way.EXACT)
-"""The options with which all boxes appear at their places."""
+"""Options of placement with which all boxes appear at their places, without being moved there."""

@@ -26,11 +26,12 @@ MOST_WORKERS: Final = 4096
 
 ALL: Final = "all"
 FAILED: Final = "failed"
-"""Two values of the option ``RunOptions.record``: all plans are recorded, or only plans that fail."""
+"""Two values of the option ``RunOptions.record``. With ``all``, all plans are recorded; with ``failed``, only plans
+that fail."""
 
 WORLDS: Final = "worlds"
 """A value of the option ``RunOptions.keep``: keep only the tables with one row per world (one simulation of one plan),
-not those of boxes. The other value is ``ALL``."""
+not the tables with one row per box. The other value is ``ALL``."""
 
 FRAME_INTERVAL_S: Final = 0.05
 """Default time between two frames of a recording, s. At 20 frames per second, a viewer can follow the motion of a
@@ -38,7 +39,7 @@ box."""
 
 
 def _share(text: str | None) -> str | None:
-    """Validator of the option ``shard``: I/N with 1 ≤ I ≤ N. Leading zeros are removed."""
+    """Validator of the option ``shard``, which must have the form I/N with 1 ≤ I ≤ N. Leading zeros are removed."""
     if text is None:
         return None
     match = re.fullmatch(r"0*([0-9]{1,9})/0*([0-9]{1,9})", text)
@@ -48,8 +49,8 @@ def _share(text: str | None) -> str | None:
 
 
 def _workers(value: Any) -> Any:
-    """Validator of the option ``workers``: a whole number ≥ 1, or ``auto``. The command line passes the number and
-    ``auto`` as text."""
+    """Validator of the option ``workers``: a whole number ≥ 1, or ``auto``. The command line passes the value of
+    ``workers`` as text, even if it is a number."""
     number = int(value) if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value) else value
     if number is None or (isinstance(number, str) and number == AUTO):
         return number
@@ -59,8 +60,8 @@ def _workers(value: Any) -> Any:
 
 
 def _address(text: str | None) -> str | None:
-    """Validator of the option ``ray``, an address: ``auto`` or HOST:PORT. Addresses for Ray's client mode are refused,
-    because results cannot be streamed in this mode."""
+    """Validator of the option ``ray``, which must be an address such as ``auto`` or HOST:PORT. Addresses for Ray's
+    client mode are refused, because results cannot be streamed in this mode."""
     if text not in (None, AUTO) and ("://" in text or not re.fullmatch(r"\S+:\d{1,5}", text)):
         raise ValueError(
             f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {shown_value(text)}"
@@ -119,8 +120,8 @@ _OR_BY_FILE: Final = "found out in files of other tools"
 
 
 class Confidence(CheckedRecord):
-    """Whether a score also reports how certain its verdicts are. To find this out, it simulates plans with random
-    errors of placements and boxes."""
+    """Whether a score also reports how certain its verdicts are. For this report, each plan is also simulated with
+    random errors of placements and boxes."""
 
     confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
         None,
@@ -161,7 +162,7 @@ class Transport(CheckedRecord):
 class RunOptions(CheckedRecord):
     """The options of how a run is computed: engine, threads, workers (processes), files and so on.
 
-    Only two of these options affect results. With a different ``engine``, the outcome of a plan may differ.
+    Only two options of a run affect results. With a different ``engine``, the outcome of a plan may differ.
     ``world_timeout_s`` may end a simulation before it has an outcome; the verdict is then ``invalid``, for the reason
     ``timeout``.
     """
@@ -320,8 +321,8 @@ class RunOptions(CheckedRecord):
 
     @property
     def asked_workers(self) -> int | str | None:
-        """The number of workers (processes) that the user has requested, or ``auto``. If the user names only a Ray
-        cluster, this is ``auto``. None means that the whole run is computed in this process.
+        """The number of workers (processes) that the user has requested, or ``auto``. If the user names a Ray cluster
+        but no number, the result is ``auto``. If the result is None, the whole run is computed in this process.
         """
         return AUTO if self.workers is None and self.ray is not None else self.workers
 

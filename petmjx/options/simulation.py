@@ -21,12 +21,13 @@ from petmjx.options.placing import Placing, Way
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
-# Limits of options. A value above its limit probably has the wrong unit or a digit too many. With such a value, numbers
-# would become infinite, a run would not end, or tables would be too long to be useful.
+# Limits of options. A value above its limit probably has the wrong unit or a digit too many. With too large a value,
+# numbers would become infinite, a run would not end, or tables would be too long to be useful.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
 """Largest value of options that are times, s. ``LONGEST_INTERVAL_S`` limits ``interval_s`` and ``longest_wait_s``. With
-this limit, the number of steps of a simulation fits into 32 bits, even with the shortest timestep and 512 boxes."""
+``LONGEST_INTERVAL_S`` as the limit, the number of steps of a simulation fits into 32 bits, even with the shortest
+timestep and 512 boxes."""
 MOST_STEPS: Final = 100_000
 
 SOFT_START_STEPS: Final = 100
@@ -101,11 +102,10 @@ class Quiet(CheckedRecord):
 
     With elliptic friction cones, there are two more conditions. First, each box must be slow or have slowed down.
     Second, no moving box may have become faster, because a box that begins to topple becomes faster. A box that
-    violates one of these conditions is said to creep, and the next box is delayed. A creeping box no longer delays the
-    next box once it has dropped or tilted too far, because the outcome is then known.
+    violates one of these two conditions is said to creep, and delays the next box. Once a creeping box has dropped or
+    tilted too far, it no longer delays the next box, because the outcome is then known.
 
-    A box that moves back and forth without net motion is said to tremble. Trembling boxes do not delay the next box
-    either.
+    A box that moves back and forth without net motion is said to tremble. Trembling boxes never delay the next box.
 
     A simulated pallet is at rest if no point of any box moved faster than ``still_m_s`` in the last ``still_steps``
     steps of its rest window (the time at the end over which forces at rest are averaged).
@@ -144,7 +144,7 @@ class Quiet(CheckedRecord):
 
     @property
     def tremble_looks(self) -> int:
-        """Number of checks whether the pallet is quiet within ``tremble_steps`` steps, rounded up."""
+        """How often the simulation checks, within ``tremble_steps`` steps, whether the pallet is quiet; rounded up."""
         return -(-self.tremble_steps // self.poll_steps)
 
 
@@ -257,7 +257,7 @@ class Simulation(CheckedRecord):
     @field_validator("schedule", mode="before")
     @classmethod
     def _no_brisk(cls, value: Any) -> Any:
-        if value == "brisk":  # petmjx 0.1 had this schedule
+        if value == "brisk":  # petmjx 0.1 had the schedule ``brisk``
             raise ValueError(
                 "must be 'fixed' or 'adaptive': 'brisk' was removed, since adaptive now takes as few steps"
             )
@@ -327,8 +327,8 @@ class Simulation(CheckedRecord):
     def may_carry(self) -> bool:
         """Whether boxes may be carried to their places by a simulated hand or by tines.
 
-        If the user has chosen a way of placing, the answer follows from it. With ``auto``, a hand may carry boxes,
-        unless boxes fall into their places or the schedule does not wait for a hand.
+        If the user has chosen a way of placing, boxes may be carried only if this way is ``hand`` or ``tines``. With
+        ``auto``, a hand may carry boxes, unless boxes fall into their places or the schedule does not wait for a hand.
         """
         if self.placing.name is not Way.AUTO:
             return self.placing.carries

@@ -15,7 +15,7 @@ from pydantic import Field
 from petmjx.common.checked_records import CheckedRecord, within
 
 HUMIDITY_LOSS: Final = ((50, 0.0), (60, 0.10), (70, 0.20), (80, 0.32), (90, 0.52), (100, 0.85))
-"""Relative humidity, % → share of their strength that boxes of corrugated board lose. Source: a table of the Fibre Box
+"""Relative humidity, % → share of its strength that a box of corrugated board loses. Source: a table of the Fibre Box
 Association, as reproduced by a maker of boxes (http://www.richbox.com/about_boxes/target_compression.asp)."""
 
 TIME_LOSS: Final = ((10.0, 0.37), (30.0, 0.40), (90.0, 0.45), (180.0, 0.50))
@@ -33,8 +33,8 @@ class Stacking(CheckedRecord):
     McKee's formula and tests in a press give the strength of a box between two flat plates. On a pallet, the loads on a
     box's walls depend on the boxes above and below.
 
-    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. If nothing is below a part of
-    a wall, this part is assumed to bear no load. No source states how much load it bears.
+    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. A part of a wall with nothing
+    below it is assumed to bear no load, because no source states how much load such a part bears.
     """
 
     interlocked_loss: Annotated[float, within(0, 1)] = Field(
@@ -64,13 +64,13 @@ class Stacking(CheckedRecord):
     )
 
     def with_losses(self, factor: float) -> Self:
-        """The options with each loss by stacking multiplied by ``factor``, but at most 1."""
+        """A copy of these options in which each loss by stacking is multiplied by ``factor``, up to a loss of 1."""
         names = ("interlocked_loss", "overhang_loss", "gap_loss", "soft_deck_loss")
         return self.changed(**{name: min(factor * getattr(self, name), 1.0) for name in names})
 
     @property
     def humidity_loss(self) -> float:
-        """The share of its strength that a box loses by moist air."""
+        """The share of its strength that a box loses because the air is moist."""
         percent, losses = np.array(HUMIDITY_LOSS).T
         return float(np.interp(self.humidity_percent, percent, losses))
 

@@ -30,7 +30,7 @@ class Side(StrEnum):
 
     @property
     def is_far(self) -> bool:
-        """Whether a wall on this side is at the end of the axis with the larger coordinate."""
+        """Whether a wall on this side is at that end of the axis at which the coordinate is larger."""
         return self in (Side.RIGHT, Side.BACK)
 
 
@@ -38,7 +38,8 @@ class Walls(CheckedRecord):
     """The walls around a carrier's top. A ``Walls`` can be made from a list of sides, or from a mapping.
 
     A wall is a rigid upright plate along a whole side, and part of the carrier's body. If a field is None, the
-    carrier's own value is used (``petmjx.options.carriers.walls_of``), or else the value from ``USUAL``.
+    carrier's own value is used (``petmjx.options.carriers.walls_of``), or, if the carrier has none, the value from
+    ``USUAL``.
     """
 
     sides: Annotated[tuple[Side, ...] | None, CliFlag("--walls", "SIDE,…")] = Field(
@@ -106,8 +107,8 @@ class Walls(CheckedRecord):
         return tuple(side for side in self.sides or () if side not in self.open)
 
     def check_open(self) -> None:
-        """Check that every side with an open wall has a wall. The error names the field ``walls`` of the record that
-        holds this record."""
+        """Check that every side in ``open`` has a wall, since only a wall can be open. The error names the field
+        ``walls`` of the record that holds this record."""
         for at, side in enumerate(self.open):
             if side not in (self.sides or ()):
                 raise complaint(f"is {side}, but the carrier has no wall on this side", "walls", "open", at)
@@ -115,8 +116,8 @@ class Walls(CheckedRecord):
     def room_fault(self, extent_mm: Sequence[float]) -> str | None:
         """The error text if the walls leave no room for boxes on a carrier's top; None if there is room.
 
-        A negative gap between walls and the carrier's sides narrows the room. The length of a wall is the length of the
-        carrier's side plus two gaps, even if the adjacent sides have no walls.
+        A negative gap, with walls that stand inside the carrier's sides, narrows the room for boxes. The length of a
+        wall is the length of the carrier's side plus two gaps, even if the adjacent sides have no walls.
 
         Args:
             extent_mm: extents of the carrier's top along x and y, mm.
@@ -132,6 +133,6 @@ class Walls(CheckedRecord):
 USUAL: Final = Walls(
     sides=(), height_mm=1500.0, gap_mm=0.0, thickness_mm=30.0, mass_kg_m2=6.0, friction=None, material="wood"
 )
-"""The values that are used if neither the user nor the carrier sets them. The mass per area is an assumption, derived
-from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and walls of
-about 3 m²."""
+"""The values of fields of ``Walls`` that neither the user nor the carrier sets. The mass per area is an assumption,
+derived from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and walls
+of about 3 m²."""

@@ -1,5 +1,5 @@
-"""The packer ``baseline``: each box goes to the lowest of the extreme points at which its base is sufficiently
-supported.
+"""The packer ``baseline``, which puts each box at the lowest extreme point of the pile at which the box's base is
+sufficiently supported.
 
 The extreme points are those of Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional
 bin packing", INFORMS Journal on Computing 20(3), 368–384. At the x and y of an extreme point, a box is lowered until it
@@ -29,8 +29,9 @@ class PackRules:
         centre_supported: whether the centre of the base must be inside the convex hull of the contact areas under the
             base. Without this rule, a box may tip as soon as it is placed.
         max_height_mm: greatest allowed height of a box's top, mm.
-        y_first: whether, of several places of equal height, the place with the smallest y is chosen, then the smallest
-            x. If ``y_first`` is False, the smallest x is chosen, then the smallest y.
+        y_first: which of several equally low places is chosen. If ``y_first`` is True, it is the place with the
+            smallest y, and then with the smallest x. If ``y_first`` is False, it is the place with the smallest x, and
+            then with the smallest y.
         sort_noise: standard deviation of the random number that is added to the sorting key, one number per article.
             The sorting key is the natural logarithm of base area × weight ** ``weight_exponent``.
         weight_exponent: exponent of the weight in the sorting key.
@@ -57,8 +58,8 @@ class PlacedBox:
 def pack_best(
     items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator, attempts: int = 3
 ) -> list[PlacedBox]:
-    """The packing with the most boxes, of up to ``attempts`` packings whose boxes are sorted with different random
-    numbers."""
+    """The best of up to ``attempts`` packings, that is, the packing with the most boxes. For each packing, the boxes
+    are sorted with other random numbers."""
     best: list[PlacedBox] = []
     for _ in range(attempts):
         placed = pack(items, extent_mm, rules, rng)
@@ -126,8 +127,8 @@ class _Pile:
         self._points: dict[tuple[float, float], None] = {(0.0, 0.0): None}
 
     def find(self, item: Item) -> tuple[int, tuple[float, float, float]] | None:
-        """The best place for an item: orientation, and front-left-bottom corner in mm. None if there is no place for
-        the item."""
+        """The best place for an item: orientation, and front-left-bottom corner in mm. The result is None if there is
+        no place for the item."""
         points = np.array(list(self._points))
         allowed_orientations = (0, 1) if item.length_mm != item.width_mm else (0,)
         corners = np.concatenate([points] * len(allowed_orientations))
@@ -160,8 +161,9 @@ class _Pile:
         self.n += 1
 
     def _slide(self, axis: int, start: float, across: float, level: float) -> float:
-        """Coordinate along ``axis``, mm, at which a point that slides from ``start`` towards 0 meets a box, or 0 (the
-        carrier's edge). ``across`` is the point's other horizontal coordinate, ``level`` its height, mm."""
+        """The coordinate along ``axis``, mm, at which a point that slides from ``start`` towards 0 meets a box. If the
+        point meets no box, the coordinate is 0, the carrier's edge. ``across`` is the point's other horizontal
+        coordinate, ``level`` its height, mm."""
         low, high = self._low[: self.n], self._high[: self.n]
         other = 1 - axis
         in_way = (low[:, other] <= across) & (across < high[:, other]) & (low[:, 2] <= level) & (level < high[:, 2])
@@ -169,7 +171,8 @@ class _Pile:
         return float(ends.max()) if len(ends) else 0.0
 
     def _rest(self, corners: FloatArray, bases: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(c,) heights z of boxes' bottoms after they are lowered, mm, and (c,) supported shares of their bases.
+        """(c,) height z of the bottom of each box after the box has been lowered, mm, and (c,) supported share of each
+        box's base.
 
         Args:
             corners, bases: (c, 2) corners (x, y), and sides along x and y, of the boxes, mm.
@@ -202,7 +205,7 @@ class _Pile:
 def in_hull_of_rectangles(point: FloatArray, low: FloatArray, high: FloatArray) -> bool:
     """Whether a (2,) point lies in the convex hull of n rectangles with the (n, 2) lowest and (n, 2) highest corners.
 
-    The point is outside if all corners of the rectangles are on one side of a line through the point. For a point
+    The point is outside if all corners of the rectangles are on one side of a line through the point. If the point is
     outside, the directions from the point to the corners leave a gap of more than 180°.
     """
     corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]]) - point

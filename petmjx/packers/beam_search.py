@@ -3,9 +3,9 @@
 The search keeps ``width`` packings. Every step extends each kept packing by its ``branch`` best candidates. To rate a
 candidate, the packing with this candidate is filled up by best fit, as in ``balanced`` (the pilot method: Duin, Voß
 1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
-Networks 34, 181–191). The best ``width`` packings are kept. Filling up is aborted as soon as the packing is higher than
-all of the best ``width`` packings so far. In large orders, a step places several boxes: first the candidate, then
-further boxes by best fit.
+Networks 34, 181–191). Of all extended packings, the best ``width`` are kept. Filling up is aborted as soon as the
+packing is higher than each of the ``width`` best packings that have been found in this step. In large orders, a step of
+the search places several boxes: first the candidate, then further boxes by best fit.
 
 The search is deterministic, and does not depend on computing time.
 """
@@ -24,17 +24,17 @@ from petmjx.packers.packing_state import FullPacking, NextCandidate, Packing, Ta
 from petmjx.plans.order_generator import Item
 
 MOST_STEPS: Final = 80
-"""Largest number of steps of a search. With this limit, an order of 162 different boxes takes 12 s; without the limit,
-34 s."""
+"""Largest number of steps of a search. With this limit, the search for an order of 162 different boxes takes 12 s;
+without the limit, it takes 34 s."""
 
 _VOLUME_DECIMALS: Final = 9
-"""Number of decimals to which volumes in m³ are rounded, that is, to a cubic millimetre. Two sums over the same boxes
-in different sequences are then equal."""
+"""Number of decimals to which volumes in m³ are rounded, that is, to a cubic millimetre. With this rounding, two sums
+over the same boxes in different sequences are equal."""
 
 
 class PackingValue(NamedTuple):
-    """The value of a full packing. Values are compared first by the volume of the boxes, then by height, then by the
-    moment of the masses. The larger value is better."""
+    """The value of a full packing. Values are compared first by the volume of the boxes, then by the height of the
+    packing, then by the moment of the masses. The larger value is better."""
 
     volume_m3: float
     below_mm: float
@@ -94,7 +94,7 @@ Fills = Callable[[Packing, NextCandidate | None, float], FullPacking | None]
 
 
 def fills_for(start: Packing) -> Fills:
-    """The function that fills up packings of an order, given the empty packing of the order.
+    """Make the function that fills up packings of an order. ``start`` is the empty packing of the order.
 
     If Warp is installed, the function is compiled. The compiled function makes the same packings as the function in
     Python.
@@ -115,15 +115,15 @@ class _SearchNode(NamedTuple):
 
 
 class _SearchBranch(NamedTuple):
-    """A packing, a candidate for its next box, and the full packing that results from both. The candidate is None if
-    the packing already contains its box."""
+    """A packing, a candidate for its next box, and the full packing that results if this candidate is placed first. The
+    candidate is None if the packing already contains the candidate's box."""
 
     packing: Packing
     candidate: NextCandidate | None
     filled: RankedPacking
 
     def node(self) -> _SearchNode:
-        """The node that this branch leads to: the packing with the candidate's box."""
+        """The node to which this branch leads: the packing together with the candidate's box."""
         if self.candidate is None:
             return _SearchNode(self.packing, self.filled)
         packing = self.packing.copy()
@@ -151,7 +151,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
     for way in ways:
         before = frozenset(way.packing.placed)
         for number, candidate in enumerate(way.packing.next(branch)):
-            packing = way.packing  # the packing is copied later, if it is among the best
+            packing = way.packing  # the packing is copied later, and only if it is among the best
             first: NextCandidate | None = candidate
             boxes = before | {packing.box(candidate)}
             if stride > 1:
@@ -176,7 +176,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
     """Largest height of another packing that can still be among the best packings, mm."""
-    if len(best) < width or len(best[-1].filled.placed) < n_items:  # packings with more boxes are better at any height
+    if len(best) < width or len(best[-1].filled.placed) < n_items:  # at any height, more boxes are better
         return inf
     return best[-1].filled.height_mm
 

@@ -3,8 +3,8 @@
 ``python -m petmjx.packers.bundled_plans`` writes the file with these plans.
 
 Statics determines whether the hand-made plans stand, if boxes are placed one by one on the carrier ``footprint``, which
-is as large as the plan's bounding box. The simulation makes boxes smaller by 0.1 mm. The reduction changes no verdict,
-since all hand-made plans are several centimetres away from their limits.
+is as large as the plan's bounding box. The simulation makes boxes smaller by 0.1 mm. This reduction changes no verdict,
+since in all hand-made plans, the boxes are several centimetres away from the limit between standing and falling.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from petmjx.plans.order_generator import Item
 BUNDLED_SEED = 0
 
 BUNDLED_INDICES = (3, 7, 13, 16, 38, 46, 92, 152, 189, 430, 443, 1349, 1784, 2112)
-"""Numbers of the generated plans. Seven of these plans stand, and seven collapse (16, 46, 430, 443, 1349, 1784, 2112).
-Three plans have 41 to 45 boxes, three have about 30, and eight have 14 to 20, so that a demo is quick."""
+"""Numbers of the generated plans. Seven of the plans with these numbers stand, and seven collapse (16, 46, 430, 443,
+1349, 1784, 2112). Three plans have 41 to 45 boxes, three have about 30, and eight have 14 to 20, so that a demo is
+quick."""
 
 
 def bundled_plans() -> Iterator[tuple[str, list[dict[str, Any]]]]:

@@ -35,7 +35,7 @@ class Candidates:
         z: (p, s) height of each candidate's bottom at rest, mm.
         carried: (p, s) supported area of each candidate's base, mm².
         open: (p, s) whether each candidate can be chosen. A candidate must be inside the carrier's edges. A candidate
-            that was refused because of the balance cannot be chosen until another box is placed under it.
+            that was refused because it would tip cannot be chosen until another box is placed under it.
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
@@ -93,7 +93,8 @@ class Candidates:
         self._add_points([(x, y) for x, y in points[:, 0].tolist()])
 
     def _cover(self, corner: tuple[float, float], ends: tuple[float, float, float]) -> None:
-        """Update the candidates for which the newest box is now the highest box under their base."""
+        """Update those candidates whose base is above the newest box, if the newest box is now the highest box under
+        the base."""
         area = overlap(self.points, self.base, np.array([corner]), np.array([ends[:2]]))[:, :, 0]
         hit, top = area > 0, ends[2]
         higher = hit & (top > self.z + TOUCH_MM)
@@ -133,11 +134,11 @@ def _copied_rows(rows: FloatArray, n: int) -> FloatArray:
 def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
     """(7, m, 2) corner points (x, y) that the newest box adds to each of m piles, mm.
 
-    Let the newest box extend from (x, y, z) to (x_end, y_end, top). Three points are corners of this box: (x_end, y),
-    (x, y_end) and (x, y). The other four points are found by sliding: a point starts at one of these corners, and moves
-    towards x = 0 or y = 0 until it meets another box or the carrier's edge. At the height z, one point slides from
-    (x_end, y) towards y = 0, and one from (x, y_end) towards x = 0. At the height ``top``, two points slide from (x,
-    y).
+    Let the newest box extend from (x, y, z) to (x_end, y_end, top). Three points are the corners (x_end, y), (x, y_end)
+    and (x, y) of this box. The other four points are found by sliding: a point starts at one of these corners, and
+    moves towards x = 0 or y = 0 until it meets another box or the carrier's edge. At the height z, one point slides
+    from (x_end, y) towards y = 0, and one from (x, y_end) towards x = 0. At the height ``top``, two points slide from
+    (x, y).
 
     Args:
         low, high: (m, n, 3) lowest and highest corners of the boxes of each pile, mm. The newest box is the last.

@@ -1,7 +1,7 @@
 """Fills up packings with compiled code: :meth:`petmjx.packers.packing_state.Packing.fill` in C++ (fill.cpp).
 
 Warp compiles the code once per machine. The compiled code places the same boxes at the same places as Python, bit for
-bit. If rounding might cause a difference, Python fills up the packing instead.
+bit. If rounding could make compiled code and Python differ, Python fills up the packing.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from petmjx.packers.pile_balance import (
 )
 
 GRAIN_MM: Final = 2.0**-10
-"""Length, mm, of which all sides and the free space must be multiples. Sums of areas are then exact, in whatever
-sequence they are added."""
+"""Length, mm. The sides of all boxes and the free space must be multiples of this length. Sums of areas are then exact,
+in whatever sequence the areas are added."""
 
 POINTS, POINTS_PER_BOX, PLANES_PER_BOX = 64, 4, 16
-"""Capacities of the tables: ``POINTS`` + ``POINTS_PER_BOX`` per box for corner points, and ``PLANES_PER_BOX`` per box
-for edges of hulls. Piles of 80 boxes have 2 points and 5 edges per box."""
+"""Capacities of the tables. There is room for ``POINTS`` corner points and for ``POINTS_PER_BOX`` further corner points
+per box, and for ``PLANES_PER_BOX`` edges of hulls per box. Piles of 80 boxes have 2 points and 5 edges per box."""
 
 _KINDS: Final = {np.float64: wp.float64, np.int32: wp.int32, np.bool_: wp.bool}
 
@@ -148,8 +148,8 @@ class FillKernel:
         self._launch.launch()
 
     def _tips(self) -> bool:
-        """Whether the next box would tip over on its supports. The kernel leaves this question to Python if the box is
-        close to tipping."""
+        """Whether the next box would tip over on its supports. If the box is close to tipping, the kernel leaves this
+        question to Python."""
         low, high = np.split(self._of["rectangles"][: self._of["counts"][Count.UNDER]], 2, axis=1)
         length, width = self._of["own_base"][self._of["counts"][Count.SHAPE]].tolist()
         return tips(hull_planes(low, high, margin_m((length, width))), self._of["own_load"])

@@ -1,9 +1,9 @@
-"""The free space that a pile leaves for future boxes: how low typical cartons could stand, and how many places are
-level.
+"""Measures the free space that a pile leaves for future boxes: how low typical cartons could stand, and how many places
+for cartons are level.
 
 A packer that sees only the next box does not know the boxes after it, but it can expect typical cartons. For each
-candidate (a place for the next box), the box is put on a coarse height map of the pile. From this map follow the lowest
-place for each typical carton, and the volume of air under a carton at that place.
+candidate (a place for the next box), the box is put on a coarse height map of the pile. This map shows the lowest place
+for each typical carton, and the volume of air under the carton at this place.
 """
 
 from __future__ import annotations
@@ -24,25 +24,27 @@ LARGE: Final = ((11, 4), (4, 11)), ((12, 8), (8, 12))
 200 and 400 × 300 mm, large ones 550 × 200 and 600 × 400 mm."""
 
 AIR: Final = 0.5
-"""Cost of a millimetre of air under a carton (mean over its base), as millimetres of additional height."""
+"""Cost of a millimetre of air under a carton, as millimetres of additional height. The height of the air is its mean
+over the carton's base."""
 
 LEVEL_MM: Final = 15.0
-"""Largest mean height of air under a carton's base at which the place counts as level, mm."""
+"""A place counts as level if the mean height of the air under a carton's base is at most this length, mm."""
 
 NAMES: Final = ("room_small", "room_large", "level_small", "level_large")
 
 
 def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[str, FloatArray]:
-    """The free space that remains after each of c candidates is placed.
+    """The free space that remains if the box of a candidate is placed, for each of c candidates.
 
     Args:
-        surface: height map of the pile before.
+        surface: height map of the pile without the candidates' boxes.
         low, high: (c, 3) lowest and highest corners of each candidate's box on the pile, mm.
 
     Returns:
-        A dict: name in ``NAMES`` → (c,) values. ``room_small`` and ``room_large`` are the height of the lowest place
-        plus the cost of the air below, m, as the mean over small or large cartons. ``level_small`` and ``level_large``
-        are the share of places that are level, as the mean over small or large cartons.
+        A dict: name in ``NAMES`` → (c,) values. ``room_small`` and ``room_large`` measure how low the next carton could
+        stand: the height of a carton's lowest place plus the cost of the air below the carton, m, as the mean over
+        small or large cartons. ``level_small`` and ``level_large`` are the share of places that are level, as the mean
+        over small or large cartons.
     """
     lines = np.concatenate([surface.lines(low), surface.lines(high)], axis=1)[:, :, None]
     x, y = (np.arange(n) for n in surface.height.shape)
@@ -66,23 +68,23 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
 
 def _wider(highest: Heights, more: int) -> Heights:
-    """Maxima of heights over windows that are wider by ``more`` cells, computed from the maxima ``highest`` over
-    narrower windows, which must be at least ``more`` cells wide."""
+    """The largest height in each window that is wider by ``more`` cells than the windows of ``highest``. ``highest``
+    has the largest heights in the narrower windows, which must have ``more`` cells or more."""
     wider: Heights = np.maximum(highest[:, : max(highest.shape[1] - more, 0)], highest[:, more:])
     return wider
 
 
 _DEEPER: Final = {4: (1, 2), 6: (1, 2, 2), 8: (1, 2, 4), 11: (1, 2, 4, 3), 12: (1, 2, 4, 4)}
-"""Depth of a window in cells → numbers of cells by which the window grows, step by step, from one cell to this depth.
-No step adds more cells than the window has before this step."""
+"""Depth of a window in cells → the steps in which a window grows from one cell to this depth, as numbers of added
+cells. No step adds more cells than the window already has."""
 
 _NOWHERE_MM: Final = 2000.0
 
 
 def _places(highest: Heights, sums: Heights, wide: int, deep: int) -> tuple[FloatArray, FloatArray]:
-    """(c,) smallest cost of a place for a base, mm, and (c,) share of places that are level.
+    """(c,) smallest cost of a place for a carton's base, mm, and (c,) share of places that are level.
 
-    The cost is the height of the place plus the cost of the air below. The base has ``wide`` × ``deep`` cells.
+    The cost of a place is its height plus the cost of the air below the base. The base has ``wide`` × ``deep`` cells.
     """
     for more in _DEEPER[deep]:
         highest = np.maximum(highest[:, :, : max(highest.shape[2] - more, 0)], highest[:, :, more:])

@@ -15,7 +15,7 @@ CELL_MM: Final = 25.0
 class HeightMap:
     """The height of the highest top in each cell of a grid.
 
-    Boxes are lowered from above, so a new box is the highest box in its cells.
+    Boxes are lowered from above, so a new box is the highest box in the cells that it covers.
 
     Attributes:
         height: (nx, ny) heights of the tops, mm.

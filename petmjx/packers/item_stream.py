@@ -113,7 +113,7 @@ class ItemStream(Packing):
         return self._masses[: len(self.placed)]
 
     def worth(self, places: Places) -> FloatArray:
-        """(c,) value of each candidate's box as in the packer ``balanced``, without regard to its place, as mm of
+        """(c,) value of each candidate's box as in the packer ``balanced``, without regard to the box's place, as mm of
         height."""
         worths: FloatArray = self._worth[places.shape]
         return worths
@@ -135,7 +135,7 @@ class ItemStream(Packing):
         """Leave out the next box."""
         kind = self._coming.pop(0)
         self.skipped += 1
-        # equal boxes have the same candidates, so it does not matter which of them is removed
+        # equal boxes have the same candidates, so it does not matter which of the equal boxes is removed
         self._stock[kind].pop(0)
         if not self._stock[kind]:
             self._keep_shapes(self._kind_of != kind)
@@ -161,6 +161,6 @@ def pack_stream(stream: S, chooses: Chooses[S]) -> list[PlacedBox]:
 
 
 def by_taste(stream: ItemStream) -> NextCandidate | None:
-    """One step of the packer ``balanced``, restricted to the visible boxes."""
+    """Choose the candidate that the packer ``balanced`` would choose if there were no boxes but the visible ones."""
     candidates = stream.next(1, kinds=stream.seen)
     return candidates[0] if candidates else None

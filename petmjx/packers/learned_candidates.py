@@ -1,8 +1,9 @@
 """Candidates of the packer ``learned``: extreme points seen from all four corners of the target.
 
-At an extreme point (Crainic, Perboli, Tadei 2008), a box touches its neighbours on the sides that face the origin. With
-such points alone, a pile grows from one corner of the target and leaves narrow free strips along the opposite edges. In
-this module, the pile is also mirrored, so that there are extreme points for the three other corners as well.
+At an extreme point (Crainic, Perboli, Tadei 2008), a box touches its neighbours on the sides that face the origin. If
+only extreme points seen from one corner were used, the pile would grow from this corner and leave narrow free strips
+along the opposite edges of the target. In this module, the pile is also mirrored, so that there are extreme points for
+the three other corners as well.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Smallest supported share of a base. The limit can be low, because two other rules decide where boxes are placed: the
-static balance, and the probability to stand that a network predicts."""
+"""Smallest supported share of a base. This smallest share can be low, because two other rules decide where boxes are
+placed: the static balance, and the probability to stand that a network predicts."""
 
 COARSE_MM: Final = 50.0
 
 OVERHANG_MM: Final = 40.0
-"""Cost of a base without any support, as mm of additional height. A partly supported base costs less, in proportion to
-its unsupported share."""
+"""Cost of a base without any support, as mm of additional height. The cost of a partly supported base is proportional
+to its unsupported share."""
 
 MIRRORS: Final = ((False, False), (True, False), (False, True), (True, True))
 """For each corner of the target, whether x, and whether y, is mirrored."""
@@ -114,7 +115,7 @@ class MirroredCandidates(Candidates):
 
 
 class FourSidedStream(ItemStream):
-    """A stream of boxes whose candidates may touch other boxes on any of their four sides.
+    """A stream of boxes. At a candidate place, a box may touch other boxes with any of its four sides.
 
     Attributes:
         coarse: height map of the pile with cells of ``COARSE_MM``.
@@ -139,7 +140,7 @@ class FourSidedStream(ItemStream):
     def places(self, least_support: float = LEAST_SUPPORT) -> Places:
         """All candidates for the visible boxes that have sufficient support and are not too high.
 
-        ``keeps_balance`` checks the balance of a candidate later.
+        These candidates are not checked for balance, which ``keeps_balance`` does later.
 
         Args:
             least_support: smallest allowed supported share of a base.
@@ -176,7 +177,7 @@ class FourSidedStream(ItemStream):
         return NextCandidate(point, shape, (x, y, z), rest)
 
     def still_open(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) False for each candidate that ``keeps_balance`` has refused, else True."""
+        """(c,) whether each candidate is still possible, which it is unless ``keeps_balance`` has refused it."""
         return np.array([point not in self._refused for point in places.point.tolist()], dtype=bool)
 
     def put(self, chosen: NextCandidate) -> None:
@@ -202,10 +203,11 @@ def cost_mm(stream: ItemStream, places: Places) -> FloatArray:
 
 
 def lowest_first(stream: FourSidedStream) -> NextCandidate | None:
-    """One step of a simple packer: the candidate of least cost that keeps the balance. None if there is no candidate.
+    """Choose the candidate of least cost with which the pile keeps its balance, as a simple packer does in each step.
+    The result is None if there is no candidate.
 
-    The value of the candidate's box, as in the packer ``balanced``, is subtracted from the cost. The value makes a
-    difference only if several boxes are visible.
+    The value of the candidate's box, as in the packer ``balanced``, is subtracted from the cost. This subtraction makes
+    a difference only if several boxes are visible.
     """
     places = stream.places()
     cost = cost_mm(stream, places) - stream.worth(places)

@@ -19,8 +19,8 @@ from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.pile_balance import TOUCH_MM
 
 LATE: Final = ("z", "support", "rougher", "room_small", "room_large")
-"""Features that appear a second time, multiplied by the pile's mean height in m. So the total weight of such a feature
-can depend on the height of the pile."""
+"""Features that appear a second time, multiplied by the pile's mean height in m. With the second weight, the effect of
+a feature can depend on the height of the pile."""
 
 NAMES: Final = (
     *("z", "grows", "below_top"),
@@ -128,7 +128,7 @@ def _neighbour_features(
     high: FloatArray,
     extent: FloatArray,
 ) -> None:
-    """Add the features that depend on placed boxes beside and below the candidates to ``columns``.
+    """Add to ``columns`` the features that depend on placed boxes beside and below the candidates.
 
     Args:
         columns: name of a feature → values.
@@ -177,7 +177,7 @@ def _neighbour_features(
 
 
 def _heights(columns: dict[str, FloatArray | float], start: FloatArray, end: FloatArray, surface: HeightMap) -> None:
-    """Add the features that depend on the height map to ``columns``: on the cells under the box, on the cells around
+    """Add to ``columns`` the features that depend on the height map: on the cells under the box, on the cells around
     the box, and on the map with the box."""
     low, high = surface.lines(start), surface.lines(end)
     count, under, under_square = surface.over(low, high)

@@ -32,23 +32,25 @@ LEARNED: Final = "learned"
 """The packer's name."""
 
 CLEARANCE_MM: Final = 4.0
-"""Free space between neighbours, mm. With this space, plans stand even if a robot places the boxes inexactly
+"""Free space between neighbouring boxes, mm. With this space, plans stand even if a robot places the boxes inexactly
 (docs/packers.md)."""
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6
-"""Only the lowest candidates of each visible kind of box are rated: ``MOST_PLACES`` divided by the number of kinds, but
-at least ``LEAST_PLACES``."""
+"""For each visible kind of box, only the lowest candidates are rated. The number of rated candidates per kind is
+``MOST_PLACES`` divided by the number of visible kinds, or ``LEAST_PLACES`` if that is larger."""
 
 SURE: Final = 0.98
-"""Probability to stand that is high enough: the packer takes the best candidate that reaches it."""
+"""A probability to stand that is high enough. The packer takes the best candidate whose probability is ``SURE`` or
+more."""
 
 LEAST_SURE: Final = 0.5
 """Smallest acceptable probability to stand. If no candidate reaches ``SURE``, the packer takes the candidate with the
-largest probability, provided that this reaches ``LEAST_SURE``."""
+largest probability, but only if this probability is ``LEAST_SURE`` or more."""
 
 MOST_TRIED: Final = 16
-"""Largest number of candidates whose probability is computed if none reaches ``SURE``."""
+"""If no candidate reaches ``SURE``, the packer gives up after it has computed the probabilities of this number of
+candidates."""
 
 SCORE_DECIMALS: Final = 6
 """Number of decimals to which scores are rounded, so that processors that round differently choose the same places."""
@@ -69,7 +71,7 @@ class ChosenCandidate(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """One step of the packer: the rated candidates, their features, and the chosen candidate."""
+    """What the packer considers in one step: the rated candidates, their features, and the chosen candidate."""
 
     places: Places
     rows: FloatArray
@@ -102,7 +104,7 @@ class Policy:
         ``SURE``.
 
         If none of the best ``MOST_TRIED`` candidates reaches ``SURE``, the candidate with the largest probability is
-        chosen. If none of these candidates reaches ``LEAST_SURE``, the result is None.
+        chosen. If none of the best ``MOST_TRIED`` candidates reaches ``LEAST_SURE``, the result is None.
         """
         surest: ChosenCandidate | None = None
         tried = 0
@@ -160,7 +162,7 @@ def placing_of(stream: FourSidedStream, places: Places, row: int, rest: Rest | N
 
 
 def lowest(stream: FourSidedStream, places: Places) -> Places:
-    """The candidates of least cost (mainly height) of each kind of box."""
+    """For each kind of box, the candidates of least cost, that is, mainly the lowest candidates."""
     cost = cost_mm(stream, places) + places.size_mm[:, 2]
     kinds = np.unique(places.kind)
     most = max(MOST_PLACES // max(len(kinds), 1), LEAST_PLACES)

@@ -61,7 +61,7 @@ class Packed:
 
     @property
     def each(self) -> tuple[PackedOrder, ...]:
-        """The same as ``packed_orders``, under its name in version 0.2."""
+        """The same as ``packed_orders``, under the name that this attribute had in version 0.2."""
         warnings.warn("Packed.each is now Packed.packed_orders", DeprecationWarning, stacklevel=2)
         return self.packed_orders
 
@@ -133,8 +133,9 @@ def pack(
 ) -> Packed:
     """Pack orders with the packer ``physical`` or ``learned``.
 
-    ``physical`` packs densely, and chooses plans that stand in simulations, both if boxes are placed exactly and with
-    the errors of a robot. ``learned`` places boxes in the sequence of their arrival; its plans are simulated as well.
+    ``physical`` packs densely, and chooses plans that stand in simulations in which boxes are placed exactly, and in
+    simulations with the errors of a robot. ``learned`` places boxes in the sequence of their arrival; its plans are
+    simulated as well.
 
     ``petmjx.pack("orders.json", least_share=0.95).save("plans.json")``
 
@@ -146,14 +147,14 @@ def pack(
             frame of items. If ``orders`` is None, ``n`` orders are generated, as in ``petmjx samples``.
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
-        look_ahead: number of boxes that ``learned`` sees at a time. If ``look_ahead`` is None, 1 box is seen.
+        look_ahead: number of boxes that ``learned`` sees at a time. If ``look_ahead`` is None, ``learned`` sees 1 box.
         workers: number of processes for the search. The plans do not depend on this number. Scripts that use more than
             one process need ``if __name__ == "__main__":``.
         on_bad_order: function that is called with the error of each unusable order; the order is then skipped. If
             ``on_bad_order`` is None, the error is raised.
-        target: carrier for orders whose file does not name a carrier: ``euro-pallet``, ``rollcontainer``, or sizes in
-            mm such as ``1200x1000``. If ``target`` is None, the carrier is the file's container if that container is a
-            pallet, else a Euro pallet.
+        target: carrier for orders whose file does not name a carrier. This may be ``euro-pallet``, ``rollcontainer``,
+            or sizes in mm such as ``1200x1000``. If ``target`` is None, the carrier is the file's container if that
+            container is a pallet, else a Euro pallet.
         options: options of the packer ``physical``: ``width``, ``branch``, ``clearances_mm``, ``worlds``,
             ``least_share``, ``maximise`` (docs/packers.md). Options of the simulation: ``errors``, a sweep file; fields
             of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``. Options for reading a file of orders:
@@ -182,7 +183,7 @@ def pack_each(
     workers: int = 1,
     **options: Any,
 ) -> Iterator[PackedOrder]:
-    """Yield the result of each order as soon as it is known. Arguments are those of ``pack``, except ``orders``.
+    """Yield the result of each order as soon as it is known. All arguments except ``orders`` are those of ``pack``.
 
     Args:
         orders: pairs of an id and an order.
@@ -248,7 +249,7 @@ def reading_of(
 
 
 def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[str, Any]]:
-    """Split options into those of the packer and those of its simulations."""
+    """Split options into the options of the packer and the options of its simulations."""
     sim, run, sure, of_packer = sorted_options(options, Confidence, PhysicalOptions)
     if other := next((name for name in run if name not in OF_RUN), None):
         raise InputError(f"{other}: a packer has no such option; the run options that it has are {', '.join(OF_RUN)}")

@@ -1,5 +1,5 @@
-"""The finalists of an order: those of its packings that may be simulated. The results of simulations decide which
-finalist is chosen."""
+"""Makes the finalists of an order. A finalist is a packing that may be simulated; the results of simulations decide
+which finalist is chosen."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Finalist:
 
 
 def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
-    """The best packing of an order for each free space in ``options.clearances_mm``. Packings are sorted by volume,
-    then by utilisation, largest first.
+    """For each free space between boxes in ``options.clearances_mm``, the best packing of an order. Packings are sorted
+    by volume, then by utilisation, largest first.
 
     If all of these packings leave boxes out, the best packing without free space is added. The list is empty if there
     is no place for any box.

@@ -14,7 +14,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 
 SOURCE = "pack"
-"""Text that stands in messages as the source of packed plans. The source of other plans is a file."""
+"""Text that messages show as the source of packed plans, which come from no file."""
 
 FIRST_WORLDS: Final = 4
 """Number of worlds with errors that are simulated first. Most packings that fall too often can be refused after this
@@ -88,7 +88,7 @@ class Trial:
             self.n_standing += verdict is Verdict.STABLE
 
     def is_hopeless(self, options: PhysicalOptions) -> bool:
-        """Whether the packing cannot stand as often as requested any more, whatever the remaining verdicts are."""
+        """Whether the packing can no longer stand as often as requested, whatever the remaining verdicts are."""
         fallen = self.n_worlds - self.n_standing
         most = (options.worlds - fallen) / options.worlds if options.worlds else 1.0
         return not self.judged.stands or most < options.least_share
@@ -114,9 +114,9 @@ def order_evaluation(
     """Evaluate the packings of an order: a generator that yields requests for worlds, and returns the evaluations.
 
     The caller resumes the generator when all requested worlds have verdicts. Packings are evaluated one after another
-    until one is good, that is, stands as often as requested. For each packing, a few worlds are simulated first, and
-    the remaining worlds only if the packing can still be good. If no packing is good, all worlds of all packings are
-    simulated, since then the packing that stands most often is chosen.
+    until one is good, that is, stands as often as requested. For each packing, a few worlds are simulated first. The
+    remaining worlds are simulated only if the packing can still be good. If no packing is good, all worlds of all
+    packings are simulated, since then the packing that stands most often is chosen.
 
     Args:
         plan_id: id of the order and of its plan.
@@ -145,10 +145,10 @@ def order_evaluation(
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """The evaluations among which ``choose`` chooses: those up to the first good packing, since later packings are less
-    dense. If the share of standing worlds is maximised, all evaluations are used.
+    """The evaluations among which ``choose`` chooses: the evaluations up to that of the first good packing, since later
+    packings are less dense. If the share of standing worlds is maximised, all evaluations are used.
 
-    Dropping later evaluations makes the choice independent of how many packings were simulated.
+    Because later evaluations are ignored, the choice does not depend on how many packings were simulated.
     """
     good = next((number for number, packing in enumerate(judged) if packing.is_good(options)), None)
     return judged if good is None or options.maximise == "share" else judged[: good + 1]
@@ -163,9 +163,9 @@ def plan_of(plan_id: str, finalist: Finalist) -> Plan:
 def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation:
     """Choose a packing from its evaluations.
 
-    Of the good packings (those that stand as often as requested), the packing with the largest volume of boxes is
-    chosen; of several with this volume, that with the largest value of ``options.maximise``. If no packing is good, the
-    packing that stands most often is chosen.
+    A packing is good if it stands as often as requested. Of the good packings, the packing with the largest volume of
+    boxes is chosen. If several packings have this volume, the packing with the largest value of ``options.maximise`` is
+    chosen. If no packing is good, the packing that stands most often is chosen.
 
     Args:
         judged: at least one evaluation.

@@ -20,15 +20,15 @@ from petmjx.plans.order_generator import Order
 
 
 class Orders(NamedTuple):
-    """Limits on the numbers of orders and worlds that are simulated at the same time.
+    """Numbers that limit how many orders and worlds are simulated at the same time.
 
     Attributes:
-        few: number of searched orders for which an idle engine waits.
+        few: an idle engine waits until the search is complete for this number of orders.
         most: largest number of orders that are simulated at a time. More orders do not make an engine faster.
-        worlds: number of worlds below which an engine has spare capacity. Spare capacity is used for worlds that may
-            turn out not to be needed.
-        rows: smallest number of worlds for which the engine ``mjx-warp`` reserves memory. When this memory is full, all
-            its worlds must end before new worlds begin.
+        worlds: an engine that simulates fewer worlds than this number has spare capacity. Spare capacity is used for
+            worlds that may turn out not to be needed.
+        rows: smallest number of worlds for which the engine ``mjx-warp`` reserves memory. When the reserved memory is
+            full, all worlds in it must end before new worlds begin.
     """
 
     few: int
@@ -41,13 +41,13 @@ CPU: Final = Orders(4, 16, 0, 1024)
 GPU: Final = Orders(64, 1024, 256, 8192)
 
 GRANULE: Final = 96
-"""Number of boxes of which the engine's capacities (boxes per world) are multiples. With a smaller number, more orders
-would exceed the present capacity. An order that exceeds the capacity, and all orders after it, must wait until the
+"""Number of boxes of which the engine's capacities (boxes per world) are multiples. With a smaller number, orders would
+exceed the present capacity more often. An order that exceeds the capacity, and all orders after it, must wait until the
 worlds of the earlier orders have ended."""
 
 FEW_ALONE: Final = 16
-"""Upper limit of the number of searched orders for which an idle engine waits (``Orders.few``), if searches run in the
-process that simulates."""
+"""Upper limit of ``Orders.few``, the number of searched orders for which an idle engine waits, if searches run in the
+same process as the simulations."""
 
 Searched = tuple[str, Order, list[Finalist]]
 """The result of a search: id of the order, the order, and the packings to simulate."""
@@ -111,7 +111,7 @@ class Flow:
         self._at_a_time = at_a_time
         self._few = min(at_a_time.few, FEW_ALONE) if searched.alone else at_a_time.few
         self._open = self._unanswered = self._n_yielded = (
-            0  # numbers of open orders, of their worlds without a result, and of yielded orders
+            0  # numbers of simulated orders, of their worlds without a result, and of yielded orders
         )
         self._following: list[World] = []
         self._packed: dict[int, PackedOrder] = {}

@@ -44,7 +44,7 @@ def _worlds(value: int) -> int:
 
 
 class PhysicalOptions(CheckedRecord):
-    """Options of the packer ``physical``: the width of its search, and its choice among the packings found."""
+    """Options of the packer ``physical``: how wide it searches for packings, and how it chooses among them."""
 
     width: Annotated[int, within(1, 256), CliFlag("--width", "N")] = Field(
         2, description="packings that the search keeps at each step"

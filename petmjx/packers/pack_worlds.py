@@ -44,8 +44,8 @@ class WorldsOfPlans:
 
     @property
     def work(self) -> Work:
-        """The amount of work for one plan. The amount for all plans would matter only for the engine ``auto``, but an
-        engine is always named here."""
+        """The amount of work for one plan. The amount for all plans is not needed: only the engine ``auto`` would
+        depend on it, but packers always name an engine."""
         return Work(self.sim, [1])
 
     def of(self, plan: Plan, variants: Iterable[int]) -> Iterator[World]:

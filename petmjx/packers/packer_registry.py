@@ -24,8 +24,8 @@ BALANCED: Final = "balanced"
 
 
 class Packer(Protocol):
-    """A function that packs one order. The function returns the placed boxes in packing order. In packing order, each
-    box can be lowered to its place from above. Items for which there is no place are left out."""
+    """A function that packs one order. The function returns the placed boxes in packing order. If boxes are placed in
+    packing order, each box can be lowered to its place from above. Items for which there is no place are left out."""
 
     def __call__(
         self, items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules | None, rng: np.random.Generator

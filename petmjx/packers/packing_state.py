@@ -24,21 +24,21 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.5
-"""Smallest supported share of a base. The main rule for supports is the static balance of the pile; this rule also
-limits overhangs."""
+"""Smallest supported share of a base. Whether a box is supported well enough is mainly decided by the static balance of
+the pile; the smallest share only limits overhangs in addition."""
 
 
 @dataclass(frozen=True)
 class Taste:
-    """Weights with which candidates are rated. Values and costs are in mm: a cost of 1 mm counts like a place that is
-    1 mm higher.
+    """Weights with which candidates are rated. Values and costs are in mm of height: a cost of 1 mm has the same effect
+    as a place that is 1 mm higher.
 
     Attributes:
         per_base_side: value per mm of the square root of the base area.
         per_log_weight: value per unit of the natural logarithm of the weight in kg, mm.
         per_height: value per mm of the box's height.
-        per_overhang: cost of a base without any support, mm. A partly supported base costs ``per_overhang`` × its
-            unsupported share.
+        per_overhang: cost of a base without any support, mm of height. A partly supported base costs ``per_overhang`` ×
+            its unsupported share.
         per_distance: cost per mm of x + y of the candidate's corner. So, of equally good places, the place nearest to
             the target's corner is chosen.
     """
@@ -61,7 +61,7 @@ class NextCandidate(NamedTuple):
 
 
 class FullPacking(NamedTuple):
-    """A packing in which there is no place for any more boxes. The fields are those of ``Packing``."""
+    """A packing in which there is no place for any more boxes. Its fields have the same meanings as in ``Packing``."""
 
     placed: tuple[PlacedBox, ...]
     top_mm: float
@@ -197,7 +197,7 @@ class Packing:
 
         Args:
             highest_mm: height of a top, mm, above which filling up is aborted.
-            most: largest number of boxes to place.
+            most: largest number of boxes that are placed.
         """
         end = len(self.placed) + most
         while self.top_mm <= highest_mm:

@@ -3,8 +3,8 @@
 Rules find packings that are dense and in balance (:mod:`petmjx.packers.beam_search`), with different free spaces
 between neighbours. Simulations show which of these packings stand if boxes are placed exactly, and if a robot places
 them with errors. Searches run in worker processes. One engine simulates the packings of all orders, because engines are
-fastest with many worlds at a time. The engine gets the packings of an order as soon as they are found, so that no order
-waits for another.
+fastest with many worlds at a time. The engine gets the packings of an order as soon as the search has found them, so
+that no order waits for another order.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def pack_physical(
 def fastest() -> str:
     """The name of the engine that is fastest on this machine if there are many worlds.
 
-    The engine ``auto`` is not used, since it would depend on the number of orders, but an order's plan must not depend
-    on other orders.
+    The engine ``auto`` is not used, because the engine that it chooses depends on the number of orders, but an order's
+    plan must not depend on other orders.
     """
     if why_no_warp() is None:
         return "mjx-warp"

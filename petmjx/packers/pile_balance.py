@@ -1,12 +1,14 @@
-"""The static balance of a pile (``Balance``): the load of each box must act within the hull of the box's supports.
+"""The static balance of a pile (``Balance``). A pile is in balance if the load of each box acts inside the convex hull
+of the box's supports.
 
 The criterion is mechanical equilibrium (Ramos, Oliveira, Gonçalves, Lopes 2016, "A container loading algorithm with
 static mechanical equilibrium constraints", Transportation Research Part B 91, 565–581). The load of a box is the
-resultant of its own weight and of all forces on its top. The load must act within the convex hull of the areas on which
-the box stands. This module also requires a margin: a least distance inside the hull. Statics does not determine how a
-box distributes its load among the boxes below. This module assumes that the pressure under a box's base is linear, p =
-a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die Lehre von der Elasticität und Festigkeit"). The force
-and the moments of this pressure balance the load. On two narrow supports, this assumption gives the lever rule.
+resultant of its own weight and of all forces on its top. The load must act inside the convex hull of the areas on which
+the box stands. This module also requires a margin: the load must act some distance inside the edges of the hull.
+Statics does not determine how a box distributes its load among the boxes below. This module assumes that the pressure
+under a box's base is linear, p = a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die Lehre von der
+Elasticität und Festigkeit"). The force and the moments of this pressure balance the load. On two narrow supports, this
+assumption gives the lever rule.
 
 A load is a vector (F, F·x, F·y), where (x, y) is the point at which the force F acts. The load that a box passes to a
 box below is a linear function of its own load: a 3 × 3 matrix. ``Balance`` stores the products of these matrices, from
@@ -32,17 +34,17 @@ TOUCH_MM: Final = 1e-6
 equally high. Overlaps smaller than this are ignored."""
 
 SHARE_SLACK: Final = 1e-9
-"""Tolerance of supported shares for rounding errors: a share may be lower than the smallest allowed share by this
-number."""
+"""Tolerance for rounding errors of supported shares: a share that is lower than the smallest allowed share by no more
+than this number is accepted."""
 
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
-"""Distance inside the hull at which the load of a box must act: ``MARGIN_M``, or ``MARGIN_SHARE`` of the base's shorter
-side if that is smaller. With a distance of 10 mm and a supported share of at least 0.6, all of 60 plans stood, too. The
-larger ``MARGIN_M`` allows for the errors of a robot."""
+"""How far inside the hull of its supports the load of a box must act: ``MARGIN_M``, or ``MARGIN_SHARE`` of the base's
+shorter side if that is smaller. With 10 mm instead of ``MARGIN_M`` and a supported share of at least 0.6, all of 60
+plans stood, too. The larger ``MARGIN_M`` allows for the errors of a robot."""
 
 FAR_M: Final = 0.2
-"""Upper limit of computed margins against tipping, m. A box on the carrier has this margin."""
+"""Upper limit of computed margins against tipping, m. A box on the carrier has the margin ``FAR_M``."""
 
 SAME_PLACE_DECIMALS: Final = 9
 """Number of decimals to which corners in m are rounded, that is, to a nanometre. The algorithm of the hull processes
@@ -50,8 +52,8 @@ points from left to right. Without rounding, the algorithm could lose a point th
 a distance too small for products in float64."""
 
 LEAST_TURN_M2: Final = 1e-12
-"""Smallest cross product, m², of two successive edges of the hull at a corner. If the cross product is smaller, the
-point between the two edges counts as a point of a single edge, not as a corner: the difference is rounding."""
+"""Smallest cross product, m², of two successive edges of the hull at a corner. If the cross product is smaller, the two
+edges differ only by rounding, so the point between them counts as a point of a single edge, not as a corner."""
 
 SLACK_KG_M: Final = 1e-9
 """Tolerance for rounding errors when a load is compared with an edge, kg·m."""
@@ -63,7 +65,7 @@ class Rest(NamedTuple):
     Attributes:
         load: (3,) the box's own weight as a load: kg, kg·m, kg·m.
         passed: (n, 3, 3) for each of the n earlier boxes, the matrix that turns a load of the box into the part that
-            the earlier box carries. None if the box stands on the carrier.
+            the earlier box carries. ``passed`` is None if the box stands on the carrier.
         planes: (k, 3) edges of the hull of the box's supports, moved inwards by the margin. The scalar product of an
             edge's row with a load is ≤ 0 if the load acts inside the moved edge.
     """
@@ -129,7 +131,7 @@ class Balance:
         return self._load[: self.n]
 
     def rest(self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float) -> Rest | None:
-        """The effect of one more box on the balance. None if the new box or a box below would tip over.
+        """The effect of one more box on the balance. The result is None if the new box or a box below would tip over.
 
         Args:
             corner_mm: lowest corner of the box, mm. The box stands on all tops at the height of its bottom.
@@ -141,7 +143,7 @@ class Balance:
             return let_down
         if let_down is None or tips(let_down.planes, let_down.load):
             return None
-        # The loads of all boxes of the pile are compared with the edges of their hulls at once.
+        # All loads are compared at once: the load of each box of the pile with the edges of this box's hull.
         if len(self._planes) and self._over_planes(let_down).max() > SLACK_KG_M:
             return None
         return let_down
@@ -153,7 +155,7 @@ class Balance:
         mass_kg: float,
         rest: Rest | None = None,
     ) -> Margins:
-        """The margins against tipping with one more box, m, at most ``FAR_M``. A negative margin means that a box tips.
+        """The margins against tipping with one more box, m, at most ``FAR_M``. With a negative margin, a box tips.
 
         Args:
             corner_mm, base_mm, mass_kg: as in ``rest``.
@@ -172,8 +174,9 @@ class Balance:
         return Margins(let_down, min(box_margin, FAR_M), min(pile, FAR_M))
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
-        """(k,) scalar product of each moved edge (see ``Rest.planes``) of the pile with the load of its box, if one
-        more box is placed, kg·m. If the product is above 0, the load acts outside."""
+        """(k,) for each edge of a hull in the pile, moved inwards by the margin (see ``Rest.planes``), the scalar
+        product of the edge with the load that its box has after one more box is placed, kg·m. If the product is above
+        0, the load acts outside the moved edge."""
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load
         excess: FloatArray = np.einsum("kc,kc->k", self._planes, after[self._owner])
@@ -182,7 +185,8 @@ class Balance:
     def _let_down(
         self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float
     ) -> Rest | None:
-        """The effect of one more box on the balance, even if a box would tip over. None if the box has no support."""
+        """The effect of one more box on the balance, even if the new box or another box would tip over. The result is
+        None if the new box has no support."""
         n = self.n
         corner = np.array(corner_mm[:2]) / MM_PER_M
         base = np.array(base_mm) / MM_PER_M
@@ -198,7 +202,7 @@ class Balance:
             return None
         low, high = low[under], high[under]
         planes = hull_planes(low, high, margin_m(base_mm))
-        if len(under) == 1:  # the only support carries the whole load
+        if len(under) == 1:  # if there is only one support, it carries the whole load
             passed = self._passed[under[0], :n]
         else:
             moments = pressure_moments(low, high)
@@ -225,12 +229,13 @@ class Balance:
 
 
 def tips(planes: FloatArray, load: FloatArray) -> bool:
-    """Whether a load acts outside one of the moved edges ``planes`` (``Rest.planes``)."""
+    """Whether a load acts outside the hull whose edges, moved inwards by the margin, are ``planes`` (as in
+    ``Rest.planes``)."""
     return bool((planes @ load).max() > 0)
 
 
 def margin_m(base_mm: tuple[float, float]) -> float:
-    """Distance inside the hull at which the load of a box with this base must act, m."""
+    """How far inside the hull of its supports the load of a box with the base ``base_mm`` must act, m."""
     return min(MARGIN_M, MARGIN_SHARE * (min(base_mm) / MM_PER_M))
 
 

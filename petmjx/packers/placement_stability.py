@@ -25,8 +25,8 @@ NAMES: Final = (
 )
 
 MOST_GAP_MM: Final = 15.0
-"""Largest gap between a box and a neighbour that is considered, mm. The errors of a robot are some millimetres, so
-neighbours that are farther away have no effect."""
+"""Largest gap between a box and a neighbour of which the features take account, mm. The errors of a robot are some
+millimetres, so neighbours at larger distances have no effect."""
 
 _MARGIN_M: Final = 0.05
 
@@ -67,7 +67,7 @@ def placement_state(
     Args:
         pile: static balance of the pile.
         low, high, masses, corner_mm, size_mm, mass_kg: as in ``PlacementState``.
-        rest: effect of the box on the balance, if known.
+        rest: effect of the box on the balance; None if it is not known.
     """
     (x, y, z), (length, width, _) = corner_mm.tolist(), size_mm.tolist()
     margins = pile.margins_m((x, y, z), (length, width), mass_kg, rest)

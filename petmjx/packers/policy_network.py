@@ -1,4 +1,5 @@
-"""A small neural network (``Network``) that computes a score from features: a linear part plus one hidden layer."""
+"""A small neural network (``Network``) that computes a score from features. The network is the sum of a linear part and
+one hidden layer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``petmjx.placement_stability``: the probability of each box of a plan to stand if a robot places the boxes."""
+"""``petmjx.placement_stability`` predicts how probably each box of a plan stands if a robot places the boxes."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def placement_stability(plan: Plan) -> FloatArray:
     product of all probabilities is the probability that the whole plan stands. The probability of a box is 0 if nothing
     touches its bottom, or if its bottom is below the carrier's top.
 
-    A network estimates the probabilities without a simulation, in a millisecond per box. ``petmjx.score(plan,
-    confidence=64)`` simulates the plan instead. docs/packers.md states how reliable the estimate is.
+    A network estimates the probabilities without a simulation, in a millisecond per box. To simulate the plan instead,
+    call ``petmjx.score(plan, confidence=64)``. docs/packers.md states how reliable the estimate is.
 
     Raises:
         InputError: ``plan`` is not a plan.

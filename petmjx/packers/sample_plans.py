@@ -1,10 +1,11 @@
 """Sample plans in BED-BPP's format, packed from generated orders or from a file of orders.
 
 ``generate`` and ``write_samples`` generate orders with BED-BPP's statistics and pack them. If no packer is named, these
-functions make a mixed set for trials and benchmarks: some plans stand and some collapse. About half of these plans
-(``loose_share``) are loose, that is, packed with an unsafe support rule; the other plans are strict. If a packer is
-named, it packs all plans by its own rules, so that packers can be compared. Plan i depends only on the seed, i, the
-packer and ``loose_share``. So the plans of ``n = 10`` are the first ten plans of ``n = 1000``.
+functions make a mixed set for trials and benchmarks, in which some plans stand and some collapse. About half of the
+plans of a mixed set (``loose_share``) are loose, that is, packed with an unsafe support rule. The other plans are
+strict: they are packed with a safe support rule. If a packer is named, it packs all plans by its own rules, so that
+packers can be compared. Plan i depends only on the seed, i, the packer and ``loose_share``. So with ``n = 10``, the
+plans are the first ten plans of ``n = 1000``.
 
 ``pack_orders`` packs the orders of a file.
 """
@@ -36,12 +37,13 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 DEFAULT_LOOSE_SHARE = 0.5
-"""Share of loose plans in a mixed set. Of the first 100 plans of seed 0 (check ``one-by-one``, schedule ``adaptive``,
-physics ``pallet``), 38 fail: 38 of the 55 loose plans, and none of the 45 strict plans."""
+"""Share of loose plans in a mixed set. For example, the first 100 plans of seed 0 are 55 loose and 45 strict plans.
+With check ``one-by-one``, schedule ``adaptive`` and physics ``pallet``, 38 of the loose plans fail, and none of the
+strict plans."""
 
 MOST_SAMPLES = 200_000
 """Largest number of plans in a set: twenty times BED-BPP's number. A file with this number of plans has nearly 4 GiB,
-the largest size that petmjx reads."""
+which is the largest size of a file that petmjx reads."""
 
 LOOSE_SUPPORT = (0.3, 0.6)
 """Range of the random ``min_support`` of loose plans. Strict plans have the default of ``PackRules``."""
@@ -54,9 +56,10 @@ class LeftOutItems:
     Attributes:
         order_id: id of the order and of the plan.
         n_items: number of items of the order.
-        numbers: keys of the left-out items in the order's ``item_sequence``, rising. A generated order has no keys; its
-            items are numbered from 1.
-        why: the reason why items are left out; "" if there is no place below 2 m for them.
+        numbers: keys of the left-out items in the order's ``item_sequence``, in ascending order. A generated order has
+            no keys; its items are numbered from 1.
+        why: the reason why items are left out. If the reason is that there is no place below 2 m for them, ``why`` is
+            "".
     """
 
     order_id: str
@@ -65,7 +68,8 @@ class LeftOutItems:
     why: str = ""
 
     def __str__(self) -> str:
-        """Text for messages, such as "order 00100408: 3 of 40 boxes are left out: items 3, 7, 8"."""
+        """The left-out items as a text for messages, as in "order 00100408: 3 of 40 boxes are left out: items 3, 7,
+        8"."""
         many, few = count_text(self.n_items, "box", "boxes"), len(self.numbers)
         numbers = ", ".join(map(str, self.numbers))
         verb, items = ("is", "item") if few == 1 else ("are", "items")
@@ -74,7 +78,7 @@ class LeftOutItems:
 
 
 _Packed = tuple[str, list[Placement], LeftOutItems | None]
-"""Plan id, placements, and the items that are left out. None if no item is left out."""
+"""Plan id, placements, and the items that are left out; the items are None if no item is left out."""
 
 
 def generate(
@@ -126,7 +130,8 @@ def generate_one(
 
 
 def loose_share_of(packer: str | None, share: float | None = None) -> float:
-    """The share of loose plans: ``share`` if it is given, else 0 if a packer is named, else ``DEFAULT_LOOSE_SHARE``."""
+    """The share of loose plans. If ``share`` is given, this is ``share``. If ``share`` is None, the share is 0 for a
+    named packer, and else ``DEFAULT_LOOSE_SHARE``."""
     if share is not None:
         return share
     return DEFAULT_LOOSE_SHARE if packer is None else 0.0
@@ -147,7 +152,7 @@ def write_samples(
     """Write the first ``n`` plans of ``seed`` to a JSON file, gzipped if its name ends in ``.gz``.
 
     Each plan is written as soon as it is made, so memory does not grow with ``n``. ``progress`` is called with the
-    number of plans written so far. The other arguments are those of :func:`generate`.
+    number of plans written so far. The other arguments have the same meanings as in :func:`generate`.
 
     Raises:
         InputError: an argument is wrong (see :func:`generate`), or the file cannot be written.

@@ -72,7 +72,7 @@ def check_tables_free(
     Args:
         tables: names of the tables.
         overwrite: whether tables that petmjx wrote into the folder earlier may be replaced.
-        inputs: files that the command reads. They must not be replaced.
+        inputs: files that the command reads, which must not be replaced.
         others: name of each additional file → function that returns whether petmjx wrote an existing file of this name.
 
     Raises:
@@ -89,8 +89,8 @@ def check_tables_free(
 
 
 def is_documented_table(file: Path) -> bool:
-    """Whether :func:`write_documented_tables` may have written a file. A Parquet file is recognised by its metadata. A
-    CSV file must have the same columns as the Parquet file of the same name in its folder."""
+    """Whether a file looks like one that :func:`write_documented_tables` wrote. A Parquet file is recognised by its
+    metadata. A CSV file must have the same columns as the Parquet file of the same name in its folder."""
     if file.suffix == ".csv":
         columns = _documented_columns(file.with_suffix(".parquet"))
         return columns is not None and _header(file) == columns
@@ -107,8 +107,8 @@ def has_keys(file: Path, keys: Iterable[str]) -> bool:
 
 
 def _documented_columns(file: Path) -> list[str] | None:
-    """The columns of a Parquet file in which every column has a unit and a description. None for any other file, and
-    for a part of a run's table."""
+    """The columns of a Parquet file in which every column has a unit and a description. The result is None for any
+    other file, and for a part of a run's table."""
     try:
         with open_for_arrow(file) as stream:
             schema = pq.read_schema(stream)

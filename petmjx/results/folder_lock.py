@@ -1,9 +1,9 @@
-"""A lock that lets only one run at a time write into a folder. The lock ends with the process that holds it, even if
-the process is killed.
+"""A lock that lets only one run at a time write into a folder. When the process that holds the lock ends, even by a
+kill, the lock ends, too.
 
-The package ``filelock`` is no alternative, for three reasons. It uses any file with the name of the lock as a lock,
-even a file of the user. It does not tell which process holds the lock. On file systems without locks, it leaves its
-file behind after a kill.
+The package ``filelock`` is no alternative, for three reasons. ``filelock`` uses any file with the name of the lock as a
+lock, even a file of the user. ``filelock`` does not tell which process holds the lock. On file systems without locks,
+the lock file of ``filelock`` remains if the process is killed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ the next run can lock the file."""
 _OURS: Final = re.compile(rb"\d*\n?")
 
 _NO_LOCKS: Final = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
-"""Error numbers that file systems without locks return."""
+"""Numbers of the system errors that file systems without locks return."""
 
 
 @contextlib.contextmanager
@@ -54,7 +54,8 @@ def held_folder_lock(folder: Path) -> Iterator[bool]:
         try:
             yield has_locks
         finally:
-            # remove the file before releasing the lock, so that the next run finds either a new file or none
+            # the lock file is removed before the lock is released, so that the next run sees either a new lock file or
+            # none
             with contextlib.suppress(OSError):
                 (folder / LOCK_FILE).unlink()
     finally:

@@ -33,13 +33,15 @@ _KEY = ("plan_id", "variant")
 class Recording:
     """Which worlds (simulations of one plan each) a run records, and which of the recorded histories it keeps.
 
-    Whether a world fails is known only when it ends. So with ``failed_only``, all worlds are recorded, and the history
-    of a stable world is deleted when the world ends. Thus no world needs a second simulation for its recording, and the
-    histories of stable worlds do not fill the memory.
+    Whether a world fails is known only when it ends. So with ``failed_only``, the engine records all worlds, and the
+    history of a stable world is deleted when the world ends. In this way, no world must be simulated again to be
+    recorded, and the histories of stable worlds do not fill the memory.
 
     Attributes:
-        record: how the engine records: time between two frames, and level of detail. If None, nothing is recorded.
-        plan_ids: ids of the plans whose worlds are recorded. If None, the worlds of all plans are recorded.
+        record: how the engine records: time between two frames, and level of detail. If ``record`` is None, nothing is
+            recorded.
+        plan_ids: ids of the plans whose worlds are recorded. If ``plan_ids`` is None, the worlds of all plans are
+            recorded.
         failed_only: whether to keep only the histories of worlds that are not stable.
     """
 
@@ -48,11 +50,11 @@ class Recording:
     failed_only: bool = False
 
     def of(self, plan: Plan) -> Record | None:
-        """The settings with which the engine records the worlds of a plan, or None if these worlds are not recorded."""
+        """The settings with which the engine records the worlds of a plan; None if these worlds are not recorded."""
         return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
 
     def kept(self, outcome: Outcome) -> Outcome:
-        """The outcome. Its history is left out if the run does not keep this history."""
+        """The outcome, without its history if the run does not keep this history."""
         if outcome.history is None or not self.failed_only or outcome.verdict is not Verdict.STABLE:
             return outcome
         return replace(outcome, history=None)
@@ -136,8 +138,8 @@ Columns = Mapping[str, Any]
 
 
 def history_columns(worlds: Sequence[RecordedWorld]) -> Columns:
-    """Columns of the table ``histories``: one row per frame and placed box of each recorded world, sorted by world,
-    frame and packing order."""
+    """Columns of the table ``histories``, which has one row for each frame and placed box of each recorded world,
+    sorted by world, frame and packing order."""
     parts = []
     for world in worlds:
         history = world.history
@@ -257,8 +259,8 @@ def _key(history: History, frame: NDArray[np.integer]) -> dict[str, Any]:
 
 
 def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) -> Columns:
-    """The columns of several worlds, one world after another, with additional columns that identify the world of each
-    row."""
+    """Columns with the values of several worlds, one world after another, and additional columns that identify the
+    world of each row."""
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
     rows = np.repeat(np.arange(len(worlds)), [len(part["frame"]) for part in parts])
     columns["plan_id"] = pa.array([world.plan_id for world in worlds], pa.string()).take(pa.array(rows))
@@ -268,8 +270,8 @@ def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) 
 
 
 def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """Column → values, for the rows of one world in a table. Null becomes NaN. The result is None if the world has no
-    rows."""
+    """A mapping from columns to values, for the rows of one world in a table. Null becomes NaN. The result is None if
+    the world has no rows."""
     rows = rows_of(run, table, plan_id, variant)
     if rows is None:
         return None
@@ -278,7 +280,7 @@ def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, 
 
 
 def _fits(boxes: Mapping[str, Any], f: int, n_boxes: int) -> bool:
-    """Whether every row has the number of an existing frame and of an existing box."""
+    """Whether every row names a frame and a box that exist."""
     frame, box = boxes["frame"], boxes["box"]
     return bool(((frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)).all())
 

@@ -80,7 +80,7 @@ def table_as_html(frame: pd.DataFrame, columns: Sequence[ShownColumn], attribute
 
 
 def _cell(value: Any, column: ShownColumn) -> str:
-    import pandas as pd  # imported here: a caller that has a frame has loaded pandas already
+    import pandas as pd  # imported here, because a caller that has a data frame has already loaded pandas
 
     if pd.isna(value):
         return "<td></td>"

@@ -13,7 +13,7 @@ from petmjx.results.run_tables import Parts
 
 
 def orders_block(check: OrderCheck) -> dict[str, Any]:
-    """The block ``orders`` of ``run.json``. The counts of boxes and orders are in ``counts_block``."""
+    """The block ``orders`` of ``run.json``, without the counts of boxes and orders, which ``counts_block`` makes."""
     return {
         "file": check.file,
         "digest": check.digest,
@@ -61,8 +61,8 @@ def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
 
 
 def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
-    """Combine the comparisons of all shards (parts of a run on several machines) into that of the whole run. All shards
-    were compared with the same orders."""
+    """Combine the comparisons of all shards (parts of a run on several machines) into one comparison for the whole run.
+    All shards were compared with the same orders."""
     counts = {
         field.name: _sum([getattr(check.counts, field.name) for check in checks]) for field in fields(OrderCounts)
     }
@@ -77,6 +77,6 @@ def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
 
 
 def _sum(values: Sequence[int | None]) -> Any:
-    """The sum of the values; None if a value is unknown (None)."""
+    """The sum of the values; None if one of the values is None, that is, unknown."""
     values_with_number = [value for value in values if value is not None]
     return sum(values_with_number) if len(values_with_number) == len(values) else None

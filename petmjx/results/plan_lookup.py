@@ -27,13 +27,12 @@ from petmjx.results.run_reader import RunResults, load_run
 
 @dataclass(frozen=True, eq=False)
 class PlanLookup:
-    """The answer of a search for the plans of a run: which plans were found, are missing, or have changed since the
-    run.
+    """Which plans of a run were found, which are missing, and which have changed since the run.
 
     Attributes:
-        plans: plan id → plan, for plans that are equal to the simulated plans.
+        plans: plan id → plan, for the plans that are equal to the simulated plan.
         missing: ids of the plans that were not found, sorted.
-        changed: ids of the plans that were found but have changed since the run, sorted.
+        changed: ids of the plans that exist but differ from the simulated plan, sorted.
         gone: files from which the run read plans, but which no longer exist.
     """
 
@@ -49,13 +48,14 @@ def find_plans(
     wanted: Collection[str],
     given: PlanSource | None = None,
 ) -> PlanLookup:
-    """Find the plans of a run. A plan is found only if it is equal to the simulated plan.
+    """Find the plans of a run. A plan counts as found only if it is equal to the plan that the run simulated.
 
     Args:
         records: plan id → the run's record of the plan. A plan without a record is accepted without a check.
         wanted: ids of the plans to find.
-        given: the present source of the plans. If None, plans are taken from the first of these sources that has them:
-            the plan objects of the run, the run's table ``placements``, the files that the table ``plans`` names.
+        given: the source from which the plans are read now. If ``given`` is None, plans are taken from the first of
+            these sources that has them: the plan objects of the run, the run's table ``placements``, the files that the
+            table ``plans`` names.
 
     Raises:
         InputError: the source ``given`` is unusable.
@@ -85,8 +85,7 @@ def find_plans(
 
 
 def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
-    """The plans of a source. If the source is the folder of a run, or several folders of runs, these are the plans that
-    the runs simulated.
+    """The plans of a source. From one or more folders of runs, the result is the plans that the runs simulated.
 
     Raises:
         InputError: a run cannot be read, or none of its plans can be found in its tables or in a file. With ``strict``,
@@ -148,8 +147,8 @@ def how_read(info: Mapping[str, Any]) -> RunOptions:
 
 
 def plan_file(source: str) -> Path | None:
-    """The file from which a plan was read; None if the file no longer exists. For a bundled plan, this is the path of
-    the bundled file on this machine."""
+    """The file from which a plan was read; None if the file no longer exists. For a bundled plan, the result is the
+    path of the bundled file on this machine."""
     file, bundled = Path(source), bundled_path()
     if file.is_file():
         return file

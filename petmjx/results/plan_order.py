@@ -31,8 +31,8 @@ class WorldRanks:
     variants, ranks are 0, 1, 2, … without gaps. In a search, ranks have gaps.
 
     Args:
-        plan_ids: ids of all plans in the order of the input, including the plans of other shards. Other plans come
-            after these plans, in the order in which they first get a rank.
+        plan_ids: ids of all plans in the order of the input, including the plans of other shards. Plans that
+            ``plan_ids`` lacks come last, in the order in which they first get a rank.
         variants: numbers of the variants of each plan, or None if they are unknown, as in a search.
     """
 
@@ -53,7 +53,7 @@ class WorldRanks:
         return ranks
 
     def ranked(self, table: pa.Table) -> pa.Table:
-        """The rows with a column of ranks, sorted by rank. Rows of the same world keep their order."""
+        """The rows of a table with a column of ranks, sorted by rank. Rows of the same world keep their order."""
         ranks = self.ranks(table)
         place = table.schema.get_field_index(RANK)
         if place >= 0:
@@ -63,8 +63,8 @@ class WorldRanks:
 
 
 def is_ranked(parts: Parts, plan_ids: Sequence[str]) -> bool:
-    """Whether the rows of a run have ranks, and the ranks match this order of plans. Either all tables of a run have
-    ranks, or none has."""
+    """Whether the rows of a run have ranks that match this order of plans. Either all tables of a run have ranks, or no
+    table has ranks."""
     ranked = all(RANK in parts.columns(file) for file in parts.files("worlds"))
     return ranked and PlanOrder.of(parts).plan_ids == plan_ids
 
@@ -74,8 +74,8 @@ def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None
     is None if the table has no file.
 
     Args:
-        columns: names of the columns to read, which must include ``plan_id`` and ``variant``. If None, all columns are
-            read.
+        columns: names of the columns to read, which must include ``plan_id`` and ``variant``. If ``columns`` is None,
+            all columns are read.
 
     Raises:
         InputError: a part is damaged or missing.
@@ -125,13 +125,13 @@ class PlanOrder:
         return pa.array(self.plan_ids, pa.string())
 
     def places(self, plan_ids: pa.ChunkedArray) -> NDArray[np.int64]:
-        """(n,) positions of plans in the order of the input. Unknown plans come last."""
+        """(n,) the position of each plan in the order of the input. Plans that the input lacks come last."""
         places = pc.index_in(plan_ids, value_set=self._ids)
         return np.asarray(pc.fill_null(places, len(self.plan_ids)), dtype=np.int64)
 
     def keys(self, table: pa.Table) -> NDArray[np.int64]:
-        """(n,) for each row, a number by which the rows are sorted into the order of the run. Different worlds have
-        different keys."""
+        """(n,) for each row, a number by which the rows are sorted into the order of the run. Rows of different worlds
+        have different numbers."""
         return self.places(table["plan_id"]) * _MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64)
 
     def ordered(self, table: pa.Table) -> pa.Table:
@@ -143,7 +143,7 @@ class PlanOrder:
 
     def index(self, plan_ids: pd.Series) -> pd.Index:
         """The positions of plans in the input, as the index of a data frame with one row per plan."""
-        import pandas as pd  # imported here: a caller that has ids in a Series has loaded pandas already
+        import pandas as pd  # imported here, because a caller that has a Series has already loaded pandas
 
         number_of = dict(zip(self.plan_ids, self.numbers, strict=True))
         numbers = [number_of.get(plan_id, -1) for plan_id in plan_ids]

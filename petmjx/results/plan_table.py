@@ -1,8 +1,8 @@
 """The table ``placements`` of a run: all fields of its plans, with one row per box.
 
 This table makes the folder of a run complete: the run can be shown and reported even if the files of its plans were
-deleted or the folder was moved. If a plan lacks a field, its rows have null in the column of this field. NaN is a
-possible value of some fields, so NaN is stored as NaN and not as null.
+deleted or the folder was moved. If a plan lacks a field, its rows have null in the column of this field. Some fields
+can have the value NaN, so NaN is stored as NaN and not as null.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collecti
     for plan_id, rows in _by_plan(table):
         try:
             plan = _plan(plan_id, records[plan_id].source, rows)
-        except InputError:  # the rows were edited after the run
+        except InputError:  # the plan's rows were edited after the run
             continue
         if plan_digest(plan) == records[plan_id].digest:
             plans[plan_id] = plan

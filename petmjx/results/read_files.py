@@ -13,11 +13,12 @@ from petmjx.results.run_folder import RUN_FILE, TABLES
 
 
 def source_files(*sources: Any) -> list[Path]:
-    """The files and folders that a command reads if it gets these sources: ``run.json`` and the tables of a run's
-    folder, the files of plans in another folder, or a file itself.
+    """The files and folders that a command reads if it gets these sources. For a run's folder, these are ``run.json``
+    and the tables; for another folder, the files of plans in it; for a file, the file itself.
 
     Args:
-        sources: paths, lists of paths, or None. Other values, such as data frames and runs in memory, have no files.
+        sources: paths, lists of paths, or None. Sources of other types, such as data frames and runs in memory, have no
+            files.
     """
     files: list[Path] = []
     for source in sources:

@@ -1,4 +1,4 @@
-"""Reads an earlier run that a new run continues: its completed worlds, its ``run.json`` and its files."""
+"""Reads the completed worlds, the ``run.json`` and the files of an earlier run that a new run continues."""
 
 from __future__ import annotations
 
@@ -76,8 +76,8 @@ class CompletedWorlds:
         return end - first
 
     def _rows_of(self, plan_id: str) -> dict[int, int]:
-        """Variant → number of the row, for the completed worlds of a plan. The mapping of the last plan is kept, since
-        runs look up worlds plan by plan."""
+        """A mapping from variant to number of the row, for the completed worlds of a plan. The mapping of the plan that
+        was asked for last is stored, since runs look up worlds plan by plan."""
         if self._last[0] != plan_id:
             span = slice(*self._spans.get(plan_id, (0, 0)))
             rows = dict(zip(self._variants[span].tolist(), self._sorted[span].tolist(), strict=True))
@@ -91,7 +91,7 @@ class CompletedWorlds:
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 
     def counts(self) -> WorldCounts:
-        """The numbers of completed worlds, by verdict and reason."""
+        """The numbers of completed worlds with each verdict and reason."""
         return WorldCounts() if self._table is None else WorldCounts.of(self._table)
 
     def _column(self, name: str) -> list[Any]:
@@ -116,7 +116,7 @@ def resume_state(
     folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
 ) -> tuple[dict[str, Any], Parts, list[str]]:
     """Three things of the earlier run in a folder: the content of its ``run.json``, its files, and its warnings.
-    Warnings are added if versions of packages differ or if data are missing.
+    A warning is added if the version of a package has changed since the earlier run, or if data are missing.
 
     Args:
         versions: package → version in the run that resumes the earlier run.

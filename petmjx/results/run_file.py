@@ -91,7 +91,7 @@ class RunFile(_PartialRecord):
     parts: dict[TableName, dict[PartName, Digest]]
     """Table → name of a file → digest (hash) of the file, for all files that belong to the run."""
     digest: Digest | None = None
-    """Hash of all other entries of ``run.json``."""
+    """Hash of all entries of ``run.json`` except ``digest`` itself."""
 
 
 _OPTIONAL: Final = ("orders", "digest")
@@ -113,7 +113,7 @@ def write_run_file(info: Mapping[str, Any], folder: Path) -> None:
 
 
 def check_run_file(info: Mapping[str, Any], file: Path) -> None:
-    """Check the entries that a ``run.json`` has; entries may be missing.
+    """Check those entries that a ``run.json`` has; the check accepts a file in which entries are missing.
 
     Raises:
         InputError: an entry is wrong, as in "DIR/run.json: counts.worlds must be a whole number, got None".

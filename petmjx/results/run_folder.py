@@ -68,7 +68,7 @@ def part_name(number: int) -> str:
 
 
 def part_number(file: Path) -> int:
-    """The number in a part's file name."""
+    """The number of a part, read from the name of its file."""
     return int(file.stem.removeprefix("part-"))
 
 
@@ -102,11 +102,11 @@ def text(content: str) -> Write:
 
 
 def write_together(files: Mapping[Path, Write]) -> None:
-    """Write several files. All files are first written completely under hidden names, and are renamed only then. The
-    folders must exist.
+    """Write several files. All files are first written under hidden names. When all files are complete, they are
+    renamed. The folders of the files must exist.
 
     Raises:
-        OSError: a file cannot be written. Existing files are then unchanged.
+        OSError: a file cannot be written. If an error is raised, existing files are unchanged.
     """
     hidden: dict[Path, Path] = {}
     try:
@@ -121,8 +121,8 @@ def write_together(files: Mapping[Path, Write]) -> None:
 
 
 def appear(hidden: Mapping[Path, Path]) -> None:
-    """Rename hidden files, which have been written, to their final paths. ``hidden``: final path → path of the hidden
-    file."""
+    """Rename files that have been written under hidden names to their final paths. ``hidden``: final path → path of the
+    hidden file."""
     for path, temporary in hidden.items():
         os.replace(temporary, path)
     for folder in {path.parent for path in hidden}:
@@ -153,7 +153,8 @@ def copy_file(source: Path, path: Path) -> str:
 
 
 def digest_of(stream: BinaryIO) -> str:
-    """Hexadecimal digest (BLAKE2b) of a file, from its current position to its end. A gigabyte takes a second."""
+    """Hexadecimal digest (BLAKE2b) of an open file, from the file's current position to its end. Reading a gigabyte
+    takes a second."""
     digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
     while block := stream.read(_BLOCK):
         digest.update(block)
@@ -161,8 +162,8 @@ def digest_of(stream: BinaryIO) -> str:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder has a ``run.json`` or a table of results. The tables ``plans`` and ``placements`` do not count,
-    since they are written before ``run.json``."""
+    """Whether a folder has a ``run.json`` or a table of results. The tables ``plans`` and ``placements`` are ignored,
+    since a run writes them before ``run.json``."""
     tables = (table for table in TABLES if table not in ("plans", "placements"))
     return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in tables)
 
@@ -212,7 +213,7 @@ def _listed_parts(run_file: Path) -> frozenset[Path] | None:
 
 
 def _is_part_of(table: str, file: Path) -> bool:
-    """Whether the metadata of a file state that petmjx wrote the file as a part of this table, in any run."""
+    """Whether the metadata of a file state that petmjx wrote the file as a part of the table ``table``, in any run."""
     try:
         with open_for_arrow(file) as stream:
             metadata = pq.read_schema(stream).metadata or {}
@@ -224,8 +225,8 @@ def _is_part_of(table: str, file: Path) -> bool:
 def make_room(folder: Path) -> None:
     """Delete the files of the run in a folder, and no other files. Call :func:`check_run_folder` first.
 
-    ``run.json`` is deleted first. So if the process is killed, the folder has no run instead of a run with missing
-    files.
+    ``run.json`` is deleted first. So if the process is killed meanwhile, the folder has no run, rather than a run with
+    missing files.
 
     Raises:
         OSError: the folder is not writable.

@@ -16,7 +16,7 @@ from petmjx.results.schema import SCHEMA_VERSION, Param
 from petmjx.results.world_counts import WorldCounts
 
 RUNNING: Final = "running"
-"""The status of a run that has not ended, or that was killed."""
+"""The status of a run that is still running, or that was killed."""
 
 
 class RunInfo:
@@ -26,7 +26,7 @@ class RunInfo:
         skipped: plans and files that are not simulated, each with the reason.
         warnings: warnings about the whole run, without repetitions.
         odd_plans: one line for each plan with boxes that overlap, float, or stand outside the carrier.
-        timings: name of a task, such as ``wall_s`` → time that it took, s.
+        timings: name of a time, such as ``wall_s`` → this time, s.
         earlier_s: timings of the earlier run that this run resumes. ``run.json`` gets the sums of ``timings`` and
             ``earlier_s``.
         head: entries whose values are known when the run begins.
@@ -71,7 +71,7 @@ class RunInfo:
         self.warnings[message] = None
 
     def entries(self, counts: WorldCounts) -> dict[str, Any]:
-        """All entries of ``run.json`` at this moment, except the list of files.
+        """All entries of ``run.json`` with their present values, except the list of files.
 
         Args:
             counts: the numbers of worlds that have been written.

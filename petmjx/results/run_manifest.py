@@ -24,11 +24,12 @@ from petmjx.results.run_tables import Parts
 from petmjx.results.schema import plans_schema
 
 DIGEST_BYTES: Final = 8
-"""Length of the digest of a plan, bytes. A digest has 2^64 possible values. In a run of a million plans, the
+"""Length of the digest of a plan, bytes. A digest of 8 bytes has 2^64 possible values. In a run of a million plans, the
 probability that two different plans have the same digest is one in 30 million."""
 
 MOST_NAMED: Final = 4
-"""Largest number of differences that a message names. If there are more, the message gives the number of the others."""
+"""Largest number of differences that a message names. If there are more differences, the message states how many it
+does not name."""
 
 
 def plan_digest(plan: Plan) -> str:
@@ -58,7 +59,8 @@ class PlanRecord(NamedTuple):
         volume_m3: total volume of the plan's boxes, m³.
         extent_x_m, extent_y_m: extents of the bounding box of all boxes, m.
         height_m: height of the top of the highest box above the carrier, m.
-        number: position of the plan in the input, where skipped plans also have a position; None if it is unknown.
+        number: position of the plan in the input, where skipped plans also have a position; None if the position is
+            unknown.
     """
 
     digest: str
@@ -124,7 +126,8 @@ class Manifest:
     Attributes:
         settings: command, simulation, sweep, engine and shard, as values that JSON can hold.
         plans: plan id → record, for all plans in the order of the input, including the plans of other shards.
-        placements: function that makes the table ``placements`` of the run's plans. If None, the run has no such table.
+        placements: function that makes the table ``placements`` of the run's plans. If ``placements`` is None, the run
+            has no such table.
     """
 
     settings: Mapping[str, Any]
@@ -133,8 +136,8 @@ class Manifest:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The identity as it is written into ``run.json``. The digest of all plans does not depend on the order of the
-        plans."""
+        """The identity of the run as it is written into ``run.json``. The digest of all plans does not depend on the
+        order of the plans."""
         lines = "\n".join(f"{record.digest} {plan_id!r}" for plan_id, record in sorted(self.plans.items()))
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
@@ -143,8 +146,8 @@ class Manifest:
         """Make the table ``plans``.
 
         Args:
-            ordered: plan id → counts from the comparison of the plan with its order. If None, there are no columns
-                about orders.
+            ordered: plan id → counts from the comparison of the plan with its order. If ``ordered`` is None, there are
+                no columns about orders.
         """
         columns: dict[str, Sequence[Any]] = {
             "plan_id": list(self.plans),
@@ -206,7 +209,7 @@ _NOTHING: Final = object()
 
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Rename settings to the names that the command uses. For a score, the entry ``sweep`` becomes two entries:
+    """Rename settings to the names that the command uses. For a score, two entries replace the entry ``sweep``, namely
     ``confidence`` (the number of worlds with errors per plan) and ``errors``. Entries that ``run.json`` may lack get
     their defaults."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
@@ -222,7 +225,7 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
     """The options of a simulation from ``run.json``. Fields that earlier versions of petmjx did not write are added;
-    each has the value with which it has no effect."""
+    each added field has the value that changes nothing."""
     walls = Walls().model_dump(mode="json")
     later = {"walls": walls, **simulation}
     if isinstance(carrier := later.get("carrier"), Mapping):
@@ -245,7 +248,7 @@ def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):
-                continue  # only one of the two runs has ``errors``; the difference of ``confidence`` says so
+                continue  # one run lacks ``errors``, so the setting ``confidence`` differs and is reported
             inner = f"{path}.{name}" if path else str(name)
             yield from differing_settings(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif _are_tables(was) and _are_tables(now) and len(was) == len(now):

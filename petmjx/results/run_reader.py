@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""Table → the table that is searched for the file with a world: the two files with the same number, one of each table,
-hold the same worlds. For a table without an entry here, ``worlds`` is searched."""
+"""Name of a table → the table in which petmjx looks up the number of the file that has a given world, since files of
+both tables with the same number hold the same worlds. For a table without an entry here, ``worlds`` is searched."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
@@ -103,7 +103,8 @@ def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table
 
 
 def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    """The rows of some worlds in a table of a run. Only one part of the table is in memory at a time.
+    """The rows of some worlds in a table of a run. The parts of the table are read one after another, so only one part
+    is in memory at a time.
 
     Args:
         worlds: data frame with the columns ``plan_id`` and ``variant``, one row per world.
@@ -170,14 +171,14 @@ class RunResults:
 
     @property
     def unfinished(self) -> str | None:
-        """The status of a run that did not finish, such as ``interrupted``: some of its worlds are missing. None if the
-        run finished."""
+        """The status of a run that did not finish, such as ``interrupted``: some of its worlds are missing. If the run
+        finished, the result is None."""
         status = str(self.info.get("status", "unknown"))
         return None if status == FINISHED else status
 
     @property
     def carrier(self) -> Carrier | OwnCarrier:
-        """The carrier on which the run's boxes stand. If ``run.json`` does not name a known carrier, this is
+        """The carrier on which the run's boxes stand. If ``run.json`` does not name a known carrier, the result is
         ``footprint``."""
         return self._carrying.carrier
 
@@ -228,9 +229,9 @@ class RunResults:
         """One row per world, in the order of the input. ``culprit`` is a nullable integer. In all other columns,
         missing numbers are NaN.
 
-        In a score without ``confidence``, the index of the data frame is the number of the plan: ``worlds.verdict[k]``
-        is the verdict of plan k. If this raises KeyError, plan k has no row: the plan was skipped, belongs to another
-        shard, or was not simulated.
+        In a score without ``confidence``, the index of the data frame is the number of the plan, so
+        ``worlds.verdict[k]`` is the verdict of plan k. If ``worlds.verdict[k]`` raises KeyError, plan k was skipped,
+        belongs to another shard, or was not simulated.
         """
         frame = self._read("worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
@@ -241,7 +242,8 @@ class RunResults:
     @cached_property
     def skipped(self) -> pd.DataFrame:
         """Plans and files that were not simulated, and the reasons. The columns are ``number`` (the number of the plan
-        as in ``plans``; null for other entries, such as a damaged file), ``plan_id``, ``source`` and ``error``."""
+        as in ``plans``; null for an entry that is not a plan, such as a damaged file), ``plan_id``, ``source`` and
+        ``error``."""
         columns = ["number", "plan_id", "source", "error"]
         import pandas as pd  # imported here because a run does not need pandas before it has ended
 
@@ -261,7 +263,7 @@ class RunResults:
 
     @property
     def boxes_if_kept(self) -> pd.DataFrame:
-        """The table ``boxes``; a table without rows if the run did not keep ``boxes``."""
+        """The table ``boxes``, which has no rows if the run did not keep the table."""
         return self.boxes if self.keeps_boxes else self._read("boxes")
 
     @property
@@ -271,13 +273,14 @@ class RunResults:
 
     @cached_property
     def attempts(self) -> pd.DataFrame:
-        """One row per attempt (simulation of a world), for worlds that needed more than one attempt. Most runs have no
-        such world."""
+        """One row per attempt (simulation of a world), for worlds that needed more than one attempt. In most runs,
+        every world needs only one."""
         return self._read("attempts")
 
     @cached_property
     def histories(self) -> pd.DataFrame:
-        """One row per frame and placed box of each recorded world. A run without the option ``record`` has no rows."""
+        """One row per frame and placed box of each recorded world. The table of a run without the option ``record`` has
+        no rows."""
         return self._read("histories")
 
     @cached_property
@@ -301,15 +304,15 @@ class RunResults:
     @cached_property
     def placements(self) -> pd.DataFrame:
         """One row per box of the simulated plans, with all fields of the plan. If the results are only in memory, this
-        table has no rows, since the plans are objects in memory or in their files."""
+        table has no rows, since the plans are still in memory or in the files from which they were read."""
         parts = self.parts.table(PLACEMENTS)
         frame: pd.DataFrame = pa.concat_tables(parts or [placements_schema().empty_table()]).to_pandas()
         return frame
 
     @cached_property
     def summary(self) -> pd.DataFrame | None:
-        """The table ``summary``: the answers of a sweep, of a score with confidence, or of a chain. None for other
-        runs."""
+        """The table ``summary``: the answers of a sweep, of a score with confidence, or of a chain. For other runs,
+        there is no such table, and the result is None."""
         parts = self.parts.table("summary")
         return pa.concat_tables(parts).to_pandas() if parts else None
 

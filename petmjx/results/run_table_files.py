@@ -42,7 +42,8 @@ class Tables:
         self.parts = self.parts.plus(digests)
 
     def replace_worlds(self, digests: Mapping[Path, str]) -> None:
-        """Replace all files of ``worlds``, ``boxes`` and the other tables of worlds by these files."""
+        """Replace all files of ``worlds``, ``boxes`` and the other tables with rows about worlds by the files
+        ``digests``."""
         self.parts = self.parts.without(*OF_WORLDS).plus(digests)
 
     def write_only(self, table: str, content: pa.Table) -> None:
@@ -51,11 +52,13 @@ class Tables:
         self.parts = self.parts.without(table).plus(digests)
 
     def copies(self, others: Parts, ranks: WorldRanks | None) -> Iterator[tuple[Path, str]]:
-        """Copy the tables of worlds of this run or of another run, file by file, under unused numbers. Yields each copy
-        with its digest. The copies belong to the run only after ``add`` or ``replace_worlds``.
+        """Copy the tables that have rows about worlds, from this run or from another run, file by file, to files with
+        unused numbers. Yields each copy with its digest. The copies belong to the run only after ``add`` or
+        ``replace_worlds``.
 
         Args:
-            ranks: new ranks for the rows. If None, the rows keep their ranks, and the files are copied byte by byte.
+            ranks: new ranks for the rows. If ``ranks`` is None, the rows keep their ranks, and the files are copied
+                byte by byte.
 
         Raises:
             InputError: a file of the other run is damaged or missing.
@@ -81,7 +84,8 @@ class Tables:
 
 @dataclass(frozen=True, eq=False)
 class MemoryParts(Parts):
-    """Tables in memory. Each part of a table has the path that its file would have in the run's folder."""
+    """The tables of a run that are kept in memory. Each part of a table is stored under the path that its file would
+    have in the run's folder."""
 
     tables: dict[Path, pa.Table] = field(default_factory=dict)
 
@@ -99,11 +103,12 @@ class MemoryParts(Parts):
         return with_columns(self.tables[file], file, columns)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """This object, unchanged: a table in memory belongs to the run as soon as it is written, and has no digest."""
+        """Return this object unchanged, because a table in memory belongs to the run as soon as it is written, and has
+        no digest."""
         return self
 
     def without(self, *tables: str) -> Parts:
-        """This object, unchanged: no table in memory replaces an earlier table."""
+        """Return this object unchanged, because no table in memory replaces an earlier table."""
         return self
 
     def write(self, folder: Path) -> dict[Path, str]:

@@ -23,13 +23,14 @@ MOST_AT_ONCE: Final = 8
 """Number of parts of a table that are read at the same time."""
 
 LISTED: Final = "parts"
-"""The entry of ``run.json`` that lists the run's files: table → file name → digest. Other files were left by a killed
-run and are not read."""
+"""The entry of ``run.json`` that lists the run's files: table → file name → digest. Files that this entry does not list
+were left by a killed run, and are not read."""
 
 
 FREE_BYTES: Final = 256 << 20
-"""Memory that tables may take even if their files are small, bytes: boxes at rest and columns without values are
-compressed to a hundredth. For larger tables, the limit depends on their size on disk."""
+"""Memory that the tables of a run may take even if their files are small, bytes. Files can be small because boxes at
+rest and columns without values are compressed to a hundredth. For larger tables, the limit depends on their size on
+disk."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
 """Upper limit for the memory of a table, bytes. The limit is high, because the real limit of large runs is the memory
@@ -51,7 +52,7 @@ class Parts:
 
     @classmethod
     def of(cls, folder: Path, info: Mapping[str, Any]) -> Self:
-        """The files of the run in a folder. ``info``: the content of ``run.json``, which lists these files."""
+        """The files of the run in a folder, as listed in ``info``, the content of ``run.json``."""
         return cls(folder, info[LISTED])
 
     def files(self, table: str) -> list[Path]:
@@ -76,7 +77,7 @@ class Parts:
         return names
 
     def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
-        """Read all parts of a table in parallel. Errors are those of :meth:`read`."""
+        """Read all parts of a table in parallel. The method raises the same errors as :meth:`read`."""
         files = self.files(table)
         if len(files) < 2:
             return [self.read(file, columns) for file in files]
@@ -85,7 +86,7 @@ class Parts:
             return list(pool.map(lambda file: self.read(file, columns), files))
 
     def _check_size(self, files: Sequence[Path], columns: Sequence[str] | None) -> None:
-        """Check that the tables in these files together do not take too much memory. Raises InputError."""
+        """Check that the tables in the given files, all together, do not take too much memory. Raises InputError."""
         needed = file_bytes = 0
         for file in files:
             self.check(file)
@@ -101,7 +102,7 @@ class Parts:
             self.check(file)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """A copy of this list of files, with further files. ``digests``: further file → digest."""
+        """A copy of this list of files to which further files are added. ``digests``: further file → digest."""
         listed = {table: dict(files) for table, files in self.digests.items()}
         for file, digest in digests.items():
             listed.setdefault(file.parent.name, {})[file.name] = digest
@@ -113,8 +114,8 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
-        """A copy of this list of files, without the files of ``worlds``, ``boxes`` and the other tables of worlds that
-        have these numbers."""
+        """A copy of this list of files, without those files of ``worlds``, ``boxes`` and the other tables with rows
+        about worlds whose numbers are in ``numbers``."""
         removed_names = {part_name(number) for number in numbers}
         remaining = {
             table: {
@@ -125,11 +126,12 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def with_worlds(self) -> Parts:
-        """A copy of this list of files, adapted to deleted files of ``worlds``: a user deletes such a file to have its
-        worlds simulated again. The copy lacks this file, and the files of the other tables with the same number.
+        """A copy of this list of files for a run in which the user has deleted a file of ``worlds``, to have its worlds
+        simulated again. The copy lacks the deleted file, and the files of the other tables with the same number.
         """
         missing_names = {file.name for file in self.files("worlds") if not file.exists()}
-        # With histories, nothing is left out, because it is unknown which histories belong to the deleted worlds.
+        # If the run has histories, no file is left out, because it is unknown which histories belong to the deleted
+        # worlds.
         if not missing_names or self.files("frames"):
             return self
         remaining = {
@@ -217,7 +219,7 @@ def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> 
 
 @contextlib.contextmanager
 def open_part(file: Path) -> Iterator[pq.ParquetFile]:
-    """Open a file of a table, which may belong to any run.
+    """Open a file that is a part of a table of any run.
 
     Raises:
         InputError: the file is missing, or is not a whole Parquet file.

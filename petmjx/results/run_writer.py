@@ -1,9 +1,9 @@
 """Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes its layout.
 
 One thread owns the folder. Other threads put finished worlds and requests into a queue, and the owning thread processes
-the queue in order. This thread collects worlds into parts (files), and writes each part once: when the part is full,
-when a world has waited for a minute, on request, or at the end. Signals interrupt only the main thread, so they never
-interrupt a write.
+the queue in order. The owning thread collects worlds into parts (files), and writes each part once: when the part is
+full, when a world has waited for a minute, on request, or at the end. Signals interrupt only the main thread, so they
+never interrupt a write.
 """
 
 from __future__ import annotations
@@ -50,30 +50,30 @@ WORLDS_PER_PART: Final = 5_000
 make 200 parts."""
 
 BYTES_PER_PART: Final = 64 << 20
-"""Memory of its rows at which a part is full and is written, bytes. This is room for 4,000 worlds of 43 boxes, for 60
-worlds with histories, or for 20 worlds with detailed histories."""
+"""Memory of the waiting rows at which a part is full and is written, bytes. This memory holds 4,000 worlds of 43 boxes,
+60 worlds with histories, or 20 worlds with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
 """Longest time for which a finished world waits until its part is written, s, even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory that waiting worlds may take, bytes. ``add`` waits while they take more."""
+"""Memory that waiting worlds may take, bytes. ``add`` waits while the waiting worlds take more memory."""
 
 RETRY_S: Final = 10.0
 """Time between an error of writing and the next try, s. On a full disk, at most one part is prepared for writing in
 this time."""
 
 PLACEMENTS_S: Final = 2.0
-"""Delay before a run writes its table ``placements``, s, unless worlds are written earlier. Writing takes 0.3 s for
-10,003 plans. Without the delay, it would delay the first worlds."""
+"""Delay before a run writes its table ``placements``, s, unless worlds are written earlier. Writing the table takes 0.3
+s for 10,003 plans, and would otherwise delay the first worlds."""
 
 LOOK_S: Final = 1.0
 """Time between two checks whether the writer's thread is still running, s, while another thread waits for an answer."""
 
 
 class _Request(NamedTuple):
-    """A function that another thread passes to the writer's thread, and the queue for the function's result or
-    error."""
+    """A function that another thread asks the writer's thread to call, and the queue into which the function's result
+    or error is put."""
 
     call: Callable[[], Any]
     reply: SimpleQueue[tuple[Any, BaseException | None]]
@@ -86,17 +86,18 @@ class _CutShortError(Exception):
 class RunWriter(RunInfo):
     """Writes the results of one run while its worlds finish. A context manager.
 
-    At the end, even after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` states how the run
-    ended: ``finished``, ``interrupted`` or ``failed``. After a disk error, the writer's thread tries again every
-    ``RETRY_S`` seconds, and finished worlds wait in memory. If they take more than ``MOST_WAITING_BYTES``, ``add``
-    raises the error.
+    At the end, even after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` gets the status
+    ``finished``, ``interrupted`` or ``failed``. After a disk error, the writer's thread tries again every ``RETRY_S``
+    seconds, and finished worlds wait in memory. If waiting worlds take more than ``MOST_WAITING_BYTES``, ``add`` raises
+    the error.
 
     Worlds are written in the order in which they finish. Within a part (file), rows are sorted by rank
     (petmjx.results.plan_order).
 
     Args:
-        out_dir: folder of the run, which is created if it does not exist. If None, a run that fits into one part stays
-            in memory; a larger run is written to a temporary folder, which is deleted together with the results.
+        out_dir: folder of the run, which is created if it does not exist. If ``out_dir`` is None, a run that fits into
+            one part stays in memory; a larger run is written to a temporary folder, which is deleted together with the
+            results.
         config: the values of all options as plain JSON values (from ``Simulation.model_dump(mode="json")`` and others).
         params: parameters of the variants of a sweep. Each parameter becomes a column of ``worlds``.
         variants: numbers of the variants of each plan, if they are the same for all plans. Ranks (positions in the
@@ -107,7 +108,7 @@ class RunWriter(RunInfo):
         device: name of the device on which the worlds were simulated.
         expected_worlds: number of worlds of the run; None if it is unknown.
         manifest: settings and plans of the run. A run without a manifest cannot be resumed.
-        orders: comparison of the plans with their orders. In a resumed run, it replaces the stored comparison.
+        orders: comparison of the plans with their orders. In a resumed run, this comparison replaces the stored one.
         overwrite: whether a run that is in the folder is replaced.
         resume: whether to continue the run in the folder, which must have the same manifest.
         worlds_per_part, seconds_per_part: a part is written when it has this number of worlds, or when a world has
@@ -159,7 +160,7 @@ class RunWriter(RunInfo):
         # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
         # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # has an entry for each try to write; ``add`` waits for it
+        self._room: SimpleQueue[None] = SimpleQueue()  # gets an entry at each try to write, for which ``add`` waits
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # changed only by the thread that adds worlds
         self._cut_short = False  # set only by the main thread
@@ -177,7 +178,7 @@ class RunWriter(RunInfo):
         self._ended = False
 
     # Calls from other threads.
-    # Only these methods, ``warnings`` and similar attributes are used outside the writer's thread.
+    # Other threads use only the methods below, ``warnings`` and similar attributes.
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -201,13 +202,14 @@ class RunWriter(RunInfo):
         params: Mapping[str, Any] | None = None,
         interval_n: FloatArray | None = None,
     ) -> None:
-        """Add one finished world. Waits while too many worlds are waiting to be written.
+        """Add one finished world. The call waits while too many worlds are waiting to be written.
 
         Args:
-            plan: the plan of the world. The boxes in ``outcome`` have the same order.
+            plan: the plan of the world. The boxes in ``outcome`` have the order of the plan's boxes.
             variant: number of the variant. 0 is the unchanged plan.
-            schedule: name of the schedule in the results.
-            outcome: the outcome. Its values are copied, except ``state``, so the caller may reuse its arrays.
+            schedule: name of the schedule, which is written to the results.
+            outcome: the outcome of the world. The values of the outcome, except ``state``, are copied, so the caller
+                may reuse the outcome's arrays.
             attempts: all attempts (simulations) in order, if the world needed more than one.
             params: name of a parameter → value. Missing values become null.
             interval_n: (boxes, 2) smallest and largest possible force on the top of each box at rest, N; None if they
@@ -291,8 +293,8 @@ class RunWriter(RunInfo):
 
     @property
     def info(self) -> dict[str, Any]:
-        """The entries of ``run.json`` at this moment, without the digest. The counts are those of the written
-        worlds."""
+        """The entries of ``run.json`` at this moment, without the digest. The counts are the numbers of worlds that
+        have been written."""
         return {**self.entries(self.counts), LISTED: self.parts.digests}
 
     def _ask(self, call: Callable[[], Any]) -> Any:
@@ -317,8 +319,8 @@ class RunWriter(RunInfo):
         atexit.unregister(self._end_at_exit)
 
     def _end_at_exit(self) -> None:
-        """End the run when the process exits. The run is still open only if a second Ctrl-C came before ``__exit__``
-        could defer signals."""
+        """End the run when the process exits. At that moment, the run is still open only if a second Ctrl-C came before
+        ``__exit__`` could defer signals."""
         with contextlib.suppress(_CutShortError):
             self.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
 
@@ -343,7 +345,7 @@ class RunWriter(RunInfo):
             request.reply.put((None, error))
 
     def _due_s(self) -> float | None:
-        """Time after which the thread must write something even if no world is added, s; None if nothing waits to be
+        """Time until the writer's thread must write something even if no world is added, s; None if nothing waits to be
         written."""
         due_s = []
         if self._is_full or self._is_behind:
@@ -372,8 +374,9 @@ class RunWriter(RunInfo):
         self._room.put(None)
 
     def _write_waiting(self, last: bool = False) -> None:
-        """Write all worlds and tables that wait. With ``last``, a run in memory stays in memory, and a run without
-        worlds gets a table ``worlds`` without rows, so that readers find the names of the columns.
+        """Write all worlds and tables that wait. ``last`` states that no more worlds will come: a run in memory then
+        stays in memory, and a run without worlds gets a table ``worlds`` without rows, so that readers find the names
+        of the columns.
 
         Raises:
             PetmjxError: a file cannot be written.
@@ -388,7 +391,7 @@ class RunWriter(RunInfo):
         while begin < len(self._rows):
             try:
                 self._write_part(begin)
-            except PetmjxError:  # the disk fails, so writing other parts would fail, too
+            except PetmjxError:  # the disk has failed, so writing other parts would fail, too
                 raise
             except Exception as error:  # a value of this part may have a wrong type; other parts are still written
                 begin, failure = begin + self._worlds_per_part, failure or error
@@ -407,7 +410,7 @@ class RunWriter(RunInfo):
             for name, table in Part(sorted(rows, key=lambda row: row.rank)).tables(self.schemas):
                 digests |= self._tables.write(name, number, table)
         self._tables.add(digests)
-        self.counts += WorldCounts.of(table)  # ``worlds`` is the last table in the loop
+        self.counts += WorldCounts.of(table)  # the loop writes ``worlds`` last
         del self._rows[begin : begin + len(rows)]
         n_bytes = sum(row.nbytes for row in rows)
         self._row_bytes -= n_bytes
@@ -422,7 +425,7 @@ class RunWriter(RunInfo):
             self._is_behind = False
 
     def _write_placements(self) -> None:
-        """Write the table ``placements``. Worlds are simulated at the same time."""
+        """Write the table ``placements``, while worlds are being simulated."""
         content = self._manifest.placements() if self._manifest else None
         if content is not None:
             with self._writing():
@@ -479,7 +482,8 @@ class RunWriter(RunInfo):
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._tables = Tables(self.out_dir, parts.without("summary"))
-        # run.json is written before listed files are deleted. Otherwise, a killed run might look finished.
+        # run.json is written before the files that the old run.json lists are deleted, because otherwise, a killed run
+        # might look finished.
         self._write_info()
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
@@ -490,7 +494,7 @@ class RunWriter(RunInfo):
         self._tables.drop_others()
 
     def _leave_memory(self) -> None:
-        """Write the tables in memory to a temporary folder, and continue there."""
+        """Write the tables that are in memory to a temporary folder, into which the run writes from now on."""
         assert isinstance(self.parts, MemoryParts)
         with self._writing():
             temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
@@ -500,7 +504,7 @@ class RunWriter(RunInfo):
         self._in_memory, self._lacks_placements, self._is_behind = False, self._manifest is not None, True
 
     def _adopt(self, parts: Parts, ranked: bool) -> None:
-        """Copy the worlds of another run. The copied files belong to this run as soon as all of them exist."""
+        """Copy the worlds of another run. The copied files belong to this run as soon as all copies exist."""
         counts = [WorldCounts.of(worlds) for worlds in parts.table("worlds", COUNTED)]
         with self._writing():
             digests = self._copies(parts, None if ranked else self._ranks)
@@ -531,7 +535,7 @@ class RunWriter(RunInfo):
             error: error that ended the run; None if the run is complete.
 
         Returns:
-            The error that occurred while the remaining worlds were written, if any.
+            The error that occurred while the remaining worlds were written; None if no error occurred.
         """
         trouble: Exception | None = None
         try:
@@ -546,7 +550,7 @@ class RunWriter(RunInfo):
         else:
             self.status, self.error = "failed", one_line(cause)
         if error is not None and trouble is not None:
-            # The error of the run itself is raised. This second error is only noted in run.json, until the run is
+            # The error of the run itself is raised. The error of writing is only noted in run.json, until the run is
             # resumed.
             also = f"the last part could not be written: {one_line(trouble)}"
             self.error = f"{self.error}; {also}" if self.error else also

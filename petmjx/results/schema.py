@@ -7,8 +7,9 @@ The types, with reasons:
 - Numbers in the table ``worlds`` are float64, because times are float64 sums of the timestep and are compared exactly.
   The table ``boxes`` has about forty times as many rows, so its measured values are float32 and only its times are
   float64.
-- A value that does not exist is null. For example, there is no culprit, a box was never placed, or a world never came
-  to rest. However, the ``reason`` of a stable world is the empty string, since pandas drops null keys when grouping.
+- A value that does not exist is null, for example because no box failed, because a box was never placed, or because a
+  world never came to rest. However, the ``reason`` of a stable world is the empty string, since pandas drops null keys
+  when grouping.
 """
 
 from __future__ import annotations
@@ -79,7 +80,8 @@ def _metrics(columns: Iterable[metrics.Column]) -> list[pa.Field]:
 
 
 RANK: Final = "rank"
-"""A column of all tables of worlds: the position of the world in the order of the run (petmjx.results.plan_order)."""
+"""A column of all tables that have rows about worlds: the position of the world in the order of the run
+(petmjx.results.plan_order)."""
 
 RANK_COLUMN: Final = _column(
     RANK, pa.int64(), DIMENSIONLESS, "the world's place in the order of the run: plan by plan as given, then by variant"
@@ -237,7 +239,7 @@ def schemas(
 
 
 def plans_schema(ordered: bool = False) -> pa.Schema:
-    """Schema of the table ``plans``, which shows whether two runs have the same plans.
+    """Schema of the table ``plans``, from whose digests one can tell whether two runs have the same plans.
 
     Args:
         ordered: whether the run was compared with orders. The table then has the columns of
@@ -306,7 +308,8 @@ def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
 
 
 def check_version(file: Path, version: int) -> None:
-    """Check that this petmjx can read the results. Raises InputError if a newer petmjx wrote them."""
+    """Check that this version of petmjx can read a run's results. Raises InputError if a newer petmjx wrote the
+    results."""
     if version > SCHEMA_VERSION:
         raise InputError(
             f"{file}: written by a newer petmjx (schema {version}; this one reads up to {SCHEMA_VERSION}): update it"

@@ -27,14 +27,14 @@ ONE_PLAN = "plan"
 is null; ``ONE_PLAN`` is for rows about one plan."""
 
 KEYS = ("scope", "plan_id", "axis", "value")
-"""Columns of the summary whose values say which worlds a row is about."""
+"""Columns of the table ``summary`` that state which worlds a row is about."""
 
 
 def wilson_interval(
     successes: ArrayLike, n: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper bound of Wilson's score interval of the share successes / n, element by element; 0 and 1 if n is
-    0.
+    """Lower and upper bounds of Wilson's score intervals of the shares successes / n, for each element of the arrays.
+    If n is 0, the bounds are 0 and 1.
 
     Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval always lies inside [0, 1]. For shares of 0 and
     1, the interval has a width above 0, whereas the usual ± interval has the width 0.
@@ -59,8 +59,8 @@ def wilson_interval(
 
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
-    """Aggregate worlds in groups: once over all plans, and once for each plan. In both cases, all worlds form a group
-    (axis ""), and for each axis, the worlds with the same value form a group.
+    """Aggregate worlds in groups: once over all plans, and once for each plan. Over all plans, and for each plan, all
+    worlds together form a group (axis ""), and all worlds with the same value on an axis form a group.
 
     Args:
         columns: the values to compute for each group, as keyword arguments of pandas' ``agg``: name=(column, function).
@@ -86,17 +86,18 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
     """The share of worlds that stand, for every value of every axis. If the worlds have random draws, the share has a
     Wilson 95 % interval.
 
-    Invalid worlds say nothing about the pallet: they are counted separately and are not part of the share. The world
-    without changes has no value on any axis, so it is counted only in the row for all worlds.
+    Invalid worlds say nothing about the pallet: they are counted separately and are not part of the share. The nominal
+    world, in which the plan is unchanged, has no value on any axis, so it is counted only in the row for all worlds.
 
     A world without random values always has the same outcome, so a row with such a world has no interval. Worlds with
     the same random numbers (a draw) are not independent of each other, so the number of trials is the number of draws.
-    The interval is wide enough, because the mean over the worlds of a draw varies at most as much as a single world.
+    An interval for this number of trials is wide enough, because the mean over the worlds of a draw varies no more than
+    the outcome of a single world.
 
     Args:
-        worlds: data frame with the columns ``plan_id`` and ``verdict``, and a column for each axis. It may have the
-            column ``draw``, which has the same value for all worlds with the same random numbers, and null for worlds
-            without random numbers.
+        worlds: data frame with the columns ``plan_id`` and ``verdict``, and a column for each axis. The data frame may
+            have the column ``draw``, which has the same value for all worlds with the same random numbers, and null for
+            worlds without random numbers.
         axes: names of the columns that have the values of the axes. A row of the result is about all worlds that have
             one value on one axis, whatever their values on the other axes.
 
@@ -130,7 +131,8 @@ def _text(value: object) -> str:
 
 @dataclass(frozen=True)
 class PairedCounts:
-    """Numbers of trials in which two alternatives a and b were both tried, by outcome.
+    """Two alternatives a and b were both tried in each of a number of trials. This record counts the trials by their
+    four possible outcomes.
 
     Attributes:
         both, only_a, only_b, neither: number of trials that succeeded with both, only with a, only with b, or with
@@ -149,12 +151,13 @@ class PairedCounts:
 
     @property
     def difference(self) -> float:
-        """Share of successes with b minus share of successes with a. NaN without trials."""
+        """Share of trials that succeed with b, minus share that succeed with a; NaN if there are no trials."""
         return (self.only_b - self.only_a) / self.n if self.n else float("nan")
 
 
 def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDENCE) -> tuple[float, float]:
-    """Confidence interval of (share of b − share of a): Newcombe's square-and-add interval. (−1, 1) without trials.
+    """Newcombe's square-and-add confidence interval of the difference share of b − share of a; (−1, 1) if there are no
+    trials.
 
     Source: Newcombe (1998), "Improved confidence intervals for the difference between binomial proportions based on
     paired data", Statistics in Medicine 17, 2635–2650, method 10. The method combines the Wilson intervals of both
@@ -191,7 +194,7 @@ def mcnemar_p(counts: PairedCounts) -> float:
     trials in which they differ. The p-value is 1 if a and b differ in no trial.
 
     Raises:
-        InputError: SciPy is not installed.
+        InputError: SciPy, which the test needs, is not installed.
     """
     differing = counts.only_a + counts.only_b
     if differing == 0:
@@ -208,8 +211,8 @@ def holm(p_values: Sequence[float]) -> FloatArray:
     probability of at least one false alarm stays below the level.
 
     Source: Holm (1979), "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics
-    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on. No corrected value is
-    below the one before it, and none is above 1.
+    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on. A corrected value is
+    never below the corrected value of a smaller p-value, and never above 1.
     """
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p, kind="stable")

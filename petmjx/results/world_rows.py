@@ -36,8 +36,8 @@ def _block_columns() -> list[Column]:
 
 
 class _Layout:
-    """Determines which values of an outcome are copied into a row. The layout is prepared once for all worlds, because
-    a loop over the metrics takes longer than copying their values.
+    """Determines which values of an outcome are copied into a row. This layout is prepared once for all worlds, because
+    a loop over the metrics takes longer than copying the values of a world.
 
     Attributes:
         of_boxes: the metrics of boxes.
@@ -65,7 +65,7 @@ _layouts: Final[list[_Layout]] = []
 
 
 def _layout() -> _Layout:
-    """The layout for the present list of metrics, which may get further entries."""
+    """The layout for all metrics that are defined at the moment of the call; further metrics may be defined later."""
     if not _layouts or _layouts[0].of_boxes is not box_metrics():
         _layouts[:] = [_Layout()]
     return _layouts[0]

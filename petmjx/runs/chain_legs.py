@@ -28,15 +28,17 @@ from petmjx.world.profiles.profile_registry import resolve
 from petmjx.world.variants import DriveSpec, LegSpec
 
 PLACING: Final = "placing"
-"""Name of the first part of a chain, in which boxes are placed and come to rest. The first leg follows."""
+"""Name of the first part of a chain, in which boxes are placed and come to rest. After this part, the first leg
+begins."""
 
 AS_IS: Final = ""
-"""The name of the unchanged chain, in columns where changed chains have the name of their remedy."""
+"""Stands for the unchanged chain in columns that hold, for a changed chain, the name of the remedy."""
 
 MOST_LEGS: Final = 100
 
 _EDGES: Final = ("plan_edge_m", "plan_edge_box", "build_edge_m", "build_edge_box", "build_edge_step")
-"""Fields of an outcome that tell how near to an edge loads act in the plan. A leg does not change these fields."""
+"""Fields of an outcome that tell how near to an edge of their support loads act in the plan. A leg does not change
+these fields."""
 
 Name = Annotated[str, Field(max_length=100)]
 Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]
@@ -98,8 +100,8 @@ class Remedy(CheckedRecord):
 
 
 def _ends(strength: float | Range[Any]) -> tuple[float, float | None]:
-    """The smallest and the largest strength that may be drawn, as the fields ``scale`` and ``scale_to`` of a drive. The
-    second is None if nothing is drawn."""
+    """The smallest and the largest strength that may be drawn, as the fields ``scale`` and ``scale_to`` of a drive. If
+    the strength is not random, ``scale_to`` is None."""
     return (strength.low, strength.high) if isinstance(strength, Range) else (strength, None)
 
 
@@ -206,7 +208,7 @@ def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: flo
     pause = np.zeros((seconds_to_steps(pause_s, timestep_s), 3))
     if not drives:
         return Excitation(name, ACCELERATION, pause if len(pause) else np.zeros((1, 3)))
-    # any total mass will do: only forces depend on it, and these drives are accelerations
+    # the total mass does not matter, because it affects only forces, and these drives are accelerations
     parts = [part for drive in drives for part in (drive.rows(total_mass=0.0), pause)]
     return Excitation(name, ACCELERATION, np.concatenate(parts[:-1]))
 
@@ -225,12 +227,12 @@ def with_sustained_force(leg: Outcome, before: BoxMetrics) -> Outcome:
 def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     """The outcome of a world after one more leg. Times are counted from the placement of the first box.
 
-    Metrics that are largest values, such as the largest force at rest (``sustained_top_force_n``), are those of the
-    journey so far. The poses of the boxes and ``rest_top_force_n`` are those at the end of the leg.
+    Metrics that are largest values, such as the largest force at rest (``sustained_top_force_n``), are the largest
+    values of the journey so far. The poses of the boxes and ``rest_top_force_n`` are the values at the end of the leg.
 
     Args:
         before: the outcome after the previous leg, in which the pallet still stood.
-        leg: the outcome of this leg alone, in which time begins at the end of the placement.
+        leg: the outcome of this leg alone, whose times are counted from the end of the placement.
     """
     since_s = before.n_steps * timestep_s
     leg = with_sustained_force(leg, before.boxes)
@@ -243,7 +245,7 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     if history is not None and before.history is not None:
         history = before.history.then(_later(history, since_s))
     edges: dict[str, Any] = {}
-    if leg.verdict is Verdict.STABLE:  # the plan determines how near to an edge loads act, so a leg changes nothing
+    if leg.verdict is Verdict.STABLE:  # how near to an edge loads act depends on the plan, not on the leg
         largest["plan_edge_m"] = old.plan_edge_m
         edges = {name: getattr(before, name) for name in _EDGES}
     return replace(

@@ -64,7 +64,7 @@ class ChainColumns:
     Attributes:
         legs: names of the legs that shake the pallet or open walls, in order.
         remedies: names of the remedies (changes of a leg that are tried), in order.
-        random: whether the worlds of a plan are random draws.
+        random: whether the worlds of a plan differ by random numbers.
     """
 
     legs: Sequence[str]
@@ -80,8 +80,8 @@ class ChainColumns:
 
 def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
     """The summary of a chain. Some rows are about all plans together, the others about one plan. For all plans and for
-    each plan, there is a row for the whole journey and a row for each leg; each of these rows exists without remedies
-    and with each remedy.
+    each plan, there is a row for the whole journey and a row for each leg. The table has each of these rows for the
+    chain without remedies, and for the chain with each remedy (a change of one leg).
 
     The worlds (simulations) of a plan have independent random numbers, so each share has a Wilson interval. To compute
     the gain from a remedy, each world with the remedy is compared with the world that has the same random numbers but
@@ -120,7 +120,7 @@ def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
 
 def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
     """The rows of the summary, with the columns ``_KEYS`` and ``_COUNTS``: how many worlds reached each leg, and how
-    many of these stand or are invalid after it."""
+    many of these worlds stand, or are invalid, after the leg."""
     invalid = worlds["verdict"] == Verdict.INVALID.value
     arrives = worlds["leg"] == WHOLE_WAY
     end = worlds["leg"].cat.codes.where(~arrives, len(legs))
@@ -175,7 +175,7 @@ def _gains(worlds: pd.DataFrame, *, random: bool) -> pd.DataFrame:
 
 def _gain(counts: PairedCounts, random: bool) -> tuple[float, float, float]:
     """The gain from a remedy, and the lower and upper end of its interval. In ``counts``, a is the chain without the
-    remedy, and b is the chain with it."""
+    remedy, and b is the chain with the remedy."""
     low, high = newcombe_interval(counts) if random and counts.n else (np.nan, np.nan)
     return counts.difference, low, high
 
@@ -194,8 +194,8 @@ def write_chain(writer: RunWriter, chain: ChainColumns) -> None:
 
 
 def arrivals(summary: pd.DataFrame, remedy: str = AS_IS) -> pd.DataFrame:
-    """Those rows of the summary that are about the whole journey of one plan with this remedy, in the order of the
-    run."""
+    """Those rows of the summary that are about the whole journey of a single plan with the remedy ``remedy``, in the
+    order of the run."""
     chosen = (summary["scope"] == ONE_PLAN) & (summary["leg"] == WHOLE_WAY) & (summary["remedy"] == remedy)
     return summary[chosen].reset_index(drop=True)
 

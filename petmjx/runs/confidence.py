@@ -35,8 +35,8 @@ READY_MADE: Final = "confidence"
 EVEN: Final = 0.5
 
 SIGNIFICANCE: Final = 0.05
-"""Accepted probability that the run has at least one false alarm: a plan whose stability, according to the run, depends
-on how its boxes are placed, although it does not."""
+"""Accepted probability of at least one false alarm in a run. A false alarm is a plan whose stability seems to depend on
+whether boxes are carried to their places or appear there, although in truth the stability does not depend on this."""
 
 PLACING: Final = "placing"
 """Name of the axis, and of the column of ``worlds``, that states how boxes with errors were placed."""
@@ -78,11 +78,11 @@ _TEXTS: Final = frozenset({"plan_id", "verdict", "reason", "coin_toss", "placing
 def confidence_sweep(
     n_worlds: int, errors: Path | None, simulation: Mapping[str, Any], *, exact_too: bool = False
 ) -> Sweep:
-    """The sweep of a score with confidence.
+    """The sweep that stands for a score with confidence.
 
     Args:
         n_worlds: number of worlds with errors for each plan, in addition to the nominal world (without errors).
-        errors: a sweep file of errors, or the name of a ready-made one. If None, it is ``READY_MADE``.
+        errors: a sweep file of errors, or the name of a ready-made one. If ``errors`` is None, ``READY_MADE`` is used.
         simulation: fields of ``Simulation`` that replace those of the file.
         exact_too: whether to simulate each world with errors twice (``petmjx.options.run_options.Confidence``).
 
@@ -132,7 +132,7 @@ def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
     docs/confidence.md explains the columns.
 
     Args:
-        parts: files of the run's tables, all complete.
+        parts: files of the run's tables, to which nothing will be added.
         both: whether each world with errors was simulated twice (``exact_too``).
     """
     columns = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
@@ -172,8 +172,8 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
     """Compare, for each plan, carried boxes with boxes that appear at their places: count the sets of random errors
-    with which the pallet stands in only one of the two cases, and test whether the two numbers differ. A set of errors
-    with an invalid world is left out."""
+    with which the pallet stands in only one of the two cases, and test whether the two numbers differ. If a set of
+    errors gives an invalid world in one of the two cases, the set is not counted."""
     pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
     one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
@@ -207,8 +207,8 @@ def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
 
 
 def contradiction_mask(summary: pd.DataFrame) -> pd.Series[bool]:
-    """For each plan, whether more than half of its worlds with errors contradict the verdict without errors, beyond
-    chance."""
+    """For each plan, whether the worlds with errors contradict the verdict without errors: whether, beyond chance, more
+    than half of these worlds have the opposite verdict."""
     stands = summary["verdict"] == Verdict.STABLE.value
     falls = summary["verdict"] == Verdict.UNSTABLE.value
     return (stands & (summary["high"] < EVEN)) | (falls & (summary["low"] > EVEN))

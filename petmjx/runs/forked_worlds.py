@@ -38,7 +38,7 @@ class SettledPlacement:
 
     @cached_property
     def load_height_m(self) -> float:
-        """Height of the load at rest, m. All drives that start from this placement have this height."""
+        """Height of the load at rest, m. All drives that start from this placement are made for this height."""
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
@@ -61,8 +61,8 @@ class SettledPlacement:
         return replace(outcome, history=placed.history.then(outcome.history))
 
     def undriven(self, variant: Variant) -> FinishedWorld:
-        """The finished world of a variant that is not shaken: it has the outcome of the placement, and no further
-        simulation."""
+        """The finished world of a variant without shaking. A world without shaking gets the outcome of the placement,
+        and needs no further simulation."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
         end = LegEnd(PLACING, 0.0) if variant.legs else None
         return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
@@ -84,14 +84,14 @@ class SettledPlacement:
 
 
 Test = tuple[int, int]
-"""A test of a search: the number of the item (placement × profile × direction), and the index of the tested level, as
-in `Bisection`."""
+"""A test of a search, as in `Bisection`: the number of the item (one combination of a placement, a profile and a
+direction), and the index of the tested level."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveWorld(World):
-    """A simulation in which the carrier is shaken, from the settled state of a placement on, as a job for the engine.
-    ``test``: the test of a search to which this simulation belongs; (-1, -1) outside a search."""
+    """A simulation that starts from the settled state of a placement, and in which the carrier is shaken, as a job for
+    the engine. ``test``: the test of a search to which this simulation belongs; (-1, -1) outside a search."""
 
     settled: SettledPlacement
     change: Variant
@@ -100,12 +100,13 @@ class DriveWorld(World):
 
 @dataclass(frozen=True, eq=False)
 class LegStart:
-    """The beginning of a leg of a chain, which several worlds with equal journeys so far may share.
+    """The state in which a leg of a chain begins. Several worlds share this state if their journeys have been equal so
+    far.
 
     Attributes:
         changes: variants of the worlds that share this beginning.
-        number: index of the leg in the chain.
-        before: the outcome of the previous leg. None in the first leg.
+        number: index of the leg in the chain, from 0.
+        before: the outcome of the previous leg. In the first leg, ``before`` is None.
     """
 
     settled: SettledPlacement

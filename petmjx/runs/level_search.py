@@ -1,4 +1,5 @@
-"""Searches the largest level of a profile (motion of the carrier) that a pallet survives, and how it fails above it."""
+"""Finds the largest level of a profile (motion of the carrier) that a pallet survives, and how the pallet fails at a
+larger level."""
 
 from __future__ import annotations
 
@@ -20,12 +21,12 @@ MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reaso
 
 
 def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
-    """How the first box failed: "slide", "tilt" or "drop".
+    """How the first box failed, as one of the words "slide", "tilt" and "drop".
 
     The mode is "drop" if the box dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search
-    reports the mode at the lowest level that fails. Just above the survived level, the mode usually shows how the
-    failure began; far above it, a box that slides also falls. For an invalid world, the mode is the reason. For a
-    stable world, the mode is "".
+    reports the mode at the lowest level that fails. At a level just above the largest survived level, the mode usually
+    shows how the failure began. At a much larger level, a box that slides also falls, so the mode is usually "drop".
+    For an invalid world, the mode is the reason why the world is invalid. For a stable world, the mode is "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
@@ -43,8 +44,8 @@ class Probe:
     Attributes:
         culprit: number of the box that failed first, or −1 if no box failed.
         mode: the mode of failure (`failure_mode`).
-        moving: whether boxes were still moving at the end of the simulation. If so, a longer simulation may have
-            another verdict.
+        moving: whether boxes were still moving at the end of the simulation. If boxes were moving, a longer simulation
+            may have another verdict.
         values: column → value, for the columns that the sweep adds to ``worlds``.
     """
 
@@ -56,23 +57,26 @@ class Probe:
 
     @classmethod
     def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
-        """The result of a test from its outcome. ``tilt_deg``: angle above which a tilted box has the mode "tilt"."""
+        """The result of a test, made from the outcome of its simulation. ``tilt_deg``: angle above which a tilted box
+        has the mode "tilt"."""
         moving = Flag.MOVING in outcome.flags
         return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), moving, values or {})
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> Probe:
-        """The result of a test from its row in the table ``worlds``: column → value, where None stands for null."""
+        """The result of a test, made from its row in the table ``worlds``: column → value, where None stands for
+        null."""
         culprit = -1 if row["culprit"] is None else int(row["culprit"])
         return cls(Verdict(row["verdict"]), culprit, row["mode"], bool(row["flags"] & Flag.MOVING), row)
 
 
 @dataclass
 class SearchBracket:
-    """What a search has found so far about one item: a placement, a profile and a direction.
+    """What a search has found so far about one item, that is, about one combination of a placement, a profile and a
+    direction.
 
     Attributes:
-        stands_at_rest: whether the pallet stood before any profile. If not, no level is tested.
+        stands_at_rest: whether the pallet stood before any profile. If the pallet did not stand, no level is tested.
         survived: index of the largest survived level that is below all failed levels, or −1 if there is none.
         failed: index of the smallest level that failed; the number of levels if none failed; 0 if the pallet falls at
             rest.
@@ -93,17 +97,18 @@ class SearchBracket:
 
     @property
     def monotone(self) -> bool:
-        """Whether every tested level above the smallest failed level failed as well."""
+        """Whether the pallet failed at every tested level above the smallest failed level, too."""
         return self.highest <= self.failed
 
 
 class Bisection:
-    """Searches the largest level survived for many items (placement × profile × direction) together.
+    """Finds the largest level survived for many items together. An item is one combination of a placement, a profile
+    and a direction.
 
-    All items share one grid of levels. So the error of an answer is at most one step of the grid, and the tested levels
-    do not depend on the order in which simulations end. In each round, up to ``sections`` levels of an item are tested
-    at the same time, evenly spread between the largest survived and the smallest failed level. The rounds of one item
-    do not wait for the rounds of other items.
+    All items share one grid of levels. So an answer is wrong by one step of the grid or less, and the tested levels do
+    not depend on the order in which simulations end. In each round, up to ``sections`` levels of an item are tested at
+    the same time, evenly spread between the largest survived and the smallest failed level. The rounds of one item do
+    not wait for the rounds of other items.
 
     The search assumes that a pallet that survives a level also survives all lower levels. The assumption can be wrong:
     a stronger push may press a box against its neighbour, so that the box jams. If a level above a failed level was
@@ -111,10 +116,11 @@ class Bisection:
 
     Args:
         levels: (n_levels,) levels in ascending order, in g or as a scale.
-        at_rest: for each item, the result of the simulation without a profile. If the pallet does not stand there, the
-            search for the item ends at once, and no level is survived. If ``levels[0]`` is 0, a pallet that stands
-            without a profile has survived level 0.
-        sections: number of levels of an item that are tested at the same time, ≥ 1. 1 is plain bisection.
+        at_rest: for each item, the result of the simulation without a profile. If the pallet does not stand in this
+            simulation, the search for the item ends at once, and no level is survived. If ``levels[0]`` is 0, a pallet
+            that stands without a profile has survived level 0.
+        sections: number of levels of an item that are tested at the same time, ≥ 1. With 1, the search is plain
+            bisection.
 
     Attributes:
         items: what has been found about each item.
@@ -141,8 +147,8 @@ class Bisection:
         return SearchBracket(True, survived, len(self.levels), survived)
 
     def bounds(self, item: int) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Two tests (item, index of the level): at the largest level survived, and at the smallest level that
-        failed."""
+        """Two tests, each as (item, index of the level): the test at the largest level survived, and the test at the
+        smallest level that failed."""
         bracket = self.items[item]
         return (item, bracket.survived), (item, bracket.failed)
 
@@ -160,8 +166,8 @@ class Bisection:
         )
 
     def next_tests(self, item: int) -> list[tuple[int, int]]:
-        """The next tests of an item, as pairs (item, index of the level). The list is empty if the answer for the item
-        is known."""
+        """The next tests of an item, as pairs (item, index of the level). If the answer for the item is known, the list
+        is empty."""
         bracket = self.items[item]
         untested = bracket.failed - bracket.survived - 1
         count = min(self.sections, untested)
@@ -187,7 +193,7 @@ class Bisection:
             elif level < bracket.failed:
                 bracket.failed = level
                 bracket.box, bracket.mode = world.culprit, world.mode
-        # Survived levels come last: a survived level that is above a failed level must not raise the answer.
+        # Survived levels are recorded last, because a survived level above a failed level must not raise the answer.
         for bracket, level in survivors:
             bracket.highest = max(bracket.highest, level)
             if level < bracket.failed:

@@ -147,7 +147,7 @@ def _is_search(info: Mapping[str, Any]) -> bool:
 
 
 def _variants(runs: Sequence[RunResults]) -> range:
-    """The numbers of variants, from the smallest to the largest number that occurs in the runs."""
+    """The range of the numbers of variants that occur in the runs, from the smallest to the largest number."""
     parts = [part for run in runs for part in run.parts.table("worlds", ("variant",)) if len(part)]
     least, most = pc.min_max(pa.concat_tables(parts)["variant"]).values()
     return range(least.as_py(), most.as_py() + 1)
@@ -177,7 +177,7 @@ def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
 
 
 def _of_shard(run: RunResults) -> dict[str, Any]:
-    """What the ``run.json`` of the merged run has about one shard."""
+    """The entry about one shard in the ``run.json`` of the merged run."""
     info = run.info
     return {
         "shard": info["identity"]["shard"],
@@ -205,7 +205,8 @@ def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
-    """One line for each package whose version differs from that in the first shard, since results may depend on it."""
+    """Yield a line for each shard and package whose version differs from the version in the first shard. Results may
+    depend on these versions."""
     first = runs[0].info["versions"]
     for run in runs[1:]:
         versions = run.info["versions"]
@@ -220,7 +221,7 @@ def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
 
 def _write_summary(writer: RunWriter, runs: Sequence[RunResults]) -> None:
     """Write the table ``summary``. For a grid or a sample, the shares of standing worlds are computed again from the
-    worlds of all shards. For a search, the rows of all shards are put together, since each row is about one plan."""
+    worlds of all shards. For a search, the summary has the rows of all shards, since each row is about one plan."""
     tables = [table for run in runs for table in run.parts.table("summary")]
     shares = runs[0].info["config"].get("shares")
     if shares is None:

@@ -1,4 +1,5 @@
-"""Shows the progress of a run started from Python: a bar below the cell in a notebook, else lines on standard error."""
+"""Shows the progress of a run started from Python: in a notebook, as a bar below the cell; in a script, as lines on
+standard error."""
 
 from __future__ import annotations
 
@@ -16,10 +17,11 @@ from petmjx.runs.simulate import RunStart
 from petmjx.runs.study import FinishedWorld
 
 LINE_S: Final = 5.0
-"""Time between two lines of a script, s."""
+"""Time between two lines that a script prints, s."""
 
 REFRESH_S: Final = 0.25
-"""Shortest time between two drawings of the bar, s. Each drawing is sent to the browser."""
+"""Shortest time between two drawings of the progress bar, s. The time limits the traffic, since each drawing is sent to
+the browser."""
 
 
 class NotebookBar:
@@ -51,7 +53,8 @@ class NotebookBar:
 
     @property
     def _left(self) -> int | None:
-        """Number of worlds that this run simulates, without the worlds of an earlier run; None if it is unknown."""
+        """Number of worlds that this run simulates, without the worlds of an earlier run; None if the number is
+        unknown."""
         start = self._start
         return None if start is None or start.total is None else start.total - start.recorded
 
@@ -75,7 +78,7 @@ class ScriptLines:
     A thread writes the lines, so that lines appear even if no world ends for a while.
 
     Args:
-        write: function that receives each line. By default, lines go to standard error.
+        write: function that receives each line. Without ``write``, lines go to standard error.
     """
 
     def __init__(self, write: Callable[[str], object] | None = None, line_s: float = LINE_S) -> None:
@@ -119,8 +122,7 @@ class ScriptLines:
 
 
 def notebook_bar() -> NotebookBar | None:
-    """A progress bar if this process is the kernel of a notebook, otherwise None. If IPython is not loaded, this
-    function does not load it."""
+    """A progress bar if this process is the kernel of a notebook, otherwise None. This function never loads IPython."""
     ipython: Any = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):  # IPython in a terminal has no kernel

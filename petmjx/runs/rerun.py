@@ -29,8 +29,8 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     """A plan, exactly as the run simulated it.
 
     Args:
-        plans: source of the plan. If None, it is the plan object that the run holds, the run's table of plans, or the
-            input file.
+        plans: source of the plan. If ``plans`` is None, the plan is taken from the first of these sources that has it:
+            the plan objects that the run holds, the run's table of plans, the input file.
 
     Raises:
         InputError: the run has no such plan, or the plan's file no longer exists or has changed.
@@ -78,7 +78,7 @@ def worlds_of_run(
     if variant is not None:
         try:
             worlds.find(plan_id, variant)
-        except InputError as error:  # that error names a sweep file, but a score has none, so this error names the run
+        except InputError as error:  # that error names a sweep file, which a score does not have
             raise InputError(f"{run.path}: plan {printable_name(plan_id)} has no variant {variant}") from error
     return worlds, variant or 0
 
@@ -115,7 +115,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
         sweep_file = sweep_path if sweep_path.is_file() else find_sweep(sweep_path.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file from which the run was made no longer exists") from None
-    has_both_ways = PLACING in config["sweep"].get("axes", {})  # the option exact_too adds this axis
+    has_both_ways = PLACING in config["sweep"].get("axes", {})  # the option exact_too adds the axis placing
     sweep = (
         chain_sweep(sweep_file, worlds, changes)
         if is_chain(run.info) and worlds

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
 """Function that computes force intervals (n, 2): the smallest and the largest possible force on the top of each of n
-boxes at rest, N. The function returns None for a world without these intervals."""
+boxes at rest, N. For a world in which these forces are unknown, the function returns None."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class RunStart:
     """Facts that are known at the start of a run.
 
     Attributes:
-        what: the noun for a world in messages: "plan", or "world" if plans have several worlds.
+        what: the noun for a world in messages, which is "plan", or "world" if plans have several worlds.
         total: number of worlds; None if it is unknown, as in searches.
         size: one line with the number of worlds and steps, and the estimated time.
         choice: the engine, and the reason for its choice.
@@ -71,7 +71,7 @@ class RunStart:
 
 
 class Watcher(Protocol):
-    """An object that follows the progress of a run, such as the progress bar of the command line."""
+    """An object whose methods are called as a run proceeds, such as the progress bar of the command line."""
 
     def begin(self, start: RunStart) -> None:
         """Called when the run starts."""
@@ -88,7 +88,7 @@ def simulate(
     watcher: Watcher | None = None,
     intervals: Intervals | None = None,
 ) -> RunResults:
-    """Run a study to its end.
+    """Run a study from its plans to its results.
 
     Args:
         ask: function that makes the study from the loaded plans.
@@ -124,7 +124,7 @@ def simulate(
         plan_set = replace(plan_set, skipped=[*plan_set.skipped, *later_inputs], notes=notes)
         records = records_of(study.everything, plan_set.numbers)
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
-    hands_over = not options.record_details  # only C MuJoCo records details, so it must keep all worlds
+    hands_over = not options.record_details  # only C MuJoCo records details, so C MuJoCo must simulate all worlds
     with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
@@ -132,8 +132,9 @@ def simulate(
 
 
 def _last_permille_s(ends_s: Sequence[float]) -> float:
-    """How long the run waited for its last worlds, s: the time between two moments, the end of 99.9 % of the worlds and
-    the end of all worlds. With fewer than 1,000 worlds, it is the time between the ends of the last two worlds."""
+    """How long the run waited for its last worlds, s: the time between the moment at which 99.9 % of the worlds have
+    ended and the moment at which all worlds have ended. With fewer than 1,000 worlds, the result is the time between
+    the ends of the last two worlds."""
     last = -(-len(ends_s) // 1000)
     return round(ends_s[-1] - ends_s[-1 - last], 3) if len(ends_s) > last else 0.0
 
@@ -218,7 +219,7 @@ class _Run:
             resume=options.resume,
         ) as writer:
             self._note_input(writer)
-            self.progress.notes = writer.warnings  # notes of the engine become warnings of the run
+            self.progress.notes = writer.warnings  # what the engine notes becomes a warning of the run
             if watcher is not None:
                 watcher.begin(self._start(len(writer.recorded)))
             ends_s = array("d")
@@ -229,7 +230,7 @@ class _Run:
                 ends_s.append(time.monotonic())
                 if watcher is not None:
                     watcher.world_done(world)
-            # The engine starts to end before the last rows are written, because its workers take one or two seconds to
+            # The engine is told to end before the last rows are written, because its workers take one or two seconds to
             # end.
             self.engine.retire()
             writer.timings.update(
@@ -273,7 +274,7 @@ class _Run:
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
         """(n, 2) the smallest and the largest possible force on the top of each box, N; None if intervals are not
-        requested. The result is also None after a drive (motion of the carrier), since the position of the carrier is
+        requested. After a drive (motion of the carrier), the result is also None, since the position of the carrier is
         then unknown."""
         if self.intervals is None or world.driven:
             return None

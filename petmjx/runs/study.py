@@ -41,7 +41,7 @@ NOMINAL: Final = Variant(0, UNCHANGED)
 
 @dataclass(frozen=True)
 class LegEnd:
-    """The leg (part of the journey) in which a world of a chain ended.
+    """The leg (part of the journey) in which a world of a chain ended, and when the leg began.
 
     Attributes:
         began_s: simulated time at which the leg began, s; 0 for the placement of boxes.
@@ -60,7 +60,7 @@ class FinishedWorld:
             itself.
         driven: whether the drive (motion of the carrier) was simulated. If the placement does not stand and early stop
             is on, the drive is skipped, and the world gets the outcome of the placement. Without early stop, the drive
-            is simulated, but the world cannot be stable.
+            is simulated even if the placement does not stand, but the world cannot be stable.
         ended_in: the leg in which a world of a chain ended; None if the pallet arrived, or if the world has no chain.
     """
 
@@ -81,13 +81,13 @@ class Study(ABC):
     Attributes:
         sim: options of every world. Further attempts at a world may use other options.
         everything: all plans that can be simulated, including the plans of other shards.
-        plans: the plans of this run.
+        plans: the plans that this run simulates.
         work: amount of work of all worlds, for estimates of time.
         n_worlds: largest possible number of worlds.
         known: whether ``n_worlds`` is exact. The number of worlds of a search is not known, since the outcomes
             determine it.
-        first_variant: number of the first variant of each plan. If ``known``, the numbers of further variants follow
-            without a gap.
+        first_variant: number of the first variant of each plan. If ``known`` is true, the numbers of further variants
+            follow without a gap.
         amount: text with the numbers of plans and worlds, for messages.
         command: the command in ``run.json``, "score" or "sweep".
         what: the noun for a world in messages.
@@ -98,7 +98,7 @@ class Study(ABC):
         legs: whether worlds pass through several legs of a chain.
         axes: names of the axes of a sweep.
         has_errors: whether positions or sizes have errors in some worlds.
-        identity: settings on which worlds depend, in addition to plans and ``sim``.
+        identity: settings on which worlds depend, besides the plans and ``sim``.
         config: entries of ``run.json`` about the study, in addition to the options.
     """
 
@@ -124,7 +124,7 @@ class Study(ABC):
 
     @property
     def total(self) -> int | None:
-        """Number of worlds of the run; None if it is unknown."""
+        """Number of worlds of the run; None if the number is unknown."""
         return self.n_worlds if self.known else None
 
     @property
@@ -139,8 +139,8 @@ class Study(ABC):
 
         Args:
             seconds: expected time of all worlds, s; None if it is unknown.
-            recorded: number of worlds that are already completed. The line gives the steps and the time of the other
-                worlds.
+            recorded: number of worlds that are already completed. The line gives the steps and the time of the worlds
+                that are still to be simulated.
         """
         share = 1 - recorded / max(self.n_worlds, 1)
         left = " left" if recorded else ""
@@ -160,12 +160,12 @@ class Study(ABC):
         """
 
     def values(self, world: FinishedWorld) -> Mapping[str, Any]:
-        """Column → value, for the columns ``params`` of a world."""
+        """The values of a world in the columns ``params``: column → value."""
         return {}
 
     def timings(self) -> Mapping[str, float]:
-        """Name → a time in s or a number, such as numbers of steps, about the simulation of all worlds. The values are
-        final when all worlds have ended."""
+        """Facts about the simulation of all worlds: name → a time in s, or a count such as a number of steps. The
+        values are final when all worlds have ended."""
         return {}
 
     def summarise(self, writer: RunWriter) -> None:
@@ -220,7 +220,7 @@ class Nominal(Study):
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)
 
     def _longest_first(self) -> Iterator[Plan]:
-        """The plans, sorted by the number of boxes that are expected to be placed, the largest number first. Long
-        worlds then begin early, so that the run need not wait for one of them at its end."""
+        """The plans, sorted by the number of boxes that are expected to be placed, the largest number first. In this
+        order, long worlds begin early, so that the run need not wait for a long world at its end."""
         placed = np.asarray(self.work.boxes) * self.work.share
         return (self.plans[number] for number in np.argsort(-placed, kind="stable").tolist())

@@ -78,8 +78,8 @@ def _axis_text(value: object) -> str:
 
 
 def _value_or(tag: str) -> Discriminator:
-    """Discriminator of a union of two types: it tells a value that has the shape ``tag`` (a table or a list) from a
-    single value."""
+    """A discriminator, with which pydantic chooses one type of a union of two: one type for values of the shape ``tag``
+    (a table or a list), the other type for single values."""
     return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
@@ -110,8 +110,8 @@ Number = TypeVar("Number", bound=float)
 
 
 class Range(CheckedRecord, Generic[Number]):
-    """A range of numbers. The range has a step or a number of values. In mode ``sample``, it may have neither; then,
-    all numbers between its ends are allowed."""
+    """A range of numbers. The range has a step or a number of values. In mode ``sample``, the range may have neither;
+    then, every number between its ends is allowed."""
 
     low: Number = Field(alias="from", description="the first value")
     high: Number = Field(alias="to", description="the last value, if the steps reach it")
@@ -135,7 +135,7 @@ class Range(CheckedRecord, Generic[Number]):
     def values(self) -> tuple[float, ...]:
         """The values of the range, rounded so that 0.1 + 2 × 0.1 is 0.3."""
         if self.step is not None:
-            # 1e-9 offsets rounding errors, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
+            # 1e-9 is added because of rounding errors, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
             step, count = self.step, math.floor((self.high - self.low) / self.step + 1e-9) + 1
         else:
             count = self.count or 2
@@ -171,7 +171,8 @@ Strengths = Annotated[Annotated[DrawnRange, Tag(TABLE)] | Annotated[Positive, Ta
 
 
 def _value_list(setting: Any) -> tuple[Any, ...]:
-    """The values of a setting as a tuple. A setting may be one value or a list of values (`OneOrMore`)."""
+    """The values of a setting as a tuple. The setting in the file may be one value or a list of values
+    (`OneOrMore`)."""
     return setting if isinstance(setting, tuple) else (setting,)
 
 
@@ -252,13 +253,15 @@ _Table = Annotated[
 _Sd = Annotated[Spread, AfterValidator(lambda sd: Distribution(DistributionShape.NORMAL, 0.0, sd)), Tag(VALUE)]
 _Height = Annotated[Spread, AfterValidator(lambda height: Distribution(DistributionShape.FIXED, height)), Tag(VALUE)]
 Errors = OneOrMore[Annotated[_Table | _Sd, Discriminator(shape)]]
-"""Distributions of errors. A plain number means the standard deviation of a normal distribution around 0."""
+"""Distributions of errors. A plain number in a sweep file means the standard deviation of a normal distribution around
+0."""
 Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 """Distributions of a height. A plain number means the height itself."""
 
 
 def _up_to(largest: float) -> AfterValidator:
-    """A validator that limits errors to ±``largest``, a narrower range than that for errors of positions."""
+    """A validator that accepts only errors from −``largest`` to ``largest``. This range is narrower than the range for
+    errors of positions."""
 
     def check(setting: Any) -> Any:
         for error in _value_list(setting):
@@ -305,7 +308,7 @@ class AxisKind:
 
     @property
     def placement(self) -> bool:
-        """Whether the boxes must be placed again for each value of the axis."""
+        """Whether the placement of boxes must be simulated again for each value of the axis."""
         return bool(self.changes)
 
 
@@ -353,8 +356,9 @@ AXIS_KINDS: Final = {
         AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )
 }
-"""All axes of sweep files, in the order of nesting. Among the axes that change placements, the last one varies fastest.
-Among the axes that change drives (motions of the carrier), the last one varies fastest, too."""
+"""All axes of sweep files, in the order in which the loops over their values are nested, the outermost loop first.
+Among the axes that change placements, the last one varies fastest. Among the axes that change drives (motions of the
+carrier), the last one varies fastest, too."""
 
 _FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
 _Axes = create_model("_Axes", __base__=CheckedRecord, **_FIELDS)
@@ -384,15 +388,15 @@ class Axis:
         return any(isinstance(value, Distribution) and value.random for value in self.values)
 
     def pick(self, key: WorldKey) -> Value:
-        """A value of the axis, drawn with random numbers that depend only on the key and the axis."""
+        """A random value of the axis. The random numbers depend only on ``key`` and the axis."""
         rng = key.rng(f"design:{self.name}")
         if self.continuous:
             return float(rng.uniform(self.low, self.high))
         return self.values[int(rng.integers(len(self.values)))]
 
     def cell(self, value: Value) -> float | str:
-        """A value of the axis in the form in which the results have it. A distribution becomes a plain number if a
-        plain number can stand for each value of the axis; otherwise, it becomes text."""
+        """A value of the axis in the form in which it is written to the results. If plain numbers can stand for all
+        values of the axis, a distribution becomes a plain number; otherwise, it becomes text."""
         if not isinstance(value, Distribution):
             return value
         number = self._plain_number(value)
@@ -400,7 +404,7 @@ class Axis:
         return number if one_shape and number is not None else value.label()
 
     def _plain_number(self, value: Value) -> float | None:
-        """The plain number with which a sweep file can write a value; None if the file needs a table for the value."""
+        """The plain number that stands for a value in a sweep file; None if only a table can stand for the value."""
         if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
             return None
         if value.shape is DistributionShape.FIXED:

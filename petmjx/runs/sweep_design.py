@@ -20,8 +20,8 @@ from petmjx.world.random_streams import WorldKey
 from petmjx.world.variants import Distribution, DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
 
 MOST_KEPT: Final = 100_000
-"""Largest number of variants that are made once and kept in memory for all plans. If a sweep has more variants, they
-are made again for each plan. A variant takes 1 kB."""
+"""Largest number of variants that are made once and kept in memory for all plans. If a sweep has more variants, all
+variants are made again for each plan. A variant takes 1 kB of memory."""
 
 REMEDY: Final = "remedy"
 """Column of the table ``worlds`` in the run of a chain: the name of the remedy (a change of the chain that is
@@ -33,8 +33,8 @@ Point = Mapping[str, Value]
 
 @dataclass(frozen=True)
 class SearchItem:
-    """One question of a search: which is the largest level of this profile, in this direction, that a pallet
-    survives?"""
+    """One question of a search: what is the largest level of the profile ``profile``, in the direction
+    ``direction_deg``, that a pallet survives?"""
 
     profile: str
     direction_deg: float
@@ -73,7 +73,7 @@ class Design:
     @property
     def n_variants(self) -> int:
         """Number of variants per plan, including the nominal world if the sweep has it. For a search, this is the
-        largest possible number: every item needs all rounds of the search."""
+        largest possible number, which is reached if every item needs all rounds of the search."""
         sweep = self.sweep
         nominal = int(sweep.nominal)
         if sweep.sample is not None:
@@ -154,15 +154,15 @@ class Design:
 
     def _axes(self, placement: bool) -> list[Axis]:
         """The axes that change placements, or, if ``placement`` is False, the axes that change drives (motions of the
-        carrier). The order of the axes is that of nesting, which may differ from the order in the file."""
+        carrier). The axes are in the order of nesting, which may differ from their order in the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 
     # Enumeration.
 
     def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
-        """Each placement with the variants that start from it. In a search, a placement comes without variants, because
-        these are made level by level."""
+        """Each placement, together with the variants that start from its settled state. In a search, a placement comes
+        without variants, because a search makes its variants level by level."""
         return iter(self._kept_placements if self.n_variants <= MOST_KEPT else self._placements())
 
     @cached_property
@@ -237,8 +237,8 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """The variants of a sample: the value of each axis is drawn at random. All plans have the same variants, and
-        each variant has a different replicate number."""
+        """The variants of a sample: the value of each axis is drawn at random. All plans have the same variants. The
+        replicate number of a variant differs from those of all other variants."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)
@@ -275,7 +275,8 @@ def _drives(variant: Variant) -> Iterator[DriveSpec]:
 
 
 def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:
-    """All points of the grid. The last axis varies fastest. Without axes, there is one empty point."""
+    """All points of the grid, in an order in which the last axis varies fastest. Without axes, there is one point
+    without values."""
     names = [axis.name for axis in axes]
     for values in itertools.product(*(axis.values for axis in axes)):
         yield dict(zip(names, values, strict=True))
@@ -286,8 +287,8 @@ def _n_points(axes: Iterable[Axis]) -> int:
 
 
 _BESIDE = {"name", "description", "plans", "simulation", "axes", "own_profiles"}
-"""Fields of ``Sweep`` that are not part of its identity: they do not change worlds, or are compared separately when a
-run is resumed."""
+"""Fields of ``Sweep`` that do not identify a sweep: fields that do not change worlds, and fields that are compared
+separately when a run is resumed."""
 
 
 def sweep_identity(sweep: Sweep) -> dict[str, Any]:
@@ -296,7 +297,7 @@ def sweep_identity(sweep: Sweep) -> dict[str, Any]:
     settings = sweep.model_dump(mode="json", exclude=_BESIDE)
     if sweep.search is not None:
         settings["search"]["levels"] = len(sweep.search_levels)
-    if not sweep.legs:  # earlier versions did not have these entries, so runs of these versions lack them
+    if not sweep.legs:  # runs of earlier versions of petmjx lack these entries
         del settings["legs"], settings["remedies"]
     settings["axes"] = {name: _values(axis) for name, axis in sweep.axes.items()}
     settings["profiles"] = {name: _digest(sweep, name) for name in sweep.profiles}
@@ -310,7 +311,7 @@ def _values(axis: Axis) -> object:
 
 
 def _digest(sweep: Sweep, name: str) -> str:
-    """Digest of the samples of a profile. If a profile is random, one realisation of it is enough, because all
+    """Digest of the samples of a profile. For a random profile, the samples of one realisation are used, because all
     realisations come from the same settings."""
     profile = sweep.profiles[name]
     excitation = profile.excitation(sweep.simulation.physics.timestep_s, 0.0, WorldKey(sweep.seed, "", 0))

@@ -60,7 +60,7 @@ def find_sweep(name_or_path: str | Path) -> Path:
             sweeps.
     """
     path = Path(name_or_path)
-    with suppress(OSError, ValueError):  # for instance, the name is too long or contains a null character
+    with suppress(OSError, ValueError):  # raised, for example, if the name is too long or has a null character
         if path.is_file():
             return path
     files_by_name = ready_sweeps()
@@ -86,15 +86,15 @@ MAX_PROFILE_STEPS: Final = 4_000_000
 MAX_TEXT: Final = 100_000
 """Largest number of characters of a description."""
 MIN_TOLERANCE: Final = 1e-5
-"""Smallest tolerance of a search (g, or a scale). Levels are rounded to 1e-12, so levels at such small distances would
-become equal."""
+"""Smallest tolerance of a search (g, or a scale). Levels are rounded to 1e-12, so with a smaller tolerance,
+neighbouring levels could become equal."""
 MAX_REPEATS: Final = 2**31 - 1
 """Largest number of samples or replicates. The results store the number of a variant in 32 bits."""
 
 
 class Search(CheckedRecord):
-    """The table ``[search]`` of a sweep file: it asks for the largest level or scale that pallets survive. A sweep with
-    this table has no axis ``level`` or ``scale``."""
+    """The table ``[search]`` of a sweep file, which requests a search for the largest level or scale that pallets
+    survive. A sweep with the table ``[search]`` has no axis ``level`` or ``scale``."""
 
     lower: StrictFloat = Field(0.0, ge=0, le=MAX_STRENGTH, description="lowest level (g) or scale")
     upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale")
@@ -187,7 +187,7 @@ class Sweep(CheckedRecord):
     _tables: Mapping[str, Any] | None = None
 
     def model_post_init(self, context: Any) -> None:
-        """Keep the path of the sweep file. pydantic passes it here as the context of the validation."""
+        """Store the path of the sweep file, which pydantic passes to this function as the context of the validation."""
         self._file = context
 
     @property
@@ -197,8 +197,8 @@ class Sweep(CheckedRecord):
 
     @cached_property
     def profiles(self) -> dict[str, Profile]:
-        """Name → profile, for the profiles that the sweep uses: those of its axis ``profile``, or those of the legs of
-        its chain."""
+        """Name → profile, for the profiles that the sweep uses, either on its axis ``profile`` or in the legs of its
+        chain."""
         if self.legs:
             return profiles_of_legs(self.legs, self.own_profiles)
         names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []
@@ -233,8 +233,8 @@ class Sweep(CheckedRecord):
         if self.search is None:
             return np.zeros(0)
         lower, upper = self.search.lower, self.search.upper
-        # 1e-6 offsets rounding errors: the levels 0, 0.01 … 2 must end with `upper`, without a second level just below
-        # it.
+        # 1e-6 is subtracted because of rounding errors: the levels 0, 0.01 … 2 must end with `upper`, without another
+        # level just below `upper`.
         count = max(math.ceil((upper - lower) / self._tolerance - 1e-6), 1)
         return np.append(np.round(lower + np.arange(count) * self._tolerance, 12), upper)
 
@@ -256,7 +256,7 @@ class Sweep(CheckedRecord):
         record["profiles"] = {name: {"kind": p.kind, "source": p.source} for name, p in self.profiles.items()}
         return record
 
-    # Checks for combinations that are not allowed.
+    # Checks that refuse settings which contradict each other.
 
     @model_validator(mode="after")
     def _mode(self) -> Self:
@@ -384,8 +384,8 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """Read a sweep file and check its content.
 
     Args:
-        plans_given: whether the caller provides plans. The file then need not name plans, and plans that it names need
-            not exist.
+        plans_given: whether the caller provides plans. If the caller provides plans, the file need not name plans, and
+            plans that the file names need not exist.
         simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:
@@ -399,7 +399,7 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
 def sweep_of_tables(
     tables: Mapping[str, Any], path: Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None
 ) -> Sweep:
-    """Do the same as :func:`load_sweep` for the tables of a sweep file that has already been read."""
+    """Check the tables of a sweep file that has already been read, as :func:`load_sweep` does after reading a file."""
     said_by_file = _json_tables(tables)
     simulation_table = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
@@ -428,8 +428,8 @@ def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
 
 
 def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:
-    """The paths of the plan files that a sweep file names relative to its folder. Raises InputError if one does not
-    exist."""
+    """The paths of the plan files that a sweep file names. In the sweep file, these paths are relative to the folder of
+    the sweep file. Raises InputError if a plan file does not exist."""
     if plans is None:
         raise InputError("plans is missing: name plan files here or on the command line "
                          f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip
@@ -441,7 +441,7 @@ def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str |
     for path in paths:
         try:
             exists = path.exists()
-        except (OSError, ValueError):  # for instance, the name is too long or contains a null character
+        except (OSError, ValueError):  # raised, for example, if the name is too long or has a null character
             exists = False
         if not exists:
             raise InputError(f"plans: no such file or folder: {printable(str(path))}")
@@ -459,7 +459,7 @@ def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str,
 
     Args:
         file: a sweep file with legs, or the name of a ready-made one.
-        n_worlds: number of worlds with errors for each plan. If None, it is the number in the file.
+        n_worlds: number of worlds with errors for each plan. If ``n_worlds`` is None, the number in the file is used.
         simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:

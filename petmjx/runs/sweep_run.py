@@ -40,15 +40,15 @@ from petmjx.world.variants import LegSpec, Variant
 @dataclass(frozen=True)
 class Batching:
     """Limits for the numbers of simulations and states of a sweep that are in memory and in the engine at the same
-    time. Results do not depend on these limits.
+    time. The results of a sweep do not depend on these limits.
 
     Attributes:
         undriven: largest number of simulations without a drive, whose states are not stored, in one call of the engine.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
         worlds: largest number of variants that start from stored states at the same time. If a single placement has
-            more, they all start.
+            more variants than this, all of them start together.
         drives: for searches and chains, largest number of simulations that start from stored states in one call of the
-            engine. A search counts the first tests of all items, a chain counts all worlds.
+            engine. For this limit, a search counts the first tests of all its items, and a chain counts all worlds.
         histories: largest number of settled states that are stored with their histories. A history with 43 boxes takes
             1 MB.
     """
@@ -62,8 +62,8 @@ class Batching:
 
 @dataclass
 class Tally:
-    """What a sweep has cost so far: numbers of simulations, numbers of steps, and times in s. Only steps after the soft
-    start and in the last attempt at each simulation are counted."""
+    """What a sweep has cost up to now: numbers of simulations, numbers of steps, and times in s. Of each simulation,
+    only the steps of its last attempt, after the soft start, are counted."""
 
     placements: int = 0
     placement_steps: int = 0
@@ -79,7 +79,7 @@ class Answer:
 
     Attributes:
         largest_survived, first_failed: largest level survived and smallest level that failed, in g or as a scale; None
-            if there is no such level.
+            if no level was survived, or if no level failed.
         at_largest, at_failure: results of the tests at these two levels; None if there was no test at the level.
     """
 
@@ -99,7 +99,7 @@ with soft boxes neither store states nor start from them."""
 
 
 def _n_drives(variant: Variant) -> int:
-    """Number of drives or legs of a variant that are simulated if the pallet stands until the end."""
+    """How many drives or legs of a variant are simulated if the pallet stands until the end."""
     return len(variant.legs) or int(variant.drive is not None)
 
 
@@ -122,8 +122,8 @@ class SweepRun:
             message has the number of placements that have ended.
         on_answer: function that is called for each answer of a search.
         values_of: function that returns column → value, for the columns that the sweep adds to the row of a world.
-        recorded: the completed worlds of the run. These worlds are not simulated again; the answers of a search are
-            computed from their rows.
+        recorded: the completed worlds of the run. Completed worlds are not simulated again; the answers of a search are
+            computed from the rows of completed worlds.
         recording: determines which worlds are recorded, and which histories are stored.
     """
 
@@ -144,7 +144,8 @@ class SweepRun:
 
     @cached_property
     def sim(self) -> Simulation:
-        """The options of every world. Further attempts at a world may use other options."""
+        """The options with which every world is simulated. If a world needs further attempts, they may use other
+        options."""
         return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[FinishedWorld]:
@@ -190,13 +191,13 @@ class SweepRun:
         return world
 
     def _groups(self) -> Iterator[PlacementGroup]:
-        """The placements from which worlds must still be simulated. In a search, these are all placements, since the
-        outcomes determine which worlds a search needs."""
+        """The placements from which worlds must still be simulated. In a search, all placements are returned, since
+        only outcomes can tell which worlds a search needs."""
         return (group for group in self.plan.groups(self._has_all_worlds) if not group.variants or self._missing(group))
 
     def _has_all_worlds(self, plan: Plan) -> bool:
-        """Whether a resumed run has already completed all worlds of a plan. If so, the worlds need not be checked one
-        by one."""
+        """Whether a resumed run has already completed all worlds of a plan. If all worlds of the plan are complete,
+        they need not be checked one by one."""
         is_counted = self.plan.sweep.search is None
         return is_counted and self.recorded.n_of(plan.plan_id) == self.plan.n_variants
 
@@ -207,7 +208,7 @@ class SweepRun:
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in groups as large as ``Batching`` allows."""
         search = self.plan.sweep.search
-        # chains have a lower limit, since each world may have other samples in a leg
+        # the limit for chains is lower, since in a leg each world may have other samples
         most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
         per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
         chunk: list[PlacementGroup] = []
@@ -265,8 +266,8 @@ class SweepRun:
         )
 
     def _note_work(self, plan: Plan, count: int = 1) -> None:
-        """Tell the display of progress that ``count`` placements, drives or legs of a plan have ended or will not be
-        simulated."""
+        """Report to the display of progress that ``count`` placements, drives or legs of a plan have ended or will not
+        be simulated."""
         self._work_done += count * plan.n_boxes
         if self._work:
             self.progress.work_share = self._work_done / self._work
@@ -303,8 +304,9 @@ class SweepRun:
         return [settled_by_group[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: SettledPlacement) -> bool:
-        """Whether drives (motions of the carrier) are simulated after a placement. With the option ``early_stop``, the
-        pallet must stand at the end of the placement. Without this option, the placement only has to be valid."""
+        """Whether drives (motions of the carrier) are simulated after a placement. With the option ``early_stop``,
+        drives are simulated only if the pallet stands at the end of the placement. Without this option, the simulation
+        of the placement only has to be valid."""
         outcome = settled.outcome
         shaken = outcome.verdict is Verdict.STABLE if self.sim.early_stop else outcome.verdict is not Verdict.INVALID
         return shaken and outcome.state is not None
@@ -312,9 +314,9 @@ class SweepRun:
     # Drives.
 
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Simulate placements, and start all their variants from the settled states. Drives and the first legs of
-        chains begin as soon as their own placement has settled, while other placements continue. A further leg begins
-        when the leg before it has ended."""
+        """Simulate placements, and start the worlds of all variants from the settled states of these placements. Drives
+        and the first legs of chains begin as soon as their own placement has settled, while other placements continue.
+        A further leg begins when the leg before it has ended."""
         begin = time.perf_counter()
         n_settled = 0
         ready: list[DriveWorld | LegWorld] = []
@@ -354,10 +356,10 @@ class SweepRun:
     def _drive(
         self, worlds: Iterable[DriveWorld], following: Callable[[], Iterable[DriveWorld]] | None = None
     ) -> Iterator[tuple[Test, FinishedWorld]]:
-        """Simulate drives, and yield each finished world with its test. ``following`` returns further drives, which
-        depend on the results so far."""
+        """Simulate drives, and yield each finished world with its test. ``following`` is called for further drives,
+        which depend on the results so far."""
         begin = time.perf_counter()
-        most = self.batching.drives  # all drives can begin at once, since their scenes have already been made
+        most = self.batching.drives  # all drives can begin immediately, since their scenes have already been made
         for result in self._score(worlds, most, forks=True, begin_with=most, following=following):
             yield result.world.test, self._driven(result)
         self.tally.drive_s += time.perf_counter() - begin
@@ -391,7 +393,7 @@ class SweepRun:
 
     def _after_leg(self, result: WorldResult[Any]) -> tuple[list[FinishedWorld], LegStart | None]:
         """The finished worlds of variants that end with this leg, and the beginning of the next leg of all other
-        variants; None if all variants have ended."""
+        variants. If all variants have ended, the result is None."""
         self.tally.drives += 1
         self.tally.drive_steps += result.outcome.n_steps
         world: LegWorld = result.world
@@ -507,7 +509,7 @@ class SweepRun:
         if any(
             bracket.stands_at_rest and not bisection.next_tests(which) for which, bracket in enumerate(bisection.items)
         ):
-            return False  # the search has only one level, so no row shows whether the placement stood
+            return False  # if the search has only one level, no row shows whether the placement stood
         tested: dict[Test, Probe] = {}
         for which in range(len(bisection.items)):
             while tests := bisection.next_tests(which):
@@ -521,9 +523,9 @@ class SweepRun:
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """Whether the pallet stood at the end of a placement, according to the rows of completed worlds. If it did not
-        stand, there is only one row: at the lowest level, with 0 steps. A failed test at the lowest level may also have
-        0 steps, but then there are also rows of the other first tests, at higher levels.
+        """Whether the pallet stood at the end of a placement, according to the rows of completed worlds. If the pallet
+        did not stand, there is only one row, which is about the lowest level and has 0 steps. A failed test at the
+        lowest level may also have 0 steps, but then there are also rows about tests at higher levels.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

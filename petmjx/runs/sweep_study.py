@@ -36,7 +36,8 @@ class SweepStudy(Study):
     """The study whose worlds are all variants of each plan.
 
     Args:
-        confidence: number of worlds with errors per plan, for a score with confidence. None for a sweep.
+        confidence: number of worlds with errors per plan, for a score with confidence. For a sweep, ``confidence`` is
+            None.
 
     Raises:
         InputError: see ``SweepPlan``.
@@ -73,7 +74,7 @@ class SweepStudy(Study):
             command="sweep" if confidence is None else "score",
             what="world",
             skipped=plan.skipped,
-            # With friction that depends on materials, nothing is said about hopeless profiles: the friction of some
+            # If friction depends on materials, the run has no warnings about hopeless profiles: the friction of some
             # materials may hold loads that the general friction does not hold.
             notes=() if any(input_plan.materials for input_plan in everything) else hopeless_profiles(sweep),
             params=self._columns.params,

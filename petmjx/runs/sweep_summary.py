@@ -1,4 +1,4 @@
-"""What a sweep adds to the results: columns of the table ``worlds``, for parameters and answers, and the table
+"""Makes what a sweep adds to the results: columns of the table ``worlds`` with parameters and answers, and the table
 ``summary``."""
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from petmjx.runs.transport_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_ass
 from petmjx.world.profiles.accelerations import Tilt
 
 RANGE_BINS = 8
-"""Number of equal intervals into which the summary divides an axis with a continuous range."""
+"""The summary divides an axis with a continuous range into this number of equal intervals."""
 
 MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty where stable", str)
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
@@ -67,14 +67,15 @@ class SweepColumns:
         return columns
 
     def of(self, world: FinishedWorld) -> dict[str, Any]:
-        """Column → value, for one world. Columns without a value become null."""
+        """The values of one world in the added columns: column → value. Columns without a value become null."""
         values: dict[str, Any] = dict(world.variant.parameters)
         values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
         values |= self.during_drive(world)
         return values
 
     def during_drive(self, world: FinishedWorld) -> dict[str, Any]:
-        """Column → value, for the columns about the drive (motion of the carrier) or about the legs of a chain."""
+        """The values of one world in the columns about the drive (motion of the carrier) or about the legs of a chain:
+        column → value."""
         values: dict[str, Any] = {}
         if world.variant.legs:
             return self._of_leg(world)
@@ -100,8 +101,9 @@ class SweepColumns:
         return {LEG.name: end.leg, SIGN.name: since_s if since_s > 0.5 * self._sim.physics.timestep_s else None}
 
     def _eumos(self, world: FinishedWorld, placement: Outcome) -> dict[str, Any]:
-        """Column → value, for the columns about the limits of EUMOS 40509. Displacements are measured from the
-        positions of the boxes before the drive. If the placement did not stand, the test is not passed."""
+        """The values of one world in the columns about the limits of EUMOS 40509: column → value. Displacements are
+        measured from the positions of the boxes before the drive. If the pallet did not stand after its placement, it
+        does not pass the test."""
         values: dict[str, Any] = {}
         if world.driven:
             assessment = eumos_assessment(world.outcome.boxes, placement.boxes.pos, world.scene.half_size)
@@ -117,7 +119,8 @@ class SweepColumns:
         sign came before the profile."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
-        # The comparison allows half a step, because the time is a running sum of timesteps and has rounding errors.
+        # The comparison allows a difference of half a step, because the time is a running sum of timesteps and has
+        # rounding errors.
         return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
 
 
@@ -171,8 +174,8 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     and per plan.
 
     Continuous ranges are divided into ``RANGE_BINS`` equal intervals. For the profile of EUMOS 40509, the summary also
-    has the share of worlds within the limits of the standard, and the largest deformations. With ``tilt``, it has the
-    smallest angle at which a world failed.
+    has the share of worlds within the limits of the standard, and the largest deformations. With ``tilt``, the summary
+    has the smallest angle at which a world failed.
 
     Args:
         parts: files of the run's tables, all complete.
@@ -206,8 +209,8 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
 
 
 def _draws(worlds: pd.DataFrame, columns: ShareColumns) -> pd.Series[float]:
-    """For each world, a number that is the same for all worlds with the same random numbers; NaN for worlds without
-    random numbers."""
+    """For each world, the number of its draw: all worlds with the same random numbers have the same number, and worlds
+    without random numbers have NaN."""
     drawn = worlds["variant"].map(dict(columns.draws))
     if columns.same_draws:
         return drawn
@@ -256,8 +259,8 @@ def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
 
 
 def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """The summary of a search as a data frame. The rows are sorted, so their order does not depend on the order in
-    which answers arrived."""
+    """The summary of a search as a data frame. The rows are sorted, so that their order does not depend on the order in
+    which the answers of the search arrived."""
     frame = pd.DataFrame(list(rows))
     numbers = {
         "box": "Int32",

@@ -36,20 +36,20 @@ _TILTED: Final = 0.5
 topple before the end of the profile."""
 
 _ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
-"""Fields of a variant that hold errors of places or sizes. With these errors, a hand carries boxes to their places,
-unless the options name another manner of placing."""
+"""Fields of a variant that hold errors of places or sizes. If a variant has such an error, a hand carries boxes to
+their places, unless the options name another way of placing."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementGroup:
-    """Worlds of one plan that share a placement of boxes. The placement is simulated once, and all these worlds start
-    from its settled state.
+    """Worlds of one plan that share a placement of boxes. The placement is simulated once, and all worlds of the group
+    start from its settled state.
 
     Attributes:
         number: number of the placement within its plan, from 0.
         placement: the variant whose scene is simulated. The drive of this variant is not used.
-        variants: the variants of the worlds. A variant without a drive has the outcome of the placement. A search has
-            no variants here: `SweepPlan.search_variant` makes them level by level.
+        variants: the variants of the worlds. A variant without a drive has the outcome of the placement. In a search,
+            ``variants`` is empty, because `SweepPlan.search_variant` makes the variants level by level.
     """
 
     plan: Plan
@@ -59,14 +59,14 @@ class PlacementGroup:
 
     @property
     def index(self) -> int:
-        """Number of the variant of the group's first world. In a search, which has no variants yet, this is the number
-        of the placement."""
+        """Number of the variant of the group's first world. In a search, which has no variants yet, the result is the
+        number of the placement."""
         return self.variants[0].index if self.variants else self.number
 
     @property
     def driven(self) -> bool:
-        """Whether the worlds of the group have drives (motions of the carrier) or legs: either all of them or none.
-        True for a search."""
+        """Whether the worlds of the group have drives (motions of the carrier) or legs. Either all worlds of a group
+        have them, or none has. The result is True for a search."""
         return all(variant.drive is not None or variant.legs for variant in self.variants)
 
 
@@ -121,8 +121,8 @@ class SweepPlan(Design):
                 if missing := [side.value for side in leg.open_walls if side not in sides]:
                     reason = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
                     raise InputError(f"{file}: legs[{place}].open_walls: {reason}")
-        # Excitations are made here so that a frequency that is too high for the timestep is refused before the run
-        # begins.
+        # Excitations are made here, before the run begins, so that a frequency that is too high for the timestep is
+        # refused in time.
         for profile in self.sweep.profiles.values():
             try:
                 profile.excitation(self.sweep.simulation.physics.timestep_s)
@@ -142,7 +142,7 @@ class SweepPlan(Design):
 
     @property
     def n_worlds(self) -> int:
-        """Number of worlds of all plans. In a search, the largest possible number."""
+        """Number of worlds of all plans. For a search, this is the largest possible number."""
         return len(self.plans) * self.n_variants
 
     def groups(self, without: Callable[[Plan], bool] = lambda plan: False) -> Iterator[PlacementGroup]:
@@ -172,7 +172,7 @@ class SweepPlan(Design):
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
         """The variant that tests one level for one item (profile and direction) of a search, from one placement. The
-        number of the variant does not depend on the order in which worlds are simulated."""
+        number of this variant does not depend on the order in which worlds are simulated."""
         items, levels = self.search_items(), self.sweep.search_levels
         search_item, level = items[item], float(levels[level_index])
         index = 1 + (group.number * len(items) + item) * len(levels) + level_index
@@ -189,8 +189,8 @@ class SweepPlan(Design):
         return scene
 
     def scenes(self, groups: Iterable[PlacementGroup]) -> Iterator[tuple[PlacementGroup, Scene]]:
-        """Each group with the scene of its placement. Scenes of consecutive groups of one plan are made together, which
-        saves time."""
+        """Each group of worlds, together with the scene of the placement that they share. Scenes of consecutive groups
+        of one plan are made together, which saves time."""
         for plan, plan_groups in itertools.groupby(groups, key=lambda group: group.plan):
             these, groups_again = itertools.tee(plan_groups)
             placements = (group.placement for group in groups_again)
@@ -262,8 +262,8 @@ class SweepPlan(Design):
         return Drive(self._rows[key], rest_s=rest_s, allowed_sway_m=allowed_m)
 
     def _with_strength(self, plan: Plan, variant: Variant, leg: LegSpec, place: int) -> DriveSpec:
-        """A drive of a leg, with the strength that is drawn for one variant of a plan. If two variants differ only by a
-        remedy, they draw the same strength."""
+        """A drive of a leg, with the strength that is drawn for one variant of a plan. Two variants that differ only by
+        a remedy (a change of one leg) get the same strength."""
         spec = leg.drives[place]
         if spec.scale_to is None:
             return spec
@@ -280,20 +280,22 @@ class SweepPlan(Design):
         timestep_s = sim.physics.timestep_s
         excitation = profile.excitation(timestep_s, start_s, world)
         if profile.strength is Strength.ANGLE and sim.physics.gravity_m_s2 != STANDARD_GRAVITY:
-            # a tilt turns gravity, so its samples are proportional to gravity; those of other accelerations are not
+            # a tilt turns gravity, so its samples are proportional to gravity; other accelerations do not depend on
+            # gravity
             turned = excitation.samples * (sim.physics.gravity_m_s2 / STANDARD_GRAVITY)
             excitation = replace(excitation, samples=turned)
         left = self._drive_steps_left(plan)
         if left is None:
             return Drive(excitation, rest_s=sim.rest_s)
         samples = excitation.samples[:left]
-        # Half a step is added: rounding down to whole steps must give exactly this number in spite of rounding errors.
+        # Half a step is added, so that rounding down to whole steps gives exactly the right number in spite of rounding
+        # errors.
         rest_s = (left - len(samples) + 0.5) * timestep_s
         return Drive(replace(excitation, samples=samples), rest_s=rest_s)
 
     def _drive_steps_left(self, plan: Plan) -> int | None:
-        """Number of steps from the beginning of a drive to the end of the simulation, if ``total_time_factor`` sets the
-        end; otherwise None."""
+        """Number of steps from the beginning of a drive to the end of the simulation. If ``total_time_factor`` does not
+        set the end, the result is None."""
         sim = self.sweep.simulation
         if sim.total_time_factor is None or not self.sweep.profiles:
             return None
@@ -303,7 +305,7 @@ class SweepPlan(Design):
 
     def job_bounds(self, groups: Collection[PlacementGroup]) -> JobBounds:
         """Limits for the jobs of these placements and of the drives and legs that follow them, such as the largest
-        number of steps. Engines prepare themselves with these limits."""
+        number of steps. With these limits, engines prepare themselves before the first job."""
         sim, profiles = self.sweep.simulation, self.sweep.profiles.values()
         jobs = sum(max(len(group.variants), 1) for group in groups)
         box_counts = {group.plan.n_boxes for group in groups}
@@ -316,12 +318,14 @@ class SweepPlan(Design):
         if sim.total_time_factor is not None:
             drive_steps = min(drive_steps, max(self._drive_steps_left(group.plan) or 0 for group in groups))
         # with the fixed schedule, a profile of forces begins at a different time in each plan, so its samples differ
+        # between plans
         drawn = any(profile.random for profile in profiles) or sim.schedule is Schedule.FIXED
         wraps = sim.wrap.holds or "wrap_turns" in self.sweep.axes
         return JobBounds(jobs, box_counts, drive_steps, None if drawn else len(profiles), wraps)
 
     def _leg_samples(self, leg: LegSpec) -> int:
-        """Number of steps of a leg: those of its drives and of the pauses between the drives."""
+        """Number of steps of a leg, which is the number of steps of all its drives and of the pauses between the
+        drives."""
         timestep_s = self.sweep.simulation.physics.timestep_s
         pauses = (len(leg.drives) - 1 if leg.drives else 1) * seconds_to_steps(leg.pause_s, timestep_s)
         return pauses + sum(self.sweep.profiles[drive.profile].n_steps(timestep_s) for drive in leg.drives)
@@ -359,7 +363,7 @@ class SweepPlan(Design):
         )
 
     def _leg_steps(self, leg: LegSpec) -> float:
-        """Expected number of steps of a leg, if the pallet stands until its end."""
+        """Expected number of steps of a leg after which the pallet still stands."""
         return self._leg_samples(leg) + rest_steps(self.sweep.simulation, self.sweep.simulation.rest_s)
 
     @property

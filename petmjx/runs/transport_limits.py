@@ -1,5 +1,5 @@
-"""Limits of transport tests: the limits of EUMOS 40509:2020, and hopeless profiles (motions of the carrier). With a
-hopeless profile, every unsecured load slides farther than the shift threshold, whatever the plan.
+"""Limits of transport tests: the limits of EUMOS 40509:2020, and hopeless profiles. A hopeless profile is a motion of
+the carrier under which every unsecured load slides farther than the shift threshold, whatever the plan.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ EUMOS_COLUMNS = (
 
 
 def load_height_m(settled_pos: FloatArray, half_size: FloatArray) -> float:
-    """Height of a load above the carrier's top (z = 0), m. Both arguments have the shape (n, 3): the centres of the n
-    boxes at rest, m, and half their extents, m."""
+    """Height of a load above the carrier's top (z = 0), m. The arguments are arrays (n, 3): the centres of the n boxes
+    at rest, m, and half of the boxes' extents, m."""
     return float((settled_pos[:, 2] + half_size[:, 2]).max())
 
 
@@ -55,8 +55,8 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
     The standard allows an elastic deformation of at most 10 % of the load's height during the test. After the test, the
     permanent deformation may be at most 5 % of the load's height, and at most 4 cm in the lowest 20 cm. Displacements
     are measured from the settled positions of box centres. The load's height is measured from the carrier's top, z = 0.
-    The elastic deformation includes the permanent deformation, since a video of a test cannot tell the one from the
-    other before the end of the test.
+    The elastic deformation here includes the permanent deformation, since in a video of a test, the two can be
+    distinguished only after the test.
 
     A world in which a box fell never passes, even if its deformations are small. A world with a deformation of NaN
     never passes either, since its profile did not run to the end. Source: EUMOS 40509:2020, criteria as published by
@@ -83,10 +83,11 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
 
 
 RANGE_POINTS = 9
-"""Number of values, evenly spread over an axis with a continuous range, that are checked."""
+"""Number of values that are checked on an axis with a continuous range. The values are evenly spread over the range."""
 
 LARGEST_SD = 4.0
-"""Normal errors are checked up to this number of standard deviations above the mean. One draw in 30,000 is larger."""
+"""Errors with a normal distribution are checked up to this number of standard deviations above the mean. One random
+error in 30,000 is larger."""
 
 
 def slide_m(
@@ -100,14 +101,14 @@ def slide_m(
     """How far a block slides on a moving carrier, m: its largest distance from its first position on the carrier.
 
     The model is Coulomb's friction. The block stays in place while the horizontal acceleration of the carrier is at
-    most friction × (gravity + vertical acceleration). At a larger acceleration, the block slides, and friction brakes
-    it with this largest value, or, if the block slides fast, with ``kinetic`` times this value. If the acceleration is
-    constant within each step and always along the same line, the result is exact, except for steps in which the block
-    stops or its friction changes.
+    most friction × (gravity + vertical acceleration). At a larger acceleration, the block slides, and friction
+    decelerates it by friction × (gravity + vertical acceleration), or, if the block slides fast, by ``kinetic`` times
+    this value. If the acceleration is constant within each step and always along the same line, the result is exact,
+    except for steps in which the block stops or its friction changes.
 
     A whole load slides about as far as the block, or farther. If a load touches only the carrier's top, the horizontal
-    force on it is at most friction × the vertical force, as on the block. So the centre of mass of the load, and with
-    it at least one box, moves at least this far.
+    force on the load is limited to friction × the vertical force, as on the block. So the centre of mass of the load
+    moves as far as the block or farther, and so does at least one box.
 
     Args:
         acceleration: (n_steps, 3) acceleration of the carrier, m/s².
@@ -146,20 +147,20 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     """One line for each hopeless profile: a profile that makes every unsecured load slide farther than the shift
     threshold.
 
-    If the sweep has several strengths, the line names the smallest strength with which this happens. A line depends
-    only on accelerations, which are the same for all plans. For a search, there are no lines, since the search finds
-    the strength itself. With ``total_time_factor``, there are no lines either, since a simulation may end before the
-    load slides that far.
+    If the sweep has several strengths, the line names the smallest strength with which this happens. Whether a profile
+    is hopeless depends only on accelerations, which are the same for all plans. A search gets no lines, since the
+    search itself finds the strength at which loads slide. With ``total_time_factor``, there are no lines either, since
+    a simulation may end before the load has slid farther than the threshold.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:
         return []
     if has_walls(sim):
-        return []  # walls may hold every load, so there are no lines
+        return []  # walls may hold every load, so no profile is hopeless
     turns = sweep.axes.get("wrap_turns")
     least = sim.wrap.turns if turns is None else min(float(str(value)) for value in turns.values or (turns.low,))
     if least > 0:
-        return []  # film secures every load, so there are no lines
+        return []  # film secures every load, so no profile is hopeless
 
     def values(name: str) -> list[float]:
         """The values of an axis of factors, in ascending order; [1] if the sweep does not have this axis."""
@@ -211,8 +212,8 @@ def _largest(error: Distribution) -> float:
 
 
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
-    """Index of the smallest strength that makes a block slide farther than the shift threshold; the number of strengths
-    if none does. ``strengths`` must be in ascending order.
+    """Index of the smallest strength that makes a block slide farther than the shift threshold. If no strength does,
+    the result is the number of strengths. ``strengths`` must be in ascending order.
 
     The search assumes that a block that slides too far with one strength also does so with all larger strengths.
     """
