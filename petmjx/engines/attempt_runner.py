@@ -105,7 +105,7 @@ class AttemptRunner(Generic[AnyWorld]):
         """A stream that holds only the jobs of these worlds. This method empties the list ``batch``."""
         stream = JobStream[Pending[AnyWorld]]()
         for job, pending in zip(self.jobs_of([world for world, _, _ in batch], engine), batch, strict=True):
-            stream.put(job, pending)
+            stream.put(self.attempt.after(pending[1], job), pending)
         stream.close()
         batch.clear()
         return stream

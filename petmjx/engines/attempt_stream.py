@@ -361,10 +361,11 @@ class _SideTasks(Generic[AnyWorld]):
         return name is not None
 
     def _ask(self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str) -> None:
-        (job,) = runner.attempt.apply_to_jobs([ready_for(engine, pending[0].job)])
+        world, before, _ = pending
+        (job,) = runner.attempt.apply_to_jobs([ready_for(engine, world.job)])
         task_number = next(self._task_numbers)
         self._in_flight[task_number] = runner, pending, engine
-        self.engines.helper.begin(Task(task_number, engine, job, runner.sim))
+        self.engines.helper.begin(Task(task_number, engine, runner.attempt.after(before, job), runner.sim))
 
     def ended(self, *, wait: bool) -> Iterator[tuple[AttemptRecipe, Pending[AnyWorld]]]:
         """The attempts that have ended: the attempt, and the world with its outcome.

@@ -139,6 +139,12 @@ class AttemptRecipe:
             )
         return sim.changed(**update) if update else sim
 
+    def after(self, before: Outcome | None, job: Job) -> Job:
+        """The job of this attempt after an outcome of the previous attempt. If the pallet fell while it was built, an
+        attempt with stiffer contacts only has to confirm the fall."""
+        fell = before is not None and before.verdict is Verdict.UNSTABLE and job.drive is None
+        return replace(job, confirms=True) if fell and self.stiff is not None else job
+
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
         """The jobs, with soft boxes if this attempt simulates boxes as soft bodies. Profiles (motions of the carrier)
         are resampled to the attempt's timestep; jobs that shared a profile still share it."""

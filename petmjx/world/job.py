@@ -117,6 +117,8 @@ class Job:
         record: what to record as the world's history; recording changes no other result.
         has_errors: whether the boxes' places differ from the planned places, so that a box may stand on a neighbour
             that is a little higher (``petmjx.engines.contact_tilt``).
+        confirms: whether an earlier attempt found that the pallet falls, and this simulation only has to confirm the
+            fall (``petmjx.engines.metrics.CONFIRM_S``).
     """
 
     scene: Scene
@@ -126,6 +128,7 @@ class Job:
     keep_state: bool = False
     record: Record | None = None
     has_errors: bool = False
+    confirms: bool = False
 
     @property
     def settles(self) -> bool:

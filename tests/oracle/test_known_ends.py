@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.plans import falling, make_scene, stack
+from support.plans import Box, falling, make_scene, stack
 from support.worlds import run_one
 
 from petmjx.common.units import seconds_to_steps
+from petmjx.engines.metrics import CONFIRM_S
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.options.carriers import Carrier
 from petmjx.options.simulation import Simulation
@@ -49,6 +50,27 @@ def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> No
     assert (with_errors.reason, full_run.reason) == (Reason.TILT, Reason.DROP)
     on = run_one(Job(falling(), has_errors=True), Simulation(early_stop=False))
     assert on.sim_time_s > full_run.sim_time_s
+
+
+def test_a_world_that_only_confirms_a_fall_ends_a_second_after_its_sign_and_two_placements() -> None:
+    """A plank tips over the edge of a box, and stays so. The world keeps the verdict, the culprit and the time of the
+    first sign of the full run."""
+    sim = Simulation(schedule="fixed", interval_s=0.7)
+    beside: list[Box] = [((100, 100, 40), (150 * k, 500, 0), 1.0) for k in range(4)]
+    scene = make_scene([((300, 300, 100), (0, 0, 0), 5.0), ((600, 300, 40), (160, 0, 100), 5.0), *beside], sim)
+    confirming, full_run = (run_one(Job(scene, confirms=confirms), sim) for confirms in (True, False))
+    assert (confirming.verdict, confirming.reason, confirming.culprit, confirming.first_sign_s) == (
+        full_run.verdict,
+        full_run.reason,
+        full_run.culprit,
+        full_run.first_sign_s,
+    )
+    assert confirming.verdict is Verdict.UNSTABLE
+    assert confirming.flags & Flag.EARLY_STOP
+    assert (confirming.n_placed, full_run.n_placed) == (4, 6)
+    assert CONFIRM_S <= confirming.sim_time_s - confirming.first_sign_s < CONFIRM_S + sim.interval_s
+    on = run_one(Job(scene, confirms=True), sim.changed(early_stop=False))
+    assert on.sim_time_s == full_run.sim_time_s
 
 
 PUSH = Excitation("push", "acceleration", np.tile([4.0, 0, 0], (300, 1)))
@@ -131,7 +153,7 @@ def test_a_box_that_comes_back_is_not_lost() -> None:
         ((200, 800, 100), (1000, 0, 80), 5.0),
     ]
     scene = make_scene(boxes, sim)
-    outcome = run_one(Job(scene, record=Record(0.1), has_errors=True), sim)
+    outcome = run_one(Job(scene, record=Record(0.1), has_errors=True, confirms=True), sim)
     assert outcome.verdict is Verdict.STABLE
     assert outcome.history is not None
     sunk = scene.target[2, 2] - np.nanmin(outcome.history.pos[:, 2, 2])

@@ -85,8 +85,12 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     aside = rng.normal(0, 0.02, (WORLDS, BOXES, 3)) * (np.arange(WORLDS) % 2)[:, None, None]
     drive_steps = rng.choice([20, 21, 300], WORLDS).astype(np.int32)
     allowed = jnp.asarray(rng.choice([0.0, 0.05], WORLDS), jnp.float32)
+    confirm_steps = np.where(np.arange(WORLDS) % 4 == 1, CONFIRM_STEPS, NEVER).astype(np.int32)
     worlds = worlds._replace(
-        middle=jnp.asarray(aside, jnp.float32), drive_steps=jnp.asarray(drive_steps), allowed_sway=allowed
+        middle=jnp.asarray(aside, jnp.float32),
+        drive_steps=jnp.asarray(drive_steps),
+        allowed_sway=allowed,
+        confirm_steps=jnp.asarray(confirm_steps),
     )
     table = fresh_state(worlds, all_placed=False, ends=jnp.full(WORLDS, NEVER, jnp.int32), rest_steps=1)
 
@@ -121,6 +125,7 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     two_windows = 2 * build_timetable(sim, BOXES).rest_steps
     end = np.where(driven & some(0.4), step + pick(0, two_windows - 1, two_windows, 300), end)
     end = np.where((placed < n_boxes) & (end <= step), step + 30, end)  # no world ends before all boxes are placed
+    culprit = np.where(some(0.2) | (driven & some(0.5)), 0, -1)
     after = table._replace(
         qpos=poses[0],
         qvel=jnp.asarray(rng.normal(0, 1, (WORLDS, BOXES, 6)) * slow, jnp.float32),
@@ -143,7 +148,9 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
         rest_from=jnp.asarray(np.where(end == NEVER, NEVER, step + pick(-9, -1, 0, 1)), jnp.int32),
         end=jnp.asarray(end, jnp.int32),
         metrics=table.metrics._replace(
-            culprit=jnp.asarray(np.where(some(0.2) | (driven & some(0.5)), 0, -1), jnp.int32),
+            culprit=jnp.asarray(culprit, jnp.int32),
+            sign_step=jnp.asarray(step - pick(0, CONFIRM_STEPS - 1, CONFIRM_STEPS, 90), jnp.int32),
+            sign_placed=jnp.asarray(np.where(culprit < 0, 0, rng.integers(0, placed + 1)), jnp.int32),
             sway_anchor=jnp.asarray(poses[1][..., :2] + rng.normal(0, 0.03, (WORLDS, BOXES, 2)), jnp.float32),
         ),
     )
@@ -156,6 +163,9 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     after = after._replace(metrics=metrics)
     return worlds, after, after._replace(qpos=poses[1])
 
+
+CONFIRM_STEPS = 20
+"""Number of steps after the first sign from which the fall is confirmed in some worlds."""
 
 PER_BOX = "quiet_speed", "still_qpos", "trembles", "tremble_path", "tremble_away", "tremble_qpos"
 
@@ -247,10 +257,11 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     stopped, dropped = fields["flags"] & int(Flag.EARLY_STOP) != 0, (fields["drop_step"] >= 0).any(axis=1)
     lost, driven = stopped & ~dropped, np.asarray(after.driven_from) != NEVER
     by_culprit = driven & (np.asarray(after.metrics.culprit) >= 0)
-    with_errors = np.asarray(worlds.ends_when_lost)
-    assert not lost[~(with_errors | by_culprit)].any()
+    with_errors, confirms = np.asarray(worlds.ends_when_lost), np.asarray(worlds.confirm_steps) != NEVER
+    assert not lost[~(with_errors | by_culprit | confirms)].any()
     assert (lost & with_errors).any() == sim.early_stop
-    assert (lost & ~with_errors).any() == (sim.early_stop and sim.waits_for_rest)
+    assert (lost & ~with_errors & ~confirms).any() == (sim.early_stop and sim.waits_for_rest)
+    assert (lost & confirms & ~with_errors & ~driven).any() == sim.early_stop
     # In other worlds the culprit (box 0) has tilted beyond the threshold at a look, and its sway is still allowed.
     tilted = np.asarray(motion.tilt_deg(after.qpos[..., 3:]))[:, 0] > sim.thresholds.tilt_deg
     step = np.asarray(after.step)

@@ -261,10 +261,15 @@ class Rules:
         )
         tilted = looked & (tilt > limits.tilt_deg)
         lost = dropped | (tilted & worlds.ends_when_lost[:, None])
+        # the box that crossed a threshold first, if an earlier check has found one
+        is_culprit = jnp.arange(self.capacity)[None] == m.culprit[:, None]
+        complete = (state.placed == worlds.n_boxes) & (state.step - state.last_placed_at >= worlds.confirm_steps)
+        if self.carries:
+            complete &= ~hand.carried_worlds(state)
+        confirms = (state.step - m.sign_step >= worlds.confirm_steps) & (complete | (state.placed > m.sign_placed + 1))
+        lost |= confirms[:, None] & sampled & is_culprit & (excess > 1)
         if looks:
-            # the culprit of each world: the box that crossed a threshold first, if an earlier check has found one
-            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]
-            lost |= tilted & first & (m.sway(pos) >= worlds.allowed_sway[:, None])
+            lost |= tilted & is_culprit & (m.sway(pos) >= worlds.allowed_sway[:, None])
         stopped = lost.any(-1) & self.sim.early_stop & ~last
         flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)
         return state._replace(

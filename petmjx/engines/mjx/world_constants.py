@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.common.units import seconds_to_steps
+from petmjx.engines.metrics import CONFIRM_S
 from petmjx.engines.mjx.scene_rows import Rows, rows_of, with_spare_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
@@ -43,9 +44,10 @@ class Worlds(NamedTuple):
     ends the world.
 
     Ends: ``settles``: the placement ends in a settled state, from which a drive starts or which is kept.
-    ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes are at rest, the
-    world waits for further boxes (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends
-    when a box is gone.
+    ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``confirm_steps`` is the number of steps after
+    the first sign of failure after which a fall is confirmed (``petmjx.engines.metrics.CONFIRM_S``); the largest int32
+    if the world has more to show than a fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
+    (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
     or risen, the box is released lower or higher, by at most ``most_followed``, m (petmjx/world/release_places.py).
@@ -88,6 +90,7 @@ class Worlds(NamedTuple):
     held: Bool[Array, " world"]
     settles: Bool[Array, " world"]
     ends_when_lost: Bool[Array, " world"]
+    confirm_steps: Int[Array, " world"]
     allowed_sway: Float[Array, " world"]
     pauses: Bool[Array, " world"]
     ends_when_gone: Bool[Array, " world"]
@@ -165,6 +168,7 @@ def _with_spare_rows(worlds: Worlds, rows: int) -> Worlds:
     return extended_worlds
 
 
+_NO_STEP: Final = np.iinfo(np.int32).max
 _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
 
 
@@ -176,6 +180,7 @@ def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: flo
     rest_steps = np.array([seconds_to_steps(drive.rest_s, timestep_s) for drive in drives], np.int32)
     scales = [drive.scale * drive.unit(job.scene.total_mass) for drive, job in zip(drives, jobs, strict=True)]
     yaws = [drive.yaw_rad for drive in drives]
+    confirm_steps = seconds_to_steps(CONFIRM_S, timestep_s)
     return {
         "profile": np.array([profiles[id(drive.excitation)] for drive in drives], np.int32),
         "drive_scale": np.array(scales, np.float32),
@@ -186,5 +191,6 @@ def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: flo
         "held": np.array([drive.excitation.kind == ACCELERATION for drive in drives]),
         "settles": np.array([job.settles for job in jobs]),
         "ends_when_lost": np.array([job.has_errors for job in jobs]),
+        "confirm_steps": np.array([confirm_steps if job.confirms else _NO_STEP for job in jobs], np.int32),
         "allowed_sway": np.array([drive.allowed_sway_m for drive in drives], np.float32),
     }

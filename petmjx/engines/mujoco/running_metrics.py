@@ -197,6 +197,11 @@ class OracleMetrics:
         _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[: len(pos)]))
         return bool(crossed.any())
 
+    def is_box_over(self, box: int, pos: FloatArray, quat: FloatArray) -> bool:
+        """Whether one of the k placed boxes has dropped, or is beyond a threshold in these poses."""
+        _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[: len(pos)]))
+        return bool(crossed[box])
+
     def is_lost(self, pos: FloatArray, quat: FloatArray, drive: Drive | None) -> bool:
         """Whether a box has dropped or is tilted too far in these poses. In a drive, a tilted box must also be beyond
         the allowed sway."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from petmjx.common.units import seconds_to_steps
+from petmjx.engines.metrics import CONFIRM_S
 from petmjx.engines.mujoco.cpu_budget import Budget
 from petmjx.engines.mujoco.drive import ActingDrive
 from petmjx.engines.mujoco.frame_recorder import WorldRecorder
@@ -221,6 +222,12 @@ class WorldRun:
             self._flags |= Flag.EXPLOSION
             return False
         known = self._metrics.tells_all(self._job, pos, quat, culprit if looks else -1)
+        if self._job.confirms and sampled and culprit >= 0:
+            steps = seconds_to_steps(CONFIRM_S, self._sim.physics.timestep_s)
+            complete = live.n_placed == self._job.scene.n_boxes and live.hand is None
+            complete = complete and step - self._waits.last_placement >= steps
+            if step - self._sign_step >= steps and (complete or live.n_placed > self._n_at_sign + 1):
+                known = known or self._metrics.is_box_over(culprit, pos, quat)
         if self._sim.early_stop and step < self._end and known:
             self._flags |= Flag.EARLY_STOP
             return False

@@ -129,6 +129,12 @@ def measure(
         sway = sway_of(state, world, box, place)
         state.max_sway[world, box] = wp.max(state.max_sway[world, box], sway)
         lost = lost or (tilts and box == culprit and model.waits_for_rest != 0 and sway >= worlds.allowed_sway[world])
+    confirms = sample and box == culprit and excess > 1.0
+    confirms = confirms and step - state.sign_step[world] >= worlds.confirm_steps[world]
+    if confirms:
+        complete = state.placed[world] == worlds.n_boxes[world] and at.carried == 0
+        complete = complete and step - state.last_placed_at[world] >= worlds.confirm_steps[world]
+        lost = lost or complete or state.placed[world] > state.sign_placed[world] + 1
     return dropped or lost
 
 
