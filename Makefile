@@ -8,7 +8,7 @@ TEST_PROCESSES ?= 2
 DEMO_OUT := petmjx-results/demo
 BENCH_OUT := petmjx-results/bench.jsonl
 
-.PHONY: demo test check bench pictures options docs clean help
+.PHONY: demo test check lint bench pictures options docs clean help
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -17,12 +17,14 @@ demo: $(VENV)/.runtime ## install, score the bundled plans on the CPU and print 
 	rm -rf $(DEMO_OUT)
 	$(BIN)/petmjx score --engine mujoco --out $(DEMO_OUT)
 
-test: check ## lint, types, then the whole test suite
+test: lint ## lint, then the whole test suite, with types
 	$(BIN)/python -m pytest -q -n $(TEST_PROCESSES) --dist loadfile --no-loadscope-reorder $(TESTS)
 
-check: $(VENV)/.dev ## lint, format and types only; rules for scripts of pages
+lint: $(VENV)/.dev ## lint and format only
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+check: lint ## lint, format and types only; rules for scripts of pages
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/unit/test_page_scripts.py
 

@@ -23,6 +23,9 @@ XLA_CPU_FLAGS = {
     # With it on, programs of the mjx-jax engine hang in XLA's thread pool (jaxlib 0.10.2, two cores: 7 runs of 7;
     # with it off 0 of 4).
     "--xla_cpu_enable_concurrency_optimized_scheduler": "false",
+    # Most programs run for a moment, and take longer to compile. Without optimisation, the tests of mjx-jax and of
+    # petmjx.jax take half to two thirds of the CPU time.
+    "--xla_backend_optimization_level": "0",
 }
 
 if importlib.metadata.version("jaxlib").startswith("0.10."):
@@ -107,35 +110,45 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 LONGEST_FIRST = (
-    "test_doc_examples",
-    "test_worker_pool",
-    "test_resume",
-    "test_mjx_twin",
-    "test_parity",
     "test_option_types",
-    "test_recipes",
-    "test_repair",
-    "test_sweep_runs",
-    "test_worker_signals",
-    "test_report_page",
     "test_warp_company",
-    "test_story_controls",
+    "test_doc_examples",
+    "test_recipes",
+    "test_worker_pool",
     "test_traces",
-    "test_jax_palletizing",
-    "test_examples",
-    "test_story_page",
-    "test_confidence",
-    "test_toppling",
-    "test_warp_tail_blocks",
+    "test_resume",
+    "test_mjx_rules",
+    "test_repair",
+    "test_parity",
+    "test_report_page",
     "test_chains",
-    "test_stackable_placements",
-    "test_jax_loop",
-    "test_bodies",
-    "test_damaged_input",
-    "test_notebooks",
-    "test_score",
     "test_mjx_robustness",
+    "test_confidence",
+    "test_warp_step",
+    "test_story_controls",
+    "test_sweep_runs",
+    "test_examples",
+    "test_jax_palletizing",
+    "test_worker_signals",
+    "test_story_page",
+    "test_jax_loop",
+    "test_warp_failures",
+    "test_rocking",
+    "test_stackable_placements",
+    "test_mjx_twin",
+    "test_dynamic_parity",
+    "test_damaged_input",
+    "test_mjx_warp",
+    "test_warp_cpu",
+    "test_stiffness",
+    "test_notebooks",
+    "test_bodies",
+    "test_warp_tail_blocks",
+    "test_landing",
     "test_gym",
+    "test_score",
+    "test_soft",
+    "test_toppling",
 )
 """Files that take longest, 50 to 8 s of CPU time, also of browsers and of processes that are started. With several test
 processes (``make test``) each takes the next file when it is through with one. A long file that comes last leaves the

@@ -28,8 +28,8 @@ def warm_up(
     """Compile all kernels now, so that no run waits for them: after an installation, or when an image for containers
     is built.
 
-    The kernels are for exact placing and for placing by hand. Runs with stretch film or with compressible boxes need
-    other kernels, and compile them themselves.
+    The kernels for GPUs are for exact placing and for placing by hand. Runs with stretch film or with compressible
+    boxes need other kernels there, and compile them themselves. On a CPU, one kernel serves all runs.
 
     Compiled kernels are kept in ~/.cache/petmjx, or in the folder that PETMJX_CACHE_DIR names.
     """
@@ -46,15 +46,14 @@ def warm_up(
     gpus = [gpu_of(number) for number in _numbers(arch)] if arch is not None else [here] if here is not None else []
     builds, begin, console, faults = all_builds(gpus), time.perf_counter(), results_console(), []
     if not gpus:
-        console.print("no GPU here: name the GPUs for which to compile with --arch; the kernels for CPUs are compiled")
+        console.print("no GPU here: name the GPUs for which to compile with --arch; the kernel for CPUs is compiled")
     console.print(f"{count_text(len(builds), 'kernel')} to compile; each takes some 10 to 60 s of a CPU thread")
     for number, answer in enumerate(KernelBuilds(builds).answers(), start=1):
         build = answer.build
-        device = "CPU" if build.gpu is None else f"GPU sm_{build.gpu.arch}"
         placing = "placing by hand" if build.hands else "exact placing"
-        of_size = "" if build.gpu is None else f", {_SIZES[build.size]}"
+        place = "CPU" if build.gpu is None else f"GPU sm_{build.gpu.arch}, {placing}, {_SIZES[build.size]}"
         state = answer.fault or f"{answer.seconds:.1f} s"
-        console.print(f"{number} of {len(builds)}  {device}, {placing}{of_size}: {state}", highlight=False)
+        console.print(f"{number} of {len(builds)}  {place}: {state}", highlight=False)
         faults += [answer.fault] * bool(answer.fault)
     if faults:
         raise EngineUnavailable(f"{count_text(len(faults), 'kernel')} could not be compiled: {faults[0]}")

@@ -13,8 +13,8 @@ from petmjx.common.compile_caches import cache_folder
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import package_versions
 
-Traits = tuple[bool, bool, bool, bool]
-"""The features for which a kernel is compiled (``Launch.traits`` in petmjx/engines/warp/block_launch.py)."""
+CPU_KERNEL: Final = "cpu-kernel"
+"""The name of the kernel for CPUs."""
 
 
 def note_kernels(name: str) -> None:
@@ -28,11 +28,6 @@ def are_noted(name: str) -> bool:
     with suppress(OSError, EngineUnavailable):
         return _file_of(name).exists()
     return False
-
-
-def cpu_kernel(traits: Traits) -> str:
-    """The name of the kernel for CPUs with these traits."""
-    return "cpu-kernel-" + "".join("-x"[trait] for trait in traits)
 
 
 def _file_of(name: str) -> Path:

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from petmjx.engines.cost_model import MEASURED, Costs, Work
-from petmjx.engines.kernel_notes import Traits, are_noted, cpu_kernel
+from petmjx.engines.kernel_notes import CPU_KERNEL, are_noted
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.job import Job
@@ -37,26 +37,19 @@ SLOWEST, FASTEST = 8.0, 0.125
 
 def costs_here(work: Work, threads: int) -> Costs:
     """The costs of the engines on this machine. The machine's speed is measured only for runs of at least a second. If
-    the machine has compiled kernels in an earlier run, the costs include less time for starting.
+    the machine has compiled the kernel for CPUs in an earlier run, the costs include less time for starting.
 
     Args:
         work: the work of the run.
         threads: number of CPU threads that simulate it.
     """
     costs = MEASURED
-    if are_noted(cpu_kernel(_traits(work))):
+    if are_noted(CPU_KERNEL):
         costs = replace(costs, kernel_start_s=costs.kernel_load_s)
     seconds = costs.seconds(work, threads)
     if min(seconds["mujoco"], seconds["mjx-warp-cpu"]) < WORTH_S:
         return costs
     return costs.slowed(slowness())
-
-
-def _traits(work: Work) -> Traits:
-    """The features for which the first kernel of a run on ``mjx-warp-cpu`` is compiled."""
-    hands = work.carried > 0 or not work.sim.placing.appears
-    film = work.filmed > 0 and work.drives > 0
-    return hands, bool(work.compliant.any()), film, work.sim.physics.has_landings
 
 
 @functools.cache

@@ -13,6 +13,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from support.programs import run_program
 
 import petmjx
 
@@ -42,12 +43,12 @@ def run(folder: Path, repository: Path, command: list[str], **environment: str) 
 
 
 def test_label_plans(folder: Path, repository: Path) -> None:
-    script = str(repository / "examples" / "label_plans.py")
-    printed = run(folder, repository, [sys.executable, script, "plans.json", "labels.csv", "--engine", "mujoco"])
+    script = repository / "examples" / "label_plans.py"
+    printed = run_program(script, "plans.json", "labels.csv", "--engine", "mujoco", folder=folder)
     assert "2 labels in labels.csv, 50.0% stand" in printed
     assert dict(pd.read_csv(folder / "labels.csv")[["plan_id", "stands"]].values) == {"careful": 1.0, "daring": 0.0}
-    sure = ["labels.parquet", "--run", "sure", "--engine", "mujoco", "--confidence", "4"]
-    run(folder, repository, [sys.executable, script, "plans.json", *sure])
+    sure = ("labels.parquet", "--run", "sure", "--engine", "mujoco", "--confidence", "4")
+    run_program(script, "plans.json", *sure, folder=folder)
     assert list(pd.read_parquet(folder / "labels.parquet")["stands"]) == [1.0, 0.0]
 
 
@@ -56,10 +57,8 @@ def test_training_in_jax(tmp_path: Path, repository: Path) -> None:
     script = str(repository / "examples" / "train_in_jax.py")
     few = ["--updates", "2", "--pallets", "2", "--steps", "3", "--epochs", "1", "--boxes", "3", "--orders", "4"]
     command = [sys.executable, script, *few, "--held-out", "2", "--engine", "mujoco"]
-    # Users have JAX's default for arrays of different ranks. Programs that run only twice need no optimisation.
-    no_optimisation = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
-    flags = {"JAX_NUMPY_RANK_PROMOTION": "allow", "XLA_FLAGS": no_optimisation}
-    printed = run(tmp_path, repository, command, **flags)
+    # users have JAX's default for arrays of different ranks
+    printed = run(tmp_path, repository, command, JAX_NUMPY_RANK_PROMOTION="allow")
     assert re.fullmatch(
         r"(update \d: \d+ episodes with a mean return of -?\d+\.\d+\n){2}2 other orders: a mean return of \d+\.\d+\n",
         printed,
@@ -87,8 +86,8 @@ def test_training_with_libraries(tmp_path: Path, repository: Path, script: str, 
 
 def test_judge_packer(folder: Path, repository: Path) -> None:
     pytest.importorskip("scipy", reason="SciPy is not installed (extra: packers)")
-    script = str(repository / "examples" / "judge_packer.py")
-    printed = run(folder, repository, [sys.executable, script, "orders.json", "--engine", "mujoco"])
+    script = repository / "examples" / "judge_packer.py"
+    printed = run_program(script, "orders.json", "--engine", "mujoco", folder=folder)
     assert "mine  2         2    1.0" in printed
     assert "no order is decided" in printed
 

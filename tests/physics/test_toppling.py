@@ -4,6 +4,7 @@ has the flag that boxes still move."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -116,8 +117,10 @@ def test_a_pile_that_no_contacts_hold_is_not_asked_about_soft_ones() -> None:
 
 
 def test_statics_answer_to_small_stacks() -> None:
-    """The first of the stacks of ``python -m benchmarks small-stacks``, with statics as the reference."""
+    """The first of the stacks of ``python -m benchmarks small-stacks``, with statics as the reference. Each check has
+    stacks of its own."""
+    stacks = cases(12 * len(CHECKS), seed=0)
     for check in CHECKS:
-        counts = summary(judge(list(cases(24, seed=0)), check, engine="mujoco"))
+        counts = summary(judge(list(islice(stacks, 12)), check, engine="mujoco"))
         assert counts["wrong"] == []
-        assert 6 < counts["stand"] < 18
+        assert 3 < counts["stand"] < 9

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +12,7 @@ import pandas as pd
 import pytest
 from support.pictures import needs_pictures
 from support.plan_files import placement
+from support.programs import run_program
 from test_docs import CODE_BLOCK, REPOSITORY
 
 from petmjx.plans.articles import read_articles
@@ -26,15 +24,6 @@ def blocks(document: str, language: str) -> list[str]:
     return [body for name, body in CODE_BLOCK.findall(text) if name == language]
 
 
-def run_in(folder: Path, program: str) -> str:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])}
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 @pytest.fixture
 def with_the_minimal_plan(tmp_path: Path) -> Path:
     (tmp_path / "plans.json").write_text(blocks("plan-format.md", "json")[0], encoding="utf-8")
@@ -44,7 +33,7 @@ def with_the_minimal_plan(tmp_path: Path) -> Path:
 
 def test_examples_of_the_plan_format_run(with_the_minimal_plan: Path) -> None:
     for program in blocks("plan-format.md", "python"):
-        printed = run_in(with_the_minimal_plan, program)
+        printed = run_program(program, folder=with_the_minimal_plan)
         for expected in re.findall(r"print\(.*\)  # (.+)", program):
             assert expected in printed
 
@@ -65,7 +54,8 @@ def test_examples_of_kpis_and_loads_run(with_the_minimal_plan: Path) -> None:
     (with_the_minimal_plan / "articles.toml").write_text(blocks("loads.md", "toml")[0], encoding="utf-8")
     score = "import petmjx\npetmjx.score('plans.json', engine='mujoco', check='static', duration_s=1, out='{}')\n"
     for document, folder in (("kpis.md", "standing"), ("loads.md", "results")):
-        printed = run_in(with_the_minimal_plan, score.format(folder) + "\n".join(blocks(document, "python")))
+        program = score.format(folder) + "\n".join(blocks(document, "python"))
+        printed = run_program(program, folder=with_the_minimal_plan)
         assert "my-first-plan" in printed
     assert read_articles(with_the_minimal_plan / "articles.csv") == read_articles(
         with_the_minimal_plan / "articles.toml"
@@ -75,27 +65,27 @@ def test_examples_of_kpis_and_loads_run(with_the_minimal_plan: Path) -> None:
 def test_the_example_of_a_carrier_runs(tmp_path: Path) -> None:
     (tmp_path / "half-pallet.toml").write_text(blocks("carriers.md", "toml")[0], encoding="utf-8")
     own, of_units = blocks("carriers.md", "python")
-    assert "half pallet 5" in run_in(tmp_path, own)
-    assert "stable" in run_in(tmp_path, of_units)
+    assert "half pallet 5" in run_program(own, folder=tmp_path)
+    assert "stable" in run_program(of_units, folder=tmp_path)
 
 
 def test_examples_of_extending_run(with_the_minimal_plan: Path) -> None:
     """All Python blocks of the page about extending petmjx run as one program."""
-    printed = run_in(with_the_minimal_plan, "\n".join(blocks("extending.md", "python")))
+    printed = run_program("\n".join(blocks("extending.md", "python")), folder=with_the_minimal_plan)
     assert "hand-bridge" in printed
     assert "level_g" in printed
 
 
 @needs_pictures()
 def test_examples_of_seeing_run(tmp_path: Path) -> None:
-    run_in(tmp_path, "\n".join(blocks("seeing.md", "python")))
+    run_program("\n".join(blocks("seeing.md", "python")), folder=tmp_path)
     assert "hand-falls-off" in (tmp_path / "plan.html").read_text(encoding="utf-8")
 
 
 def test_examples_of_criteria_run(tmp_path: Path) -> None:
     pytest.importorskip("shapely")
     pytest.importorskip("scipy")
-    assert "centre_slack" in run_in(tmp_path, "\n".join(blocks("criteria.md", "python")))
+    assert "centre_slack" in run_program("\n".join(blocks("criteria.md", "python")), folder=tmp_path)
 
 
 def program_of_blocks(document: Path) -> str:
@@ -111,13 +101,14 @@ def test_examples_of_the_readme_and_of_results_run(tmp_path: Path) -> None:
     documents = (REPOSITORY / "README.md", *(REPOSITORY / "docs" / name for name in ("results.md", "python.md")))
     programs = [program_of_blocks(document) for document in documents]
     assert all(programs)
-    printed = run_in(tmp_path, "\n".join([demo, *programs]))
+    printed = run_program("\n".join([demo, *programs]), folder=tmp_path)
     assert all(word in printed for word in ("first_sign_s", "worst_shift_mm", "unstable", "largest_level_g"))
 
 
 def test_examples_of_the_loop_run(tmp_path: Path) -> None:
     pytest.importorskip("gymnasium")
-    assert re.search(r"1\d boxes, \d left out: stable", run_in(tmp_path, "\n".join(blocks("loop.md", "python"))))
+    printed = run_program("\n".join(blocks("loop.md", "python")), folder=tmp_path)
+    assert re.search(r"1\d boxes, \d left out: stable", printed)
 
 
 @pytest.mark.parametrize("number", range(4))
@@ -136,8 +127,8 @@ def test_examples_of_training_run(number: int, tmp_path: Path) -> None:
         orders["length_mm"] += orders["order_id"]  # so that no two orders are equal
         orders.to_csv(tmp_path / "orders.csv", index=False)
         (command,) = re.findall(r"^\$ petmjx (label .+)$", blocks("training.md", "console")[0], flags=re.MULTILINE)
-        run_in(tmp_path, f"from petmjx.cli import main; assert main({shlex.split(command)!r}) == 0")
-    assert run_in(tmp_path, programs[number]) or number == 0
+        run_program(f"from petmjx.cli import main; assert main({shlex.split(command)!r}) == 0", folder=tmp_path)
+    assert run_program(programs[number], folder=tmp_path) or number == 0
 
 
 def test_no_page_needs_an_import_before_gymnasium_knows_the_environment() -> None:
@@ -169,7 +160,7 @@ def test_lessons_run(document: str, tmp_path: Path) -> None:
     pytest.importorskip("gymnasium")
     (tmp_path / "plans.csv").write_text(blocks("start.md", "csv")[0], encoding="utf-8")
     (tmp_path / "tilted.toml").write_text(blocks("tutorials/sweep.md", "toml")[0], encoding="utf-8")
-    printed = run_in(tmp_path, program_of(document))
+    printed = run_program(program_of(document), folder=tmp_path)
     if match := re.search(r"(\d+)% stood before training, and (\d+)% stand now", printed):
         assert int(match[1]) + 30 < int(match[2])
     shown = [line for body in blocks(document, "console") for line in body.splitlines() if not line.startswith("$")]

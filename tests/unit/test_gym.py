@@ -3,7 +3,6 @@ single environments, orders, masks, and rewards."""
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -21,6 +20,7 @@ pytest.importorskip("gymnasium", reason="gymnasium is not installed (extra: gym)
 import gymnasium as gym
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from support.programs import run_program
 
 import petmjx.gym
 from benchmarks.episodes import SETTINGS, episodes
@@ -331,15 +331,9 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
         many.step([0, 6])
 
 
-def test_the_example_of_training_runs() -> None:
-    """The example of training runs in a new interpreter, in which the environment is not registered yet."""
-    repository = Path(__file__).parents[2]
-    example = [sys.executable, str(repository / "examples" / "train_with_physics.py")]
-    few = ["--updates", "2", "--pallets", "2", "--steps", "6", "--engine", "mujoco"]
-    environment = {**os.environ, "PYTHONPATH": str(repository)}
-    done = subprocess.run([*example, *few], env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    printed = done.stdout
+def test_the_example_of_training_runs(repository: Path, tmp_path: Path) -> None:
+    few = ("--updates", "2", "--pallets", "2", "--steps", "6", "--engine", "mujoco")
+    printed = run_program(repository / "examples" / "train_with_physics.py", *few, folder=tmp_path)
     assert "update 2: return" in printed
     weights = dict(re.findall(r"(\S+) ([+-]\d\.\d\d)(?:,|$)", printed.splitlines()[-1]))
     assert any(float(weight) for weight in weights.values()), "it has learned something"

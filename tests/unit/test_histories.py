@@ -3,10 +3,7 @@ made from them. Recording changes no other result."""
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +15,7 @@ import pytest
 from support.histories import Forgetful, assert_equal, history_of
 from support.kills import assert_same, tables
 from support.plans import make_plan, make_scene, make_world, stack
+from support.programs import run_program
 
 import petmjx
 from petmjx.common.errors import InputError
@@ -325,12 +323,9 @@ def test_examples_of_the_docs_run(repository: Path, tmp_path: Path) -> None:
     """All Python blocks of the page about histories run as one program."""
     text = (repository / "docs" / "histories.md").read_text(encoding="utf-8")
     program = "\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE))
-    environment = {**os.environ, "PYTHONPATH": str(repository)}
-    command = [sys.executable, "-c", program]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "hand-overhang-55" in done.stdout
-    assert "as in the run" in done.stdout
+    printed = run_program(program, folder=tmp_path)
+    assert "hand-overhang-55" in printed
+    assert "as in the run" in printed
 
 
 def test_the_docs_name_the_columns(repository: Path) -> None:

@@ -13,7 +13,7 @@ from petmjx.common.errors import EngineUnavailable
 from petmjx.engines import kernel_notes, machine_speed
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.engines.engine_choice import Choice
-from petmjx.engines.kernel_notes import are_noted, cpu_kernel, note_kernels
+from petmjx.engines.kernel_notes import CPU_KERNEL, are_noted, note_kernels
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.run_engine import resolve_engine
 from petmjx.engines.verdict import Verdict
@@ -53,13 +53,11 @@ def test_only_runs_of_some_seconds_are_worth_a_measurement(monkeypatch: pytest.M
 
 
 def test_a_kernel_of_an_earlier_run_starts_sooner(monkeypatch: pytest.MonkeyPatch, no_kernels: Path) -> None:
-    usual, by_hand, giving = Work(SIM, [5]), Work(Simulation(placing="hand"), [5]), Work(SIM, [5], giving=[2])
-    filmed, still = (Work(SIM, [5], drives=drives, filmed=1.0) for drives in (1, 0))
-    note_kernels(cpu_kernel((False, False, False, SIM.physics.has_landings)))
-    for work, costs in ((usual, LOADED), (still, LOADED), (by_hand, MEASURED), (giving, MEASURED), (filmed, MEASURED)):
-        assert machine_speed.costs_here(work, 1) == costs
-    note_kernels(cpu_kernel((True, False, False, SIM.physics.has_landings)))
-    assert machine_speed.costs_here(by_hand, 1) == LOADED
+    usual, by_hand = Work(SIM, [5]), Work(Simulation(placing="hand"), [5])
+    assert machine_speed.costs_here(usual, 1) == MEASURED
+    note_kernels(CPU_KERNEL)
+    for work in (usual, by_hand, Work(SIM, [5], giving=[2]), Work(SIM, [5], drives=1, filmed=1.0)):
+        assert machine_speed.costs_here(work, 1) == LOADED
     # the kernels of another version are other kernels
     real_code = kernel_notes.kernel_code
     monkeypatch.setattr(kernel_notes, "kernel_code", lambda: "other")
@@ -75,7 +73,7 @@ def test_where_nothing_can_be_written_nothing_is_noted(monkeypatch: pytest.Monke
         raise EngineUnavailable("no folder for compiled programs")
 
     monkeypatch.setattr(kernel_notes, "cache_folder", refuse)
-    note_kernels(cpu_kernel((False, False, False, False)))
+    note_kernels(CPU_KERNEL)
     assert machine_speed.costs_here(SHORT, 1) is MEASURED
 
 
@@ -87,8 +85,7 @@ def test_an_engine_notes_the_kernels_that_it_loads(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(block_launch.wp, "force_load", lambda *_, **__: None)
     monkeypatch.setattr(block_launch, "kernel", lambda launch: block_launch.pause)
     block_launch.load_kernels([launch])
-    assert are_noted(cpu_kernel(launch.traits)) != block_launch.wp.get_device().is_cuda
-    assert not are_noted(cpu_kernel((False, *launch.traits[1:])))
+    assert are_noted(CPU_KERNEL) != block_launch.wp.get_device().is_cuda
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,7 @@
-"""Type checkers know the options of `petmjx.score` and `petmjx.sweep`."""
+"""Types are right, and type checkers know the options of `petmjx.score` and `petmjx.sweep`.
+
+`make test` runs the type checker here, beside other tests, since it takes half a minute on a core.
+"""
 
 from __future__ import annotations
 
@@ -55,19 +58,26 @@ def test_what_is_typed_is_what_is_taken() -> None:
     assert api.score.__annotations__["options"] == "Unpack[ScoreOptions]"
 
 
-def test_a_type_checker_knows_options_and_refuses_mistakes(repository: Path, tmp_path: Path) -> None:
-    """One run of mypy, which uses the cache that `make check` has left."""
+def checked(repository: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run mypy with the options in pyproject.toml."""
     pytest.importorskip("mypy", reason="mypy is not installed (extra: dev)")
+    command = [sys.executable, "-m", "mypy", "--no-pretty", *arguments]
+    environment = {**os.environ, "MYPYPATH": str(repository), "PYTHONPATH": ""}
+    return subprocess.run(command, cwd=repository, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.slow
+def test_the_type_checker_objects_to_nothing(repository: Path) -> None:
+    done = checked(repository)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Success: no issues found" in done.stdout
+
+
+def test_a_type_checker_knows_options_and_refuses_mistakes(repository: Path, tmp_path: Path) -> None:
+    """This run of mypy uses the cache that the test above has left."""
     snippet = tmp_path / "snippet.py"
     snippet.write_text(KNOWN + "\n".join(REFUSED) + "\n", encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--config-file", repository / "pyproject.toml", "--no-pretty", snippet],
-        cwd=repository,
-        env={**os.environ, "MYPYPATH": str(repository), "PYTHONPATH": ""},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = checked(repository, snippet)
     assert done.returncode == 1, done.stdout + done.stderr
     first = KNOWN.count("\n") + 1
     blamed = {int(line.split(":")[1]) for line in done.stdout.splitlines() if ": error: " in line}

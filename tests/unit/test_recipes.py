@@ -129,6 +129,8 @@ def test_a_profile(copy: Copy) -> None:
 
 
 ON_WARP = f"""{STACK}
+import warp
+warp.config.optimization_level = 0
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
@@ -137,7 +139,7 @@ sim = petmjx.Simulation(check='static', duration_s=0.2)
 print(np.isnan(outcome.boxes.max_rise_m).tolist())
 """
 """A program that scores a plan with mjx-warp. Its kernels do not measure the metric of the recipe, so the column has no
-value."""
+value. A kernel that runs only once is compiled without optimisation, which takes half as long."""
 
 
 def test_a_column(copy: Copy) -> None:
@@ -157,8 +159,7 @@ def test_a_column(copy: Copy) -> None:
         copy.change(diff)
     assert "[True, True, True]" in copy.printed_by(ON_WARP)
     copy.change(kernel)
-    for program in (on_mujoco, on_arrays):
-        assert "[True, True, True]" in copy.printed_by(program)
+    assert copy.printed_by(f"{on_mujoco}\n{on_arrays}").count("[True, True, True]") == 2
     assert copy.failing("tests/oracle/test_warp_rules.py", "-k", "default") == []
 
 

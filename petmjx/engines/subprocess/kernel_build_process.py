@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from petmjx.common.text import one_line
-from petmjx.engines.kernel_notes import cpu_kernel, note_kernels
+from petmjx.engines.kernel_notes import CPU_KERNEL, note_kernels
 from petmjx.engines.subprocess.task_pipe import next_of, own_pipes
 
 NICE: Final = 0
@@ -37,8 +37,8 @@ class KernelBuild(NamedTuple):
 
     Attributes:
         gpu: the GPU; None: the CPU of this machine.
-        size: name of a block size: ``usual``, ``large``, ``few`` or ``last``. On a CPU, all sizes share one kernel.
-        hands, lands: as in ``petmjx.engines.warp.block_launch.Launch``.
+        size: name of a block size: ``usual``, ``large``, ``few`` or ``last``. On a CPU, one kernel serves all.
+        hands, lands: features of a kernel for GPUs, as in ``petmjx.engines.warp.block_launch.Launch``.
     """
 
     gpu: GpuLimits | None
@@ -79,7 +79,7 @@ def compile_kernel(build: KernelBuild) -> None:
     if build.gpu is None:
         launch = Launch.of(size, build.hands, lands=build.lands, device=wp.get_device("cpu"))
         wp.compile_aot_module(kernel(launch).module, device="cpu")
-        note_kernels(cpu_kernel(launch.traits))
+        note_kernels(CPU_KERNEL)
         return
     launch = Launch.of(size, build.hands, lands=build.lands, device=build.gpu)
     for module in (kernel(launch).module, pause.module):

@@ -29,7 +29,7 @@ from typing import Any, Final, Protocol
 import warp as wp
 
 from petmjx.common.warp_cpp import with_cpp
-from petmjx.engines.kernel_notes import cpu_kernel, note_kernels
+from petmjx.engines.kernel_notes import CPU_KERNEL, note_kernels
 from petmjx.engines.warp.kernels.pause import pause
 from petmjx.engines.warp.kernels.world_loop import run_worlds
 from petmjx.engines.warp.solver import newton
@@ -134,8 +134,7 @@ def load_kernels(launches: Sequence[Launch]) -> None:
     device = wp.get_device()
     wp.force_load(device, modules, max_workers=len(modules))
     if not device.is_cuda:
-        for launch in launches:
-            note_kernels(cpu_kernel(launch.traits))
+        note_kernels(CPU_KERNEL)
 
 
 HEAD_START_NS = 50_000
@@ -282,6 +281,14 @@ class Launch:
         return self.hands, self.gives, self.wraps, self.lands
 
     @property
+    def feature_arguments(self) -> tuple[int, ...]:
+        """The features as arguments of the kernel, in the order of ``traits``. On a CPU, where a block has one thread
+        and no shared memory, one kernel serves all features. Other kernels have no such arguments, since they are
+        compiled for their features."""
+        on_cpu = self.threads == 1 and self.tile_words == 0
+        return tuple(int(feature) for feature in self.traits) if on_cpu else ()
+
+    @property
     def tile_words(self) -> int:
         """Size of the tile (an array in shared memory) of a block, in units of four bytes; 0 if there is no tile."""
         newton_words = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
@@ -292,7 +299,7 @@ class Launch:
         cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False, lands: bool = False
     ) -> Launch:
         """The launch for worlds of up to ``n_boxes`` boxes on Warp's current device. On a CPU, a block is one thread,
-        and one kernel serves all sizes."""
+        and one kernel serves all sizes and features."""
         return cls.of(size_for(n_boxes), hands, gives, wraps, lands)
 
     @classmethod
@@ -331,9 +338,49 @@ class Launch:
         )
 
 
-@functools.cache
 def kernel(launch: Launch) -> Any:
     """The kernel of a launch. The kernel's threads call ``kernels.world_loop.run_worlds``."""
+    if launch.feature_arguments:
+        return _cpu_kernel(launch.panels, launch.pause_after)
+    return _kernel_of_features(launch)
+
+
+@functools.cache
+def _cpu_kernel(panels: int, pause_after: int) -> Any:
+    """The kernel for CPUs. The features of a launch are its arguments (``Launch.feature_arguments``): compiling takes
+    seconds, and machine code for one set of features alone would not be smaller."""
+
+    def launcher(
+        # Model:
+        model: Model,
+        worlds: Worlds,
+        # In:
+        n_blocks: int,
+        slice_ns: wp.int64,
+        first_block: int,
+        hands: int,
+        gives: int,
+        wraps: int,
+        lands: int,
+        # Data out:
+        state: State,
+        work: Workspace,
+        frames: FrameBuffer,
+        counts: Counts,
+    ) -> None:
+        block, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
+        run_worlds(
+            model, worlds,
+            block + first_block, thread, 1, n_blocks, slice_ns, hands, gives, wraps, lands, work.strip, 0,
+            state, work, frames, counts,
+        )  # fmt: skip
+
+    return with_cpp(launcher, newton.text_for(panels, worlds=1, threads=1, pause_after=pause_after))
+
+
+@functools.cache
+def _kernel_of_features(launch: Launch) -> Any:
+    """The kernel of blocks with shared memory, which is compiled for the features of the launch."""
     shared_words, of_block = launch.shared_words, launch.worlds
     tile_words, threads = launch.tile_words, launch.threads // launch.worlds
     hands, gives, wraps, lands = (int(flag) for flag in (launch.hands, launch.gives, launch.wraps, launch.lands))

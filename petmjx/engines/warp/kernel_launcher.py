@@ -173,7 +173,8 @@ class KernelLauncher:
         for pool, model in zip(self.pools, self.models, strict=True):
             work = filled_record(Workspace, world_arrays.in_buffer(arrays["workspace"], pool.sizes, row))
             row += world_arrays.buffer_rows(pool.sizes)
-            before, after = (model, worlds, self.lanes, self.slice_ns), (state, work, frames, counts)
+            before = model, worlds, self.lanes, self.slice_ns
+            after = *pool.launch.feature_arguments, state, work, frames, counts
             arguments = partial(_with_block, before, after)
             calls.append(Call(kernel(pool.launch), pool.blocks, pool.launch.threads, arguments))
         launch_all(calls, arrays["clock"], self.slice_ns)
