@@ -207,7 +207,9 @@ class Workspace:
     contact_bodies: Annotated[wp.array3d[int], "block contact 2"]
     body_contact: Annotated[wp.array2d[int], "block link"]  # 2 × contact + side, grouped by body
     body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
-    body_level: Annotated[wp.array2d[int], "block body"]  # distance from the first body of the order, in contacts
+    body_component: Annotated[wp.array2d[int], "block body"]  # first of the bodies that contacts join with a body
+    body_root: Annotated[wp.array2d[int], "block body"]  # the body from which distances in a component are counted
+    body_level: Annotated[wp.array2d[int], "block body"]  # distance from the root, in contacts
     position: Annotated[wp.array2d[int], "block free_body"]  # position of a body in the solver's system
     # by position of a body: the lowest position among the body itself and the bodies that it touches
     lowest: Annotated[wp.array2d[int], "block free_body"]
