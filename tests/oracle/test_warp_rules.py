@@ -120,6 +120,7 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
         landed[:] = 0
     driven = some(0.3)
     went = np.where(some(0.5, (WORLDS, 1, 1)), 1e-7, 1e-4)
+    short = rng.choice([0.001, 1.0], (WORLDS, BOXES))  # boxes on short paths may stay, those on long ones may tremble
     placed = np.where(some(0.5) | driven, n_boxes, rng.integers(0, n_boxes + 1))
     end = np.where(some(0.3), step + pick(0, 1, 2, 30), NEVER)
     two_windows = 2 * build_timetable(sim, BOXES).rest_steps
@@ -139,9 +140,9 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
         quiet_speed=jnp.asarray(0.01 * rng.random((WORLDS, BOXES)), jnp.float32),
         still_qpos=poses[0].at[..., :3].add(rng.normal(0, 1, (WORLDS, BOXES, 3)) * went),
         tremble_looks=jnp.asarray(pick(0, 3, 4, 5, 8)),
-        trembles=jnp.asarray(some(0.3, (WORLDS, BOXES)), jnp.int32),
-        tremble_path=jnp.asarray(0.002 * rng.random((WORLDS, BOXES)), jnp.float32),
-        tremble_away=jnp.asarray(0.0005 * rng.random((WORLDS, BOXES)), jnp.float32),
+        trembles=jnp.asarray(rng.choice(3, (WORLDS, BOXES), p=[0.6, 0.2, 0.2]), jnp.int32),
+        tremble_path=jnp.asarray(0.002 * rng.random((WORLDS, BOXES)) * short, jnp.float32),
+        tremble_away=jnp.asarray(0.0005 * rng.random((WORLDS, BOXES)) * short, jnp.float32),
         tremble_qpos=poses[0].at[..., :3].add(rng.normal(0, 1, (WORLDS, BOXES, 3)) * went),
         violent_since=jnp.asarray(np.where(some(0.5), NEVER, step - pick(5, 49, 50, 100)), jnp.int32),
         driven_from=jnp.asarray(np.where(driven, step - 20, NEVER), jnp.int32),
@@ -240,9 +241,9 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     assert set(np.unique(fields["status"]).tolist()) == {Status.RUNNING, Status.SETTLED, Status.FINISHED}
     assert (fields["placed"] > np.asarray(after.placed)).any()
     assert (fields["rest_from"] != np.asarray(after.rest_from)).any()
-    # Some boxes begin to tremble, and some boxes stop.
+    # Some boxes begin to tremble or to stay, and some boxes stop.
     trembled = np.asarray(after.trembles)
-    assert {-1, 1} <= set(np.unique((fields["trembles"] - trembled)[is_placed])) or not adapts
+    assert {-2, -1, 1, 2} <= set(np.unique((fields["trembles"] - trembled)[is_placed])) or not adapts
     # In drives (motions of the carrier), some worlds rest before the end, and some worlds that rested move again.
     was, now = np.asarray(after.end), fields["end"]
     assert ((now < was) & (was != NEVER)).any() == adapts

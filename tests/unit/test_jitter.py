@@ -1,5 +1,5 @@
-"""Tests of the rule for boxes that tremble. The rules of C MuJoCo and of the MJX engines agree. For the kernel of
-``mjx-warp``, see ``tests/oracle/test_warp_rules.py``."""
+"""Tests of the rules for boxes that tremble, and for boxes that stay. The rules of C MuJoCo and of the MJX engines
+agree. For the kernel of ``mjx-warp``, see ``tests/oracle/test_warp_rules.py``."""
 
 from __future__ import annotations
 
@@ -125,3 +125,66 @@ def test_what_rests_beside_it_does_not_tremble() -> None:
     velocities[:, TURNING] *= 0.01
     for find in (on_c, on_mjx):
         assert find(poses, velocities)[-1] == [True, False, False, False]
+
+
+def some_chatter(looks: int, rng: np.random.Generator, growth_1_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """(look, box, 7) poses and (look, box, 6) velocities. The boxes chatter within 6 µm. At each look, another box is
+    fast (0.8 mm/s). With a rate of growth, the last box also topples: its distance, 0.1 µm at first, grows
+    exponentially."""
+    poses = np.tile(np.concatenate([SCENE.start_pos, SCENE.start_quat], axis=1), (looks, 1, 1))
+    poses[:, :, 0] += 3e-6 * rng.uniform(-1, 1, (looks, BOXES))
+    velocities = np.zeros((looks, BOXES, 6))
+    velocities[:, :, 0] = np.where(np.arange(looks)[:, None] % BOXES == np.arange(BOXES), 8e-4, 5e-5)
+    if growth_1_s:
+        way = 1e-7 * np.exp(growth_1_s * LOOK_S * np.arange(looks))
+        poses[:, -1, 1] += way
+        velocities[:, -1, 1] += growth_1_s * way
+    return poses, velocities
+
+
+def looks_on_c(poses: FloatArray, velocities: FloatArray) -> tuple[list[bool], bool]:
+    """For each look, whether the rule of C MuJoCo finds the pallet quiet; and whether its last count is a full one."""
+    rule = QuietRule(SIM, SCENE)
+    looks = [rule.look(pose, velocity, has_failed=False) for pose, velocity in zip(poses, velocities, strict=True)]
+    return looks, rule.holds
+
+
+def looks_on_mjx(poses: FloatArray, velocities: FloatArray) -> tuple[list[bool], bool]:
+    """The same by the rule of the MJX engines."""
+    worlds = upload_worlds([Job(SCENE)], 1, BOXES, {}, SIM)
+    state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER), rest_steps=1)
+    state = state._replace(status=jnp.array([Status.RUNNING], jnp.int32))
+    yes, looks = jnp.array([True]), []
+    for pose, velocity in zip(poses, velocities, strict=True):
+        state = state._replace(qpos=jnp.asarray(pose, jnp.float32)[None], qvel=jnp.asarray(velocity, jnp.float32)[None])
+        state, quiet = _count_quiet()(state, worlds, yes, yes)
+        looks.append(bool(quiet[0]))
+    return looks, int(state.quiet_steps[0]) >= SIM.quiet.steps
+
+
+@pytest.mark.parametrize("see", [looks_on_c, looks_on_mjx])
+def test_boxes_that_chatter_at_their_places_are_not_waited_for_and_the_pallet_is_quiet(see: Any) -> None:
+    looks, holds = see(*some_chatter(2 * PERIOD + 6, np.random.default_rng(33332)))
+    assert True not in looks[: 2 * PERIOD]  # one of them is always faster than at the beginning
+    assert looks[2 * PERIOD + 2 :] == [True] * 4
+    assert holds  # the world gets no flag
+
+
+@pytest.mark.parametrize("see", [looks_on_c, looks_on_mjx])
+@pytest.mark.parametrize("growth_1_s", [6.0, 10.0])
+def test_a_box_that_begins_to_topple_among_boxes_that_chatter_is_waited_for(see: Any, growth_1_s: float) -> None:
+    """By the time at which a box can stay, this box has moved by more than 12.5 µm in a measured period."""
+    looks, _ = see(*some_chatter(3 * PERIOD, np.random.default_rng(33332), growth_1_s))
+    assert True not in looks
+
+
+def test_at_the_end_a_box_that_stays_may_be_fast_but_not_away() -> None:
+    rule = QuietRule(SIM, SCENE)
+    poses, velocities = some_chatter(2 * PERIOD + 1, np.random.default_rng(33332))
+    for pose, velocity in zip(poses, velocities, strict=True):
+        rule.look(pose, velocity, has_failed=False)
+    fast = np.full((BOXES, 6), 3e-4)
+    for moved_m, motion in ((9e-6, (False, False)), (11e-6, (True, False)), (14e-6, (True, True))):
+        after = poses[0] + np.array([moved_m, 0, 0, 0, 0, 0, 0])
+        assert rule.motion(poses[0], after, fast, 0.1) == motion
+    assert QuietRule(SIM, SCENE).motion(poses[0], poses[0], fast, 0.1) == (True, True)

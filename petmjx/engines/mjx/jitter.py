@@ -1,4 +1,4 @@
-"""Finds trembling boxes (docs/rules.md, section 5), for all worlds of a batch. Twin:
+"""Finds boxes that tremble or stay (docs/rules.md, section 5), for all worlds of a batch. Twin:
 petmjx/engines/mujoco/jitter.py."""
 
 from __future__ import annotations
@@ -11,11 +11,32 @@ from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import State
 from petmjx.options.simulation import Simulation
 
+TREMBLES, STAYS = 1, 2
+"""Values of ``State.trembles`` for boxes that did not get anywhere in the last measured period. The path of a box that
+trembles was longer."""
+
 
 def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
     """Whether each box trembles. Right after a placement, no box counts as trembling, since the boxes have been checked
     too few times."""
-    return (state.trembles == 1) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
+    return (state.trembles == TREMBLES) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
+
+
+def stay_mask(
+    state: State, sim: Simulation, moved: Float[Array, "world box"] | float = 0.0
+) -> Bool[Array, "world box"]:
+    """Whether each box stays: it stayed in the last measured period, and has stayed since. As with ``jitter_mask``, no
+    box counts as staying right after a placement. ``moved``: other distances by which boxes have moved since, m."""
+    stayed = (state.trembles != 0) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
+    return stayed & (jnp.maximum(state.tremble_away, moved) < _most_away(state.tremble_path, sim))
+
+
+def _most_away(path: Float[Array, "world box"], sim: Simulation) -> Float[Array, "world box"]:
+    """Distances by which boxes that have travelled paths of these lengths may have been away from their places, if they
+    stay, m."""
+    rule = sim.quiet
+    still = rule.still_m_s * rule.tremble_looks * rule.poll_steps * sim.physics.timestep_s
+    return rule.tremble_share * jnp.maximum(path, still)
 
 
 def after_look(
@@ -32,10 +53,11 @@ def after_look(
     away = jnp.where(measures, away, state.tremble_away)
     begins = (looks & (look >= period) & (look % period == 0))[:, None]
     least = rule.slow_m_s * period * look_s
-    trembles = (path >= least) & (away < jnp.minimum(rule.tremble_share * path, least))
+    stays = away < jnp.minimum(_most_away(path, sim), least)
+    kind = jnp.where(stays, jnp.where(path >= least, TREMBLES, STAYS), 0)
     return state._replace(
         tremble_looks=look + looks,
-        trembles=jnp.where(begins & measures, trembles.astype(jnp.int32), state.trembles),
+        trembles=jnp.where(begins & measures, kind.astype(jnp.int32), state.trembles),
         tremble_path=jnp.where(begins, 0.0, path),
         tremble_away=jnp.where(begins, 0.0, away),
         tremble_qpos=jnp.where(begins[..., None], state.qpos, state.tremble_qpos),

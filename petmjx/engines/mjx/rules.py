@@ -305,9 +305,10 @@ class Rules:
             return state._replace(quiet_steps=jnp.where(poll, count, state.quiet_steps)), enough
 
         at_begin = jnp.where((count <= quiet.poll_steps)[:, None], speed, state.quiet_speed)
-        creeps = (speed >= jnp.maximum(quiet.slow_m_s, quiet.slowing * at_begin)).any(-1)
-        faster = (speed > jnp.maximum(quiet.still_m_s, at_begin)).any(-1)
-        anew = enough & (creeps | faster) & ~state.metrics.has_failed(self.sim.thresholds)
+        creeps = speed >= jnp.maximum(quiet.slow_m_s, quiet.slowing * at_begin)
+        faster = speed > jnp.maximum(quiet.still_m_s, at_begin)
+        creeps = ((creeps | faster) & ~jitter.stay_mask(state, self.sim)).any(-1)
+        anew = enough & creeps & ~state.metrics.has_failed(self.sim.thresholds)
         count = jnp.where(anew, quiet.poll_steps, count)
         at_begin = jnp.where(anew[:, None], speed, at_begin)
         count = jnp.where(enough & ~anew & trembles.any(-1), 0, count)
@@ -409,12 +410,12 @@ class Rules:
         moved = motion.moved(state.still_qpos, state.qpos, worlds.half)
         still_from = jnp.maximum(state.end - table.still_steps, state.driven_from if self.driven else 0)
         seconds = (state.step - still_from) * sim.physics.timestep_s
-        trembles = jitter.jitter_mask(state, sim)
+        trembles, stays = jitter.jitter_mask(state, sim), jitter.stay_mask(state, sim, moved)
         most = jnp.where(trembles, sim.quiet.slow_m_s, sim.quiet.still_m_s) * seconds[:, None]
         standing = self.standing(state)
-        turns = sim.waits_for_rest & ~trembles & (motion.speed(state.qvel, worlds.half) > sim.quiet.still_m_s)
+        turns = sim.waits_for_rest & ~trembles & ~stays & (motion.speed(state.qvel, worlds.half) > sim.quiet.still_m_s)
         moves = (standing & (turns | (moved > sim.quiet.still_m_s * seconds[:, None]))).any(-1)
-        waits = (standing & (turns | (moved > most))).any(-1)
+        waits = (standing & (turns | ((moved > most) & ~stays))).any(-1)
         last_end = jnp.full_like(state.end, NEVER)
         if self.driven:
             drive_end = _drive_end(state, worlds)

@@ -1,4 +1,5 @@
-"""Finds trembling boxes on C MuJoCo (docs/rules.md, section 5). petmjx/engines/mjx/jitter.py does the same in JAX."""
+"""Finds boxes that tremble or stay on C MuJoCo (docs/rules.md, section 5). petmjx/engines/mjx/jitter.py does the same
+in JAX."""
 
 from __future__ import annotations
 
@@ -17,13 +18,22 @@ def _no_boxes() -> NDArray[np.bool_]:
     return np.zeros(0, bool)
 
 
+def _most_away_m(sim: Simulation, path_m: FloatArray | float) -> FloatArray:
+    """Distances by which boxes that have travelled paths of these lengths may have been away from their places, if they
+    stay, m."""
+    rule = sim.quiet
+    still_m = rule.still_m_s * rule.tremble_looks * rule.poll_steps * sim.physics.timestep_s
+    return np.asarray(rule.tremble_share * np.maximum(path_m, still_m))
+
+
 @dataclass(frozen=True)
 class Jitter:
-    """The state of the search for trembling boxes after a *look* (a check whether the pallet is quiet). Each look makes
-    a new ``Jitter``.
+    """The state of the search for boxes that tremble or stay after a *look* (a check whether the pallet is quiet). Each
+    look makes a new ``Jitter``.
 
     Attributes:
         boxes: (n,) whether each box trembles. n is the number of placed boxes at the looks since the last placement.
+        stayed: (n,) whether each box stayed in the last measured period.
         looks: number of looks with this number of boxes.
         home: (n, 7) poses of the boxes at the beginning of the measured period.
         path_m: (n,) length of each box's path since the first look of the period, m.
@@ -31,6 +41,7 @@ class Jitter:
     """
 
     boxes: NDArray[np.bool_] = field(default_factory=_no_boxes)
+    stayed: NDArray[np.bool_] = field(default_factory=_no_boxes)
     looks: int = 0
     home: FloatArray | None = None
     path_m: FloatArray | float = 0.0
@@ -41,6 +52,17 @@ class Jitter:
         since the boxes have been checked too few times.
         """
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
+
+    def staying(self, moved_m: FloatArray, sim: Simulation) -> NDArray[np.bool_]:
+        """(n,) whether each of the n placed boxes stays: it stayed in the last measured period, and has stayed since.
+        As with ``which``, no box counts as staying shortly after a placement.
+
+        Args:
+            moved_m: (n,) other distances by which the boxes have moved since, m.
+        """
+        if len(self.boxes) != len(moved_m):
+            return np.zeros(len(moved_m), bool)
+        return np.asarray(self.stayed & (np.maximum(self.away_m, moved_m) < _most_away_m(sim, self.path_m)))
 
     def after_look(self, sim: Simulation, pose: FloatArray, speed_m_s: FloatArray, radius_m: FloatArray) -> Self:
         """The state after another look at the boxes during a wait.
@@ -53,13 +75,15 @@ class Jitter:
         rule = sim.quiet
         period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s
         if len(pose) != len(self.boxes):
-            return replace(self, boxes=np.zeros(len(pose), bool), looks=1, home=None)
-        boxes, home, path, away = self.boxes, self.home, self.path_m, self.away_m
+            nothing = np.zeros(len(pose), bool)
+            return replace(self, boxes=nothing, stayed=nothing, looks=1, home=None, path_m=0.0, away_m=0.0)
+        boxes, stayed, home, path, away = self.boxes, self.stayed, self.home, self.path_m, self.away_m
         if home is not None:
             path, away = path + speed_m_s * look_s, np.maximum(away, box_motion.moved(home, pose, radius_m))
         if self.looks % period == 0:
             if home is not None:
                 least = rule.slow_m_s * period * look_s
-                boxes = (path >= least) & (away < np.minimum(rule.tremble_share * path, least))
+                stayed = away < np.minimum(_most_away_m(sim, path), least)
+                boxes = stayed & (path >= least)
             home, path, away = pose.copy(), 0.0, 0.0
-        return replace(self, boxes=boxes, looks=self.looks + 1, home=home, path_m=path, away_m=away)
+        return replace(self, boxes=boxes, stayed=stayed, looks=self.looks + 1, home=home, path_m=path, away_m=away)

@@ -69,9 +69,9 @@ class QuietRule:
         if self._steps < rule.steps:
             return False
         if self._waits_for_creep and not has_failed:
-            creeps = (speed >= np.maximum(rule.slow_m_s, rule.slowing * self._first)).any()
-            faster = (speed > np.maximum(rule.still_m_s, self._first)).any()
-            if creeps or faster:
+            creeps = speed >= np.maximum(rule.slow_m_s, rule.slowing * self._first)
+            faster = speed > np.maximum(rule.still_m_s, self._first)
+            if ((creeps | faster) & ~self.trembling.staying(np.zeros(len(speed)), self._sim)).any():
                 self._steps, self._first = rule.poll_steps, speed
                 return False
         if trembles.any():
@@ -85,7 +85,7 @@ class QuietRule:
     def motion(self, before: FloatArray, after: FloatArray, velocity: FloatArray, seconds: float) -> tuple[bool, bool]:
         """Two answers about the boxes at the end of a world: whether any point of a box moved, or moves now, faster
         than ``still_m_s``; and whether the world must wait longer for this reason. The world does not wait for
-        trembling boxes that are slower than ``slow_m_s``.
+        trembling boxes that are slower than ``slow_m_s``, nor for boxes that stay.
 
         Args:
             before, after: (k, 7) poses at two times that are ``seconds`` apart. The average speed of a rocking box that
@@ -94,10 +94,11 @@ class QuietRule:
         """
         rule, radius = self._rule, self._radius_m[: len(after)]
         moved = box_motion.moved(before, after, radius)
-        trembles = self.trembling.which(len(after))
-        turns = self._waits_for_creep & ~trembles & (box_motion.speed(velocity, radius) > rule.still_m_s)
+        trembles, stays = self.trembling.which(len(after)), self.trembling.staying(moved, self._sim)
+        turns = self._waits_for_creep & ~trembles & ~stays & (box_motion.speed(velocity, radius) > rule.still_m_s)
         most = np.where(trembles, rule.slow_m_s, rule.still_m_s)
-        return bool((turns | (moved > rule.still_m_s * seconds)).any()), bool((turns | (moved > most * seconds)).any())
+        waits = turns | (~stays & (moved > most * seconds))
+        return bool((turns | (moved > rule.still_m_s * seconds)).any()), bool(waits.any())
 
 
 class Explosion:

@@ -7,9 +7,13 @@ from __future__ import annotations
 
 import warp as wp
 
+from petmjx.engines.mjx import jitter
 from petmjx.engines.warp.kernels.motion import box_half
 from petmjx.engines.warp.kernels.samples import speed_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Worlds
+
+TREMBLES = wp.constant(jitter.TREMBLES)
+STAYS = wp.constant(jitter.STAYS)
 
 
 @wp.func
@@ -27,6 +31,14 @@ def distance_since(worlds: Ref[Worlds], state: Ref[State], home: wp.array3d[floa
 
 
 @wp.func
+def _most_away(model: Ref[Model], path: float) -> float:
+    """Distance by which a box that has travelled a path of this length may have been away from its place, if it stays,
+    m."""
+    still = model.still_speed * float(model.tremble_looks * model.poll_steps) * model.timestep
+    return model.tremble_share * wp.max(path, still)
+
+
+@wp.func
 def find_jitter(
     # Model:
     model: Ref[Model],
@@ -37,7 +49,7 @@ def find_jitter(
     # Data out:
     state: Ref[State],
 ) -> None:
-    """Update, at a look, which boxes tremble. The first period after a placement is not measured.
+    """Update, at a look, which boxes tremble or stay. The first period after a placement is not measured.
 
     Args:
         look: number of the look since the last placement, from 0.
@@ -53,8 +65,9 @@ def find_jitter(
         away = wp.max(state.tremble_away[world, box], distance_since(worlds, state, state.tremble_qpos, world, box))
         if begins and look > period:
             least = model.slow_speed * float(period) * look_s
-            trembles = path >= least and away < wp.min(model.tremble_share * path, least)
-            state.trembles[world, box] = wp.where(trembles, 1, 0)
+            stays = away < wp.min(_most_away(model, path), least)
+            kind = wp.where(path >= least, TREMBLES, STAYS)
+            state.trembles[world, box] = wp.where(stays, kind, 0)
         if begins:
             path = 0.0
             away = 0.0
@@ -71,7 +84,21 @@ def has_jitter(model: Ref[Model], state: Ref[State], looks: int, world: int, box
     Args:
         looks: number of looks since the last placement.
     """
-    return looks > 2 * model.tremble_looks and state.trembles[world, box] != 0
+    return looks > 2 * model.tremble_looks and state.trembles[world, box] == TREMBLES
+
+
+@wp.func
+def has_stayed(model: Ref[Model], state: Ref[State], looks: int, world: int, box: int, moved: float) -> bool:
+    """Whether a box stays: it stayed in the last measured period, and has stayed since. As with ``has_jitter``, no box
+    counts as staying right after a placement.
+
+    Args:
+        looks: number of looks since the last placement.
+        moved: another distance by which the box has moved since, m.
+    """
+    if looks <= 2 * model.tremble_looks or state.trembles[world, box] == 0:
+        return False
+    return wp.max(state.tremble_away[world, box], moved) < _most_away(model, state.tremble_path[world, box])
 
 
 @wp.func

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import any_of_all
-from petmjx.engines.warp.kernels.jitter import has_jitter, speed_without_jitter
+from petmjx.engines.warp.kernels.jitter import has_jitter, has_stayed, speed_without_jitter
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Worlds
 
 
@@ -66,7 +66,7 @@ def count_quiet(
             state.quiet_speed[world, box] = speed
         first = state.quiet_speed[world, box]
         if speed >= wp.max(model.slow_speed, model.slowing * first) or speed > wp.max(model.still_speed, first):
-            creeps = True
+            creeps = creeps or not has_stayed(model, state, looks, world, box, 0.0)
     if any_of_all(creeps) and quiet and not failed:
         quiet = False
         count = model.poll_steps

@@ -14,7 +14,13 @@ from petmjx.engines.mjx import world_state as batch_state
 from petmjx.engines.verdict import Flag
 from petmjx.engines.warp.kernels.block_threads import any_of_all, wait_for_all
 from petmjx.engines.warp.kernels.hand import has_missed, lets_go, take_up
-from petmjx.engines.warp.kernels.jitter import distance_since, find_jitter, has_jitter, speed_without_jitter
+from petmjx.engines.warp.kernels.jitter import (
+    distance_since,
+    find_jitter,
+    has_jitter,
+    has_stayed,
+    speed_without_jitter,
+)
 from petmjx.engines.warp.kernels.motion import center, middle_of, orientation
 from petmjx.engines.warp.kernels.rest import count_quiet, has_failed
 from petmjx.engines.warp.kernels.samples import HALF, LAST_BOX, is_gone, length_of, measure, press, sway_of, tilt_of
@@ -111,10 +117,11 @@ def _look_at_the_end(
         speed = float(0.0)
         if model.waits_for_rest != 0:
             speed = speed_without_jitter(model, worlds, state, looks, world, box)
-        turns = speed > model.still_speed
+        stays = has_stayed(model, state, looks, world, box, moved)
+        turns = speed > model.still_speed and not stays
         moves = moves or turns or moved > model.still_speed * seconds
         most = wp.where(has_jitter(model, state, looks, world, box), model.slow_speed, model.still_speed)
-        waits = waits or turns or moved > most * seconds
+        waits = waits or turns or (moved > most * seconds and not stays)
         q = orientation(state, world, box + 1)
         tilted = tilt_of(q) > model.tilt
         if driven:
