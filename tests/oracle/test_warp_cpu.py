@@ -6,6 +6,7 @@ import functools
 import itertools
 import threading
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
@@ -28,7 +29,8 @@ import petmjx
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.verdict import Outcome
-from petmjx.engines.warp import block_launch
+from petmjx.engines.warp import block_launch, kernel_launcher
+from petmjx.engines.warp.block_launch import Call
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.world.history import Record
 from petmjx.world.job import Job
@@ -45,10 +47,21 @@ def crowd() -> dict[str, Outcome]:
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_worlds_are_the_same_to_the_last_bit_on_any_number_of_threads(threads: int) -> None:
+def test_worlds_are_the_same_to_the_last_bit_on_any_number_of_threads(
+    threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each thread of the CPU has a block of one thread."""
+    launched: set[tuple[int, int]] = set()
+
+    def launch_all(calls: Sequence[Call], *some: Any) -> None:
+        launched.update((call.blocks, call.threads) for call in calls)
+        block_launch.launch_all(calls, *some)
+
+    monkeypatch.setattr(kernel_launcher, "launch_all", launch_all)
     scenes = {f"{name} {k}": scene for k in range(MANY // len(TINY)) for name, scene in tiny_scenes().items()}
     outcomes = simulate(MjxWarpCpuEngine(threads), scenes, SHORT)
     assert_equal_worlds(outcomes, {name: crowd()[name.rpartition(" ")[0]] for name in scenes})
+    assert launched == {(threads, 1)}
 
 
 def test_recorded_worlds_of_several_threads_keep_their_own_frames() -> None:

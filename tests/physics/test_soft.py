@@ -235,14 +235,18 @@ def test_what_soft_boxes_cannot_have_is_refused(plan: Plan, options: dict[str, o
 
 
 def test_friction_is_that_of_the_materials() -> None:
-    plan = replace(PLAN, materials=("film", "film"))
+    frictions = {"film film": 0.2, "film wood": 0.5, "board board": 0.4, "board film": 0.4, "board wood": 0.5}
     sim = Simulation(
         soft=True,
-        friction_pairs=[{"between": ["film", "film"], "friction": 0.2}, {"between": ["film", "wood"], "friction": 0.3}],
+        friction_pairs=[{"between": pair.split(), "friction": friction} for pair, friction in frictions.items()],
     )
-    friction = soft_friction(build_scene(plan, sim))
-    assert friction.of_boxes.tolist() == [0.2, 0.2]
-    assert friction.of_carrier == 0.3
+    scene = build_scene(replace(PLAN, materials=("film", "board")), sim)
+    friction = soft_friction(scene)
+    assert friction.of_boxes.tolist() == [0.2, 0.4]
+    assert friction.of_carrier == 0.5
+    model = mujoco.MjModel.from_xml_string(to_mjcf(scene, sim.physics))
+    assert model.flex_friction[:, 0].tolist() == [0.2, 0.4]
+    assert model.geom("carrier").friction[0] == 0.5
 
 
 def test_pallets_have_no_soft_boxes() -> None:

@@ -220,6 +220,9 @@ TABLES = {
     "centres of bases": table(f"box,center_x_mm,center_y_mm,bottom_z_mm,{SIZES.replace(',', '_mm,')}_mm,mass_kg",
                               lambda k, box: [NAMES[k], *centre(box)[:2], *box[2:]]),
     "sides": table("left,right,front,back,bottom,top,weight", two_corners_in_turns),
+    "sides in dm": table("left (dm),right (dm),front (dm),back (dm),bottom (dm),top (dm),weight",
+                         lambda k, box: [*(value / 100 for value in two_corners_in_turns(k, box)[:6]), box[6]]),
+    "a letter that is also a unit of mass": table("box,x,y,z,length,width,H_g,weight", named),
     "letters in cells": table(
         "box,position,size,kg",
         lambda k, box: [NAMES[k], "z={2} y={1} x={0}".format(*box), "B={4} L={3} H={5}".format(*box), box[6]],
@@ -234,7 +237,14 @@ TABLES = {
 
 
 """Tables of the pile."""
-WITHOUT_IDS = ("a column of units", "rows in two units", "far corners with sizes", "sides", "corners in turns")
+WITHOUT_IDS = (
+    "a column of units",
+    "rows in two units",
+    "far corners with sizes",
+    "sides",
+    "sides in dm",
+    "corners in turns",
+)
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -495,6 +505,7 @@ DOCUMENTS = {
         lambda box: {"size": box[3:6], "kg": box[6], "to": dict(zip("xyz", centre(box), strict=True))}
     ),
     "Python's values": printed(boxes_by(plain)),
+    "Python's tuples": str({"boxes": tuple(boxes_by(plain))}),
     "XML": nested("Pallet", boxes_by(plain)),
 }  # fmt: skip
 
@@ -513,6 +524,12 @@ def test_scenes_without_weights_or_with_meshes_that_are_scaled(tmp_path: Path) -
     check_pile(plan_set.plans[0], weights=False)
     assert "1 mesh that is no box left out" in notes_of(plan_set)
     check_pile(load(tmp_path, "scene.gltf", json.dumps(gltf())).plans[0])
+
+
+def test_boxes_in_a_tuple_are_those_in_a_list() -> None:
+    objects: Any = {"pallets": ({"boxes": tuple(boxes_by(plain))},)}
+    (plan,) = petmjx.load_plans(objects).plans
+    check_pile(plan)
 
 
 def test_stacks_give_their_places(tmp_path: Path) -> None:

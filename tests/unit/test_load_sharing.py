@@ -193,6 +193,29 @@ def test_a_support_that_comes_later_bears_nothing_before() -> None:
     assert in_time.edge_m == pytest.approx(100 * MM)
 
 
+def test_a_load_on_an_edge_hides_none_beyond() -> None:
+    """Three piles stand side by side. The upper box of the first pile is exactly on the edge. The other piles are long
+    boxes, which overhang and bear one end of a beam. If supports were springs, both long boxes would tip. The other end
+    of the beam can bear enough for the first of them. It cannot for the second, which comes last."""
+
+    def beam_on_overhang(y: float, begin: float, length: float, mass_kg: float) -> tuple[Box, ...]:
+        return (
+            ((400, 200, 100), (0, y, 0), 9.0),
+            ((100, 200, 200), (900, y, 0), 9.0),
+            ((700, 200, 100), (0, y, 100), 1.0),
+            ((length, 200, 50), (begin, y, 200), mass_kg),
+        )
+
+    on_edge: tuple[Box, ...] = (((500, 200, 100), (0, 500, 0), 9.0), ((500, 200, 100), (250, 500, 100), 1.0))
+    held, tips = beam_on_overhang(0, 600, 400, 0.7), beam_on_overhang(250, 690, 220, 0.4)
+    (stands,) = building_edges(bearing_of(scene_of(*on_edge, *held)), [6])
+    assert stands.edge_m == 0
+    (least,) = building_edges(bearing_of(scene_of(*on_edge, *held, *tips)), [10])
+    # 10/21 of the beam presses at 690 mm
+    expected_mm = 400 - (350 + 690 * 0.4 * 10 / 21) / (1 + 0.4 * 10 / 21)
+    assert (least.edge_m, least.box, least.step) == (pytest.approx(expected_mm * MM), 8, 9)
+
+
 def test_without_a_programme_nothing_is_said_to_be_beyond(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = next(scene for scene in PILES if np.nanmin(plan_edges([scene], [scene.n_boxes])[0].by_load) >= 0)
     monkeypatch.setattr(edge_distances, "MOST_PROGRAMMES", 0)

@@ -69,6 +69,15 @@ def test_what_may_catch_a_box_leaves_it_open() -> None:
             assert bool(results.stable[0]) == (verdict == STANDS)
 
 
+@pytest.mark.parametrize(("gap", "verdict"), [(1, OPEN), (3, FALLS)])
+def test_a_low_box_at_either_side_may_catch_a_box_if_the_gap_is_small(gap: int, verdict: int) -> None:
+    """The box hangs over by 150 mm. A neighbour 20 mm lower is beside the overhang, on either side. Boxes at rest may
+    be off their places, so that a gap of 1 mm may close."""
+    for y in (200 - gap - 150, 500 + gap):
+        pallets = pile(((440, 200, 0), (110, 300, 200)), ((560, y, 0), (300, 150, 180)))
+        assert said(pallets, (440, 200, 200), (300, 300, 200)) == verdict, y
+
+
 def test_a_box_beside_holds_by_friction_as_much_as_the_friction_below_allows() -> None:
     """A box on a beam hangs over by 48 mm, and a heavy box touches its side. The friction at the side can hold the box
     up to a limit: μ² times the lever, with μ = 0.5. If the faces touch up to 50 mm above the base, the limit is an

@@ -16,7 +16,7 @@ from support.plan_files import placement
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.results.plan_order import WorldRanks
+from petmjx.results.plan_order import PlanOrder, WorldRanks
 from petmjx.results.run_writer import RunWriter
 
 PLANS = [make_plan(f"plan-{(7 * k) % 20:02}", stack(1 + (5 * k) % 4)) for k in range(20)]
@@ -86,6 +86,17 @@ def test_worlds_of_a_plan_come_together(tmp_path: Path) -> None:
     assert results.worlds.index.equals(pd.RangeIndex(100))
     assert results.summary is not None
     assert results.summary.plan_id.tolist() == IDS
+
+
+def test_rows_without_ranks_are_sorted_by_plan_then_by_variant() -> None:
+    worlds = [("a", 1), ("b", 2), ("c", 0), ("b", 0), ("a", 0), ("b", 1), ("a", 0)]
+    plan_ids, variants = zip(*worlds, strict=True)
+    table = pa.table({"plan_id": plan_ids, "variant": variants, "row": range(7)})
+    rows = PlanOrder(("b", "a"), (0, 1)).ordered(table).to_pydict()
+    assert list(zip(rows["plan_id"], rows["variant"], strict=True)) == [
+        ("b", 0), ("b", 1), ("b", 2), ("a", 0), ("a", 0), ("a", 1), ("c", 0),
+    ]  # fmt: skip
+    assert rows["row"] == [3, 5, 1, 4, 6, 0, 2]
 
 
 def test_what_is_skipped_leaves_a_gap_and_is_told(tmp_path: Path) -> None:

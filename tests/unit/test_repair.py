@@ -216,6 +216,24 @@ def test_a_turned_box_keeps_its_contents() -> None:
         assert np.array_equal(turned.with_turn(box, False).as_plan().mass_center_mm, plan.mass_center_mm)
 
 
+def test_a_moved_box_keeps_its_properties_and_needs_another_approach() -> None:
+    properties = {
+        "stiffness_n_mm": [100.0, 200.0, 300.0],
+        "strength_n": [400.0, 500.0, np.nan],
+        "approach_deg": [0.0, 90.0, 180.0],
+    }
+    boxes = [((200, 200, 200), (300 * k, 0, 0), 5) for k in range(3)]
+    plan = replace(make_plan(boxes=boxes), **{name: np.array(values) for name, values in properties.items()})
+    changes = (Order(2, 0), Place(1, (300.0, 400.0, 0.0), turned=False), Sheet((0, 0, 200), (200, 200, 3), 0.5, 1))
+    draft = applied(Draft.of(plan), changes)
+    assert draft is not None
+    assert draft.order == (2, 0, 3, 1), "box 3 is the sheet"
+    after = draft.as_plan()
+    np.testing.assert_array_equal(after.stiffness_n_mm, [300, 100, np.nan, 200])
+    np.testing.assert_array_equal(after.strength_n, [np.nan, 400, np.nan, 500])
+    np.testing.assert_array_equal(after.approach_deg, [180, 0, np.nan, np.nan])
+
+
 def test_a_sheet_raises_what_lies_on_it() -> None:
     draft = Draft.of(make_plan(boxes=stack(2)))
     change = Sheet((0.0, 0.0, 200.0), (400.0, 300.0, 3.0), 0.5, 1)
@@ -571,6 +589,17 @@ def test_a_box_that_is_lowered_between_two_others_gets_room() -> None:
     assert (Move(0, -7.0, 0.0),) in some, "whether a box may reach so far is for the rules to say"
     drafts = [one for p in ((Order(2, 1),), (Move(1, 7.0, 0.0),)) if (one := applied(draft, p)) is not None]
     assert [balance.squeezed for balance in balances(drafts, Simulation())] == [(), ()]
+
+
+def test_a_box_that_is_left_out_pushes_no_others() -> None:
+    draft = Draft.of(make_plan(boxes=[((200, 200, 200), (200 * k, 0, 0), 5) for k in range(3)]))
+    gap, rules = draft.without(1), Rules(make_plan(), Simulation(), 2000.0, 0)
+    assert gap is not None
+    limits = Limits(frozenset({Kind.MOVE}), 150.0, 3.0, 0.5)
+    of_row, of_gap = ({*proposals(one, rules, Target(0, 0), limits)} for one in (draft, gap))
+    assert (Move(0, 45.0, 0.0, (1, 2)),) in of_row
+    assert (Move(0, 45.0, 0.0),) in of_gap
+    assert not any(move.others for (move,) in of_gap if isinstance(move, Move))
 
 
 def test_statics_of_a_draft_does_not_depend_on_the_drafts_beside_it() -> None:

@@ -20,6 +20,7 @@ from petmjx.packers.sample_plans import LOOSE_SUPPORT, LeftOutItems, generate, g
 from petmjx.plans.bundled import bundled_path
 from petmjx.plans.json_writer import write_plans
 from petmjx.plans.order_generator import MAX_BOXES, MIN_BOXES, TARGET_EXTENT_MM, catalogue, draw_order
+from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import load_plans
 
 N = 100
@@ -240,6 +241,10 @@ def test_orders_become_plans_and_half_millimetres_survive(tmp_path: Path) -> Non
         ({"height/mm": "200"}, "item 2: height/mm must be a number, got str"),
         ({"height/mm": True}, "item 2: height/mm must be a number, got bool"),
         ({"id": None}, "item 2: id must be a text, got nothing"),
+        (
+            {"com_height/mm": -101},
+            "item 2: com_height/mm must be inside the box, less than half of its 200.5 from the middle, got -101",
+        ),
     ],
 )
 def test_a_bad_item_is_named_and_the_other_orders_are_packed(
@@ -314,6 +319,12 @@ def test_items_beyond_a_physical_range_are_refused_with_the_range(tmp_path: Path
             list(pack_orders(write(tmp_path / "orders.json", {"o1": order(**changes)})))
     with pytest.raises(InputError, match="order o1: must have at most 512 items, got 513"):
         list(pack_orders(write(tmp_path / "orders.json", {"o1": order(513)})))
+
+
+def test_a_centre_of_mass_may_be_anywhere_inside_the_box(tmp_path: Path) -> None:
+    com_mm = {"com_length/mm": -199.0, "com_width/mm": 149.0, "com_height/mm": 100.0}
+    ((_, read),) = read_orders(write(tmp_path / "orders.json", {"o1": order(**com_mm)}))
+    assert [item.com_mm for item in read.items] == [None, (-199.0, 149.0, 100.0), None]
 
 
 def test_repeated_order_ids_are_told(tmp_path: Path) -> None:

@@ -279,7 +279,7 @@ def test_the_vec_env_is_the_vector_environment_with_infos_of_each(vec_env: tuple
     assert env.env_is_wrapped(monitor) == [True] * 3
     assert env.env_is_wrapped(int) == [False] * 3
     assert [info["placed"] for info in env.reset_infos] == [0] * 3
-    returns, ended = np.zeros(3), 0
+    returns, lengths, ended = np.zeros(3), np.zeros(3, int), 0
     rng = np.random.default_rng(0)
     for step in range(8):
         for name, values in expected.items():
@@ -296,6 +296,7 @@ def test_the_vec_env_is_the_vector_environment_with_infos_of_each(vec_env: tuple
         np.testing.assert_array_equal(reward, same.astype(np.float32))
         np.testing.assert_array_equal(over, terminated | truncated)
         returns += same
+        lengths += 1
         for row in np.flatnonzero(over).tolist():
             info = infos[row]
             for name, values in theirs["final_obs"][row].items():
@@ -303,8 +304,9 @@ def test_the_vec_env_is_the_vector_environment_with_infos_of_each(vec_env: tuple
             assert info["TimeLimit.truncated"] == (step == 0)
             assert info["verdict"] == theirs["final_info"]["verdict"][row]
             assert info["episode"]["r"] == pytest.approx(returns[row])
+            assert info["episode"]["l"] == lengths[row]
             assert env.reset_infos[row]["placed"] == 0
-            returns[row] = 0
+            returns[row] = lengths[row] = 0
             ended += 1
         assert all(("episode" in info) == is_over for info, is_over in zip(infos, over, strict=True))
     assert last["height_map"].shape[0] == 3
