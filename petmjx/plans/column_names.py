@@ -506,8 +506,9 @@ _UNLOADING: Final = word_set(
 _CODES: Final = word_set("item cargo code codice codigo kod")
 """Words that may stand beside words for boxes in names of columns with their ids."""
 _FIRST: Final[tuple[Kind, ...]] = (
-    "weight", "density", "volume", "quantity", "layers", "rotation", "strength", "group", "sequence",
+    "density", "weight", "volume", "quantity", "layers", "rotation", "strength", "group", "sequence",
 )  # fmt: skip
+"""Kinds that a word decides, in the order in which they are tried: "density (kg/m3)" has a word for weights, too."""
 
 
 def _kind_of(tail: list[str], path: list[str]) -> Kind | None:

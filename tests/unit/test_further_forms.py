@@ -222,6 +222,10 @@ TABLES = {
     "sides": table("left,right,front,back,bottom,top,weight", two_corners_in_turns),
     "sides in dm": table("left (dm),right (dm),front (dm),back (dm),bottom (dm),top (dm),weight",
                          lambda k, box: [*(value / 100 for value in two_corners_in_turns(k, box)[:6]), box[6]]),
+    "densities in their unit": table(
+        f"box,x,y,z,{SIZES},density (kg/m3)",
+        lambda k, box: [NAMES[k], *box[:6], 1e9 * box[6] / math.prod(box[3:6])],
+    ),
     "a letter that is also a unit of mass": table("box,x,y,z,length,width,H_g,weight", named),
     "letters in cells": table(
         "box,position,size,kg",
