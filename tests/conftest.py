@@ -69,7 +69,6 @@ SHAPE_CHECKED = (
     "petmjx.engines.mjx",
     "petmjx.engines.warp.engine",
     "petmjx.engines.warp.time_slices",
-    "petmjx.engines.warp.stock",
 )
 """Packages and modules whose annotations hold at every call, shapes included. Not those with Warp kernels: Warp
 parses their source."""
