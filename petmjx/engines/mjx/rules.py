@@ -131,6 +131,21 @@ class Rules:
         most = worlds.most_followed[:, None]
         return jnp.where(worlds.support == NOTHING, 0.0, jnp.clip(moved, -most, most))
 
+    def go_on_placing(self, state: State, worlds: Worlds) -> State:
+        """Place the next box of each paused world, if the constants of the world have one."""
+        goes = (state.status == Status.PAUSED) & (state.placed < worlds.n_boxes)
+        state = self.place_next(self.noting_motion(state, goes), worlds, goes)
+        return state._replace(status=jnp.where(goes, Status.RUNNING, state.status))
+
+    def noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
+        """The states, with the flag ``MOVING`` in worlds that continue (``goes``) although they are not at rest."""
+        moves = goes & self.moves(state)
+        return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
+
+    def moves(self, state: State) -> Bool[Array, " world"]:
+        """Whether each paused world is neither quiet nor failed."""
+        return ~state.metrics.has_failed(self.sim.thresholds) & (state.quiet_steps < self.sim.quiet.steps)
+
     def begin_drives(self, state: State, worlds: Worlds) -> State:
         """Begin the drives of worlds whose placement has settled."""
         begins = (state.status == Status.SETTLED) & worlds.driven

@@ -16,7 +16,6 @@ from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state, of_flat, put_rows, take_rows
-from petmjx.engines.verdict import Flag
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.kernel_launcher import (
@@ -116,10 +115,7 @@ class Simulator:
             worlds: constants of these worlds, for their existing boxes and the new boxes.
         """
         after = put_rows(open_.worlds, rows, worlds)
-        state = open_.state
-        goes = (state.status == Status.PAUSED) & (state.placed < after.n_boxes)
-        state = self._placing.place_next(self._noting_motion(state, goes), after, goes)
-        return OpenState(after, state._replace(status=jnp.where(goes, Status.RUNNING, state.status)))
+        return OpenState(after, self._placing.go_on_placing(open_.state, after))
 
     def put_next(self, open_: OpenState, rows: Int[Array, " row"], box: NewBox) -> OpenState:
         """Add one box, which appears at its place, to each of these worlds. In all other respects, this function does
@@ -132,10 +128,10 @@ class Simulator:
         the last wait of a world may be longer than the earlier waits."""
         state, worlds = open_.state, open_.worlds
         paused = state.status == Status.PAUSED
-        goes = paused & ~(self._moves(state) & self._lasts_longer(state))
+        goes = paused & ~(self._placing.moves(state) & self._lasts_longer(state))
         settles = goes & worlds.settles & (not self._sim.waits_for_rest)
         rests = goes & ~settles
-        state = self._noting_motion(state, settles)
+        state = self._placing.noting_motion(state, settles)
         rest_from = self._placing.rest_from(state)
         return state._replace(
             rest_from=jnp.where(rests, rest_from, state.rest_from),
@@ -169,15 +165,6 @@ class Simulator:
         flat |= flat.pop("metrics")._asdict()
         after, *_ = self._launcher(flat_worlds, flat, self._launcher.workspace(), _no_frames(n, worlds.half.shape[1]))
         return OpenState(worlds, of_flat(after))
-
-    def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
-        """The states, with the flag ``MOVING`` in worlds that continue (``goes``) although they are not at rest."""
-        moves = goes & self._moves(state)
-        return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
-
-    def _moves(self, state: State) -> Bool[Array, " world"]:
-        """Whether each paused world is neither quiet nor failed."""
-        return ~state.metrics.has_failed(self._sim.thresholds) & (state.quiet_steps < self._sim.quiet.steps)
 
     def _lasts_longer(self, state: State) -> Bool[Array, " world"]:
         """Whether each paused world would wait longer if the wait that has just ended were its last."""
