@@ -14,7 +14,7 @@ def failed_outcome(stream_number: int, job: Job, sim: Simulation, message: str) 
     """An invalid outcome without metrics. ``message``: one line that says what happened."""
     scene = job.scene
     boxes = BoxMetrics.measured(scene.n_boxes, pos=scene.start_pos, quat=scene.start_quat)
-    flags = Flag.FAILED | (Flag.FORKED if job.start is not None else Flag.NONE)
+    flags = Flag.FAILED | (Flag.FORKED if job.forks else Flag.NONE)
     verdict, reason = judge(flags, boxes, 0, sim.thresholds)
     return Outcome(
         job=stream_number,

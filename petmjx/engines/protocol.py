@@ -119,6 +119,8 @@ class Capability(enum.Flag):
     MIXED = enum.auto()
     """The engine consists of several engines. Each outcome names the engine that simulated it. The start states of jobs
     are ``KeptState`` objects, which name the engine that made the state."""
+    PAUSES = enum.auto()
+    """A placement can pause (``Job.pauses_after``), and other worlds can start from its state."""
 
 
 _PAIRS: Final = Capability.SHEETS | Capability.KINETIC_PAIRS
@@ -126,8 +128,8 @@ _PHYSICS: Final = Capability.FLOAT64 | Capability.CG | _PAIRS
 PHYSICS: Final[Mapping[str, Capability]] = {
     "mujoco": _PHYSICS | Capability.SOFT,
     "mjx-jax": Capability(0),
-    "mjx-warp": _PAIRS,
-    "mjx-warp-cpu": _PAIRS,
+    "mjx-warp": _PAIRS | Capability.PAUSES,
+    "mjx-warp-cpu": _PAIRS | Capability.PAUSES,
 }
 """Name of an engine → its capabilities. An engine in a worker process has the same capabilities. An engine with any
 other name is assumed to have all capabilities except soft boxes.

@@ -75,8 +75,8 @@ class Drive:
 
 
 class EngineState(Protocol):
-    """State of a world whose placement has settled. The engine can continue from this state. Everything except ``step``
-    is private to the engine."""
+    """State of a world whose placement has settled or paused. The engine can continue from this state. Everything
+    except ``step`` is private to the engine."""
 
     @property
     def step(self) -> SupportsInt:
@@ -106,8 +106,14 @@ class Job:
     Attributes:
         scene: the world.
         drive: the drive that shakes the world. If ``drive`` is None, nothing shakes the world.
-        start: the ``state`` of an earlier outcome. The world then skips the soft start and the placement, and begins
-            with the drive. Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
+        start: the ``state`` of an earlier outcome. If the placement had settled, the world skips the soft start and the
+            placement, and begins with the drive. If it had paused, the world begins with the placement of its next box.
+            Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
+        pauses_after: number of boxes, fewer than the scene has, after which the placement pauses: the world ends when
+            the next box would be placed, and the outcome has its state. The state serves as ``start`` of all jobs whose
+            worlds begin alike up to there (``petmjx.engines.warp.beginnings``). The outcome has no state if the world
+            ended earlier. For worlds without a drive whose boxes are placed one by one, as soon as the other boxes are
+            at rest, on engines with ``Capability.PAUSES``.
         poses: (n, 7) middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
             rest at these poses. So a drive can continue from the poses that another drive left, on any engine. The
             carrier is where the placement left it, since accelerations clamp it. If ``poses`` is None, the boxes, too,
@@ -125,6 +131,7 @@ class Job:
     drive: Drive | None = None
     start: KeptState | EngineState | None = None
     poses: FloatArray | None = None
+    pauses_after: int | None = None
     keep_state: bool = False
     record: Record | None = None
     has_errors: bool = False
@@ -134,3 +141,8 @@ class Job:
     def settles(self) -> bool:
         """Whether the placement must end in a settled state, because a drive starts from it or because it is kept."""
         return self.drive is not None or self.keep_state
+
+    @property
+    def forks(self) -> bool:
+        """Whether the world begins with its drive, from the settled state of another world."""
+        return self.start is not None and self.drive is not None

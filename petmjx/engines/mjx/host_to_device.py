@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.engines.mjx.frame_recorder import Recorder
-from petmjx.engines.mjx.outcomes import started_states
+from petmjx.engines.mjx.outcomes import is_paused, started_states
+from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import Worlds, device_array, padded_rows, upload_worlds
 from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state
@@ -26,6 +28,9 @@ compiled programs."""
 PROFILE_GRANULE = 512
 """The number of steps of a table of profiles is a multiple of this number, so that the legs of a chain can share
 compiled programs, although the legs differ in length."""
+
+MOST_KEPT = 16
+"""Number of programs that let paused placements go on and are kept."""
 
 
 @dataclass
@@ -100,10 +105,19 @@ def tables(
             if not job.settles:
                 ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
     fresh = partial(fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
-    if all(isinstance(job.start, State) for job in jobs):
+    paused = any(is_paused(job) for job in jobs)
+    if not paused and all(isinstance(job.start, State) for job in jobs):
         # no job needs a fresh state, so the program for fresh states need not be compiled
         return worlds, started_states(jobs, jax.eval_shape(fresh, worlds, ends=ends))
-    return worlds, started_states(jobs, fresh(worlds, ends=device_array(ends)))
+    states = started_states(jobs, fresh(worlds, ends=device_array(ends)))
+    return worlds, _going_on(sim, timetable, width)(states, worlds) if paused else states
+
+
+@functools.lru_cache(MOST_KEPT)
+def _going_on(sim: Simulation, timetable: Timetable, width: int) -> Callable[[State, Worlds], State]:
+    """The program that lets placements go on that had paused. Timetables are compared by identity."""
+    going_on: Callable[[State, Worlds], State] = jax.jit(Rules(sim, timetable, width, driven=False).go_on_in_kernels)
+    return going_on
 
 
 def round_up(n: int, granule: int = GRANULE) -> int:

@@ -16,7 +16,7 @@ from petmjx.engines.mjx.readback import Readback
 from petmjx.engines.mjx.repeated_rows import gather_rows
 from petmjx.engines.mjx.running_metrics import RunMetrics, of_boxes
 from petmjx.engines.mjx.world_constants import device_arrays
-from petmjx.engines.mjx.world_state import State, narrow
+from petmjx.engines.mjx.world_state import State, Status, narrow, per_box
 from petmjx.engines.step_clock import Clock
 from petmjx.engines.verdict import Flag, Outcome, Verdict, judge
 from petmjx.options.simulation import Simulation
@@ -67,7 +67,7 @@ def _outcomes(
             pos=job.scene.middles(pose[:, :3], pose[:, 3:]),
             quat=pose[:, 3:],
         )
-        flags = Flag(int(host.flags[i]) | (int(Flag.FORKED) if job.start is not None else 0))
+        flags = Flag(int(host.flags[i]) | (int(Flag.FORKED) if job.forks else 0))
         verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
         has_culprit = verdict is not Verdict.STABLE and m.culprit[i] >= 0
         yield Outcome(
@@ -84,13 +84,27 @@ def _outcomes(
             boxes=boxes,
             n_at_sign=int(m.sign_placed[i]) if has_culprit else 0,
             solver=sim.solver.value,
-            # The state is cut to the world's own boxes, since a world that starts from this state may be in a table for
-            # fewer boxes.
-            state=jax.tree.map(lambda a, i=i: np.array(a[i]), narrow(host, n)) if job.keep_state else None,
+            state=_kept_state(job, host, i),
             history=recorder.history(int(row), jax.tree.map(lambda a, i=i: a[i], host), seconds)
             if job.record
             else None,
         )
+
+
+def _kept_state(job: Job, host: State, row: int) -> State | None:
+    """The state that the outcome of a job must have. It is cut to the world's own boxes, and to placed ones if the
+    placement paused, since a world that starts from this state may be in a table for fewer boxes."""
+    is_paused = host.status[row] == Status.PAUSED
+    if not (job.keep_state or is_paused):
+        return None
+    width = int(host.placed[row]) if is_paused else job.scene.n_boxes
+    kept: State = jax.tree.map(lambda array: np.array(array[row]), narrow(host, width))
+    return kept
+
+
+def is_paused(job: Job) -> bool:
+    """Whether a job starts from a placement that has paused."""
+    return isinstance(job.start, State) and int(job.start.status) == Status.PAUSED
 
 
 def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
@@ -104,16 +118,28 @@ def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
             moving[row] = 0.0
 
 
+def _put_unplaced(paused: Mapping[int, int], host: State, fresh: State) -> None:
+    """In states on the host, take the columns of boxes that are not placed yet from fresh states.
+
+    Args:
+        paused: row → number of placed boxes, for placements that had paused.
+    """
+    for record, new in ((host, fresh), (host.metrics, fresh.metrics)):
+        for name in per_box(type(record)):
+            for row, n_placed in paused.items():
+                getattr(record, name)[row, n_placed:] = getattr(new, name)[row, n_placed:]
+
+
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
     """The states in which the worlds of jobs begin: the kept state ``Job.start`` if the job has one, else a fresh
-    state.
+    state. A placement that had paused is still paused.
 
     Kept states are on the host, and are copied on the host (see ``upload_worlds``). Fresh states are fetched from the
     device only if a job needs them. Rows without a job never run, so they may have any state.
 
     Args:
-        fresh: fresh states. If all jobs start from kept states, an argument with shapes and types but without values is
-            enough.
+        fresh: fresh states. If all jobs start from settled states, an argument with shapes and types but without values
+            is enough.
     """
     # A drive (the motion of the carrier in a test) that directly follows its placement starts from a state on the
     # device. The boxes of a state on the device cannot be moved to other poses.
@@ -135,10 +161,15 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
                 stacked[row] = values
         return stacked
 
-    stacked = jax.tree.map(stack, fresh, *starts)._replace(steps_done=np.zeros(len(starts), np.int32))
+    stacked = jax.tree.map(stack, fresh, *starts)
+    # the steps of a placement that had paused are steps of this world; those of a settled one are not
+    stacked = stacked._replace(steps_done=np.where(stacked.status == Status.PAUSED, stacked.steps_done, 0))
     leaves, structure = jax.tree.flatten(stacked)
     rows = gather_rows(leaves, source)
     _put_at_rest(jobs, jax.tree.unflatten(structure, rows))
+    paused = {row: int(job.start.placed) for row, job in enumerate(jobs) if is_paused(job)}  # type: ignore[union-attr]
+    if paused:
+        _put_unplaced(paused, jax.tree.unflatten(structure, rows), jax.tree.map(np.asarray, fresh))
     if not forked.all():
         for mine, new in zip(rows, jax.tree.leaves(fresh), strict=True):
             mine[~forked] = np.asarray(new)[~forked]

@@ -137,6 +137,12 @@ class Rules:
         state = self.place_next(self.noting_motion(state, goes), worlds, goes)
         return state._replace(status=jnp.where(goes, Status.RUNNING, state.status))
 
+    def go_on_in_kernels(self, state: State, worlds: Worlds) -> State:
+        """Let each paused world go on whose constants have more boxes. The kernels of mjx-warp place the next box: the
+        last digits of its place may be others here."""
+        goes = (state.status == Status.PAUSED) & (state.placed < worlds.n_boxes)
+        return self.noting_motion(state, goes)._replace(status=jnp.where(goes, Status.PLACES, state.status))
+
     def noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
         """The states, with the flag ``MOVING`` in worlds that continue (``goes``) although they are not at rest."""
         moves = goes & self.moves(state)

@@ -152,7 +152,7 @@ def upload_worlds(
     of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare)
     of_jobs = _rows_of_jobs(jobs, profiles, sim.physics.timestep_s)
     of_jobs = {name: with_spare_rows(values, spare) for name, values in of_jobs.items()}
-    columns = of_scenes | of_jobs | {name: np.zeros(on_host, np.bool_) for name in ("pauses", "ends_when_gone")}
+    columns = of_scenes | of_jobs | {"ends_when_gone": np.zeros(on_host, np.bool_)}
     worlds = Worlds(**dict(zip(columns, device_arrays(columns.values()), strict=True)))
     return worlds if on_host == rows else _with_spare_rows(worlds, rows)
 
@@ -173,7 +173,7 @@ _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0,
 
 
 def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: float) -> Rows:
-    """The fields that depend on the job, not only on its scene. The fields of open worlds are not included."""
+    """The fields that depend on the job, not only on its scene."""
     drives = [job.drive or _NO_DRIVE for job in jobs]
     profiles = {id(_NO_DRIVE.excitation): 0, **profiles}
     profile_steps = np.array([len(drive.excitation.samples) for drive in drives], np.int32)
@@ -181,7 +181,10 @@ def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: flo
     scales = [drive.scale * drive.unit(job.scene.total_mass) for drive, job in zip(drives, jobs, strict=True)]
     yaws = [drive.yaw_rad for drive in drives]
     confirm_steps = seconds_to_steps(CONFIRM_S, timestep_s)
+    most = [job.scene.n_boxes if job.pauses_after is None else job.pauses_after for job in jobs]
     return {
+        "n_boxes": np.array(most, np.int32),
+        "pauses": np.array([job.pauses_after is not None for job in jobs]),
         "profile": np.array([profiles[id(drive.excitation)] for drive in drives], np.int32),
         "drive_scale": np.array(scales, np.float32),
         "drive_yaw": np.array([(math.cos(yaw), math.sin(yaw)) for yaw in yaws], np.float32),

@@ -34,7 +34,9 @@ class Status:
     OVERFLOWED = 4
     """On mjx-warp: a buffer is too small for the next step."""
     PAUSED = 5
-    """All boxes of an open world are placed and at rest. More boxes may follow."""
+    """All boxes of an open world, or of a placement that pauses, are placed and at rest. More boxes may follow."""
+    PLACES = 6
+    """On mjx-warp: a placement that had paused goes on. The next box is placed before the next step."""
 
 
 class State(NamedTuple):

@@ -131,7 +131,7 @@ class WorldTable(Batch):
         of the carrier) is not included.
         """
         settled = np.flatnonzero(self.live & (status == Status.SETTLED))
-        is_end = self.live & (status == Status.FINISHED)
+        is_end = self.live & ((status == Status.FINISHED) | (status == Status.PAUSED))
         is_end[[row for row in settled.tolist() if self.jobs[row].drive is None]] = True
         return np.flatnonzero(is_end)
 

@@ -33,7 +33,7 @@ from petmjx.engines.warp.kernels.frames import keep_frame, no_room
 from petmjx.engines.warp.kernels.hand import carry
 from petmjx.engines.warp.kernels.landing import land
 from petmjx.engines.warp.kernels.motion import begin_step, end_step, first_geom
-from petmjx.engines.warp.kernels.rules import NEVER, RUNNING, after_step
+from petmjx.engines.warp.kernels.rules import NEVER, PLACES, RUNNING, after_step, place_next
 from petmjx.engines.warp.kernels.samples import is_fast, is_unbalanced, rises
 from petmjx.engines.warp.kernels.solve import in_pause, newton
 from petmjx.engines.warp.world_arrays import Counts, FrameBuffer, Model, Ref, State, Thread, Workspace, Worlds
@@ -275,6 +275,10 @@ def run_worlds(
                 if thread == 0:
                     add_to(counts.idle, model.queue, 1)
             else:
+                if thread == 0 and state.status[at.world] == PLACES:
+                    place_next(model, worlds, at, state.step[at.world], state)
+                    state.status[at.world] = RUNNING
+                wait_for_all()
                 paired_boxes = -1
                 recorded = frames.every[at.world] > 0
                 full = bool(False)
