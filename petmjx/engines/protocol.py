@@ -128,8 +128,8 @@ _PHYSICS: Final = Capability.FLOAT64 | Capability.CG | _PAIRS
 PHYSICS: Final[Mapping[str, Capability]] = {
     "mujoco": _PHYSICS | Capability.SOFT,
     "mjx-jax": Capability(0),
-    "mjx-warp": _PAIRS | Capability.PAUSES,
-    "mjx-warp-cpu": _PAIRS | Capability.PAUSES,
+    "mjx-warp": _PAIRS,
+    "mjx-warp-cpu": _PAIRS,
 }
 """Name of an engine → its capabilities. An engine in a worker process has the same capabilities. An engine with any
 other name is assumed to have all capabilities except soft boxes.
@@ -196,6 +196,15 @@ class Engine(MinimalEngine, Protocol):
     def streams(self) -> bool:
         """Whether the engine's ``run`` is marked with ``takes_stream``."""
         return getattr(self.run, "takes_stream", False)
+
+    def beginnings(self, scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
+        """For each scene of n boxes, n + 1 keys. Worlds with the same key k are the same to the last bit until their
+        box k is placed, so they can start from the same state (``Job.pauses_after``).
+
+        Raises:
+            InputError: this engine does not have ``Capability.PAUSES``.
+        """
+        raise InputError(f"engine {self.name} cannot pause placements")
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
         """Make open worlds, which are worlds to which boxes can be added.

@@ -24,12 +24,13 @@ from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.engine_choice import make_engine, options_of
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.protocol import Capability, Engine, Progress
 from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, failures, margins_of
 from petmjx.options.run_options import AUTO, Confidence, RunOptions, sorted_options
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Check, Schedule, Simulation, Thresholds
 from petmjx.packers.pack_flow import TableEngine
 from petmjx.plans.plan import Plan
+from petmjx.repairs.common_placements import CommonPlacements, Placement, World
 from petmjx.repairs.drafts import BoolArray, Draft
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.results.run_reader import RunResults
@@ -349,6 +350,12 @@ class Lane(NamedTuple):
     engine: Engine
     sim: Simulation
 
+    @property
+    def can_pause(self) -> bool:
+        """Whether placements can pause, so that worlds that begin alike share their beginning."""
+        waits = self.sim.schedule is Schedule.ADAPTIVE and self.sim.check is Check.ONE_BY_ONE
+        return waits and Capability.PAUSES in getattr(self.engine, "capabilities", Capability(0))
+
 
 class Answer(NamedTuple):
     """The trials of all drafts of a request."""
@@ -376,9 +383,11 @@ class _Queue:
 
     Attributes:
         lane: the engine's run that judges them; None: they are scored.
+        common: the common placements of its worlds; None: the engine simulates each world from its beginning.
     """
 
     lane: Lane | None
+    common: CommonPlacements[tuple[_Request, int]] | None = None
     entries: deque[tuple[_Request, list[tuple[int, Job | None]]]] = field(default_factory=deque)
 
 
@@ -418,7 +427,8 @@ class TrialStream:
             job = self._question.job(one)
             lane = None if job is None else self._question.lane(one, job)
             key = None if lane is None else (id(lane.engine), id(lane.sim))
-            self._queues.setdefault(key, _Queue(lane))
+            if key not in self._queues:
+                self._queues[key] = _Queue(lane, CommonPlacements() if lane is not None and lane.can_pause else None)
             numbered.setdefault(key, []).append((number, job))
         for kind, jobs in numbered.items():
             self._queues[kind].entries.append((request, jobs))
@@ -451,32 +461,46 @@ class TrialStream:
         """Judge the drafts of a queue, until none is left or the engine is needed for others."""
         most = max(one.draft.plan.n_boxes for request, _ in queue.entries for one in request.drafts) + SHEETS_MORE
         bounds = JobBounds(self._question.rows, range(1, most + 1), drive_steps=0, excitations=None)
-        stream = JobStream[tuple[_Request, int, Job]](feedback=True, bounds=bounds)
+        stream = JobStream[Placement[tuple[_Request, int]]](feedback=True, bounds=bounds)
         stream.close()  # for the engine, all further jobs follow from outcomes
-        self._feed(stream, queue)
+        self._feed(stream, queue, lane)
         with closing(run_engine(lane.engine, stream, lane.sim, Progress(pauses=True), MOST_LISTED)) as outcomes:
             for outcome in outcomes:
                 self._check_time()
                 if outcome is None:
                     yield None
                 else:
-                    request, number, job = stream.answered(outcome.job)
-                    trial = self._question.judged(outcome, request.drafts[number], job, lane.sim)
-                    self._take(request, number, trial)
+                    placement = stream.answered(outcome.job)
+                    if outcome.state is not None and queue.common is not None:
+                        for following in queue.common.go_on(placement, outcome):
+                            stream.put(following.job, following)
+                    else:  # a common placement that ended before its pause is the whole simulation of all its worlds
+                        for world in placement.worlds:
+                            request, number = world.tag
+                            trial = self._question.judged(outcome, request.drafts[number], world.job, lane.sim)
+                            self._take(request, number, trial)
                 yield from self._answered()
-                self._feed(stream, queue)
+                self._feed(stream, queue, lane)
                 stream.followed()
 
-    def _feed(self, stream: JobStream[tuple[_Request, int, Job]], queue: _Queue) -> None:
+    def _feed(self, stream: JobStream[Placement[tuple[_Request, int]]], queue: _Queue, lane: Lane) -> None:
         """Give the engine what waits in a queue, unless the engine is needed for other queues."""
         n_others = sum(len(other.entries) for other in self._queues.values() if other is not queue)
         if n_others >= max(SWITCH, self._n_open / 4):
             return
-        while queue.entries:
-            request, jobs = queue.entries.popleft()
-            for number, job in jobs:
-                assert job is not None
-                stream.put(job, (request, number, job))
+        if not queue.entries:
+            return
+        entries = [(job, (request, number)) for request, jobs in queue.entries for number, job in jobs]
+        queue.entries.clear()
+        jobs = [job for job, _ in entries if job is not None]
+        if queue.common is None:
+            for job, tag in zip(jobs, (tag for _, tag in entries), strict=True):
+                stream.put(job, Placement(job, (World(job, tag, ()),), job.scene.n_boxes))
+            return
+        keys = lane.engine.beginnings([job.scene for job in jobs], lane.sim)
+        worlds = [World(job, tag, its) for job, (_, tag), its in zip(jobs, entries, keys, strict=True)]
+        for placement in queue.common.begin(worlds):
+            stream.put(placement.job, placement)
 
     def _take(self, request: _Request, number: int, trial: Trial) -> None:
         request.trials[number] = trial

@@ -124,8 +124,10 @@ def _put_unplaced(paused: Mapping[int, int], host: State, fresh: State) -> None:
     Args:
         paused: row → number of placed boxes, for placements that had paused.
     """
-    for record, new in ((host, fresh), (host.metrics, fresh.metrics)):
-        for name in per_box(type(record)):
+    pairs: tuple[tuple[Any, Any], ...] = ((host, fresh), (host.metrics, fresh.metrics))
+    for record, new in pairs:
+        kind: Any = type(record)
+        for name in per_box(kind):
             for row, n_placed in paused.items():
                 getattr(record, name)[row, n_placed:] = getattr(new, name)[row, n_placed:]
 

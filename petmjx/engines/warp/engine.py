@@ -16,8 +16,9 @@ from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.host_to_device import GRANULE, is_out_of_memory, load
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.open_worlds import MOST_BOXES
-from petmjx.engines.protocol import GROUP_WORLDS, Engine, Progress, RunLock, says_at_hand, takes_stream
+from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
+from petmjx.engines.warp.beginnings import beginnings
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPools
 from petmjx.engines.warp.block_queues import Queues
@@ -104,6 +105,15 @@ class MjxWarpEngine(Engine):
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
         """See ``Engine.open``."""
         return WarpWorlds(scenes, sim, most_boxes)
+
+    @property
+    def capabilities(self) -> Capability:
+        """See ``Engine.capabilities``."""
+        return super().capabilities | Capability.PAUSES
+
+    def beginnings(self, scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
+        """See ``Engine.beginnings``."""
+        return beginnings(scenes, sim)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
         """See ``Engine.paths``."""
