@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import signal
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -26,7 +25,7 @@ from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import run_searches
 from petmjx.repairs.states import State
-from petmjx.repairs.trials import OF_RUN, Asked, Question, Share, Trial, TrialStream
+from petmjx.repairs.trials import OF_RUN, SEARCHED, Asked, Question, Share, TimeLimit, Trial, TrialStream
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.share_intervals import wilson_interval
@@ -62,7 +61,8 @@ class Repaired:
         changes: the changes, in order. Without any one of them the plan falls, or is not allowed (boxes overlap, float,
             …), or stands in too few worlds with errors (``RepairOptions.share``).
         trial_before, trial_after: the simulation of both; after: None if no repair is known.
-        share_before, share_after: shares of worlds with errors in which the two plans stand; None: not simulated.
+        share_before, share_after: shares of worlds with errors in which the two plans stand; None: not simulated, or
+            not to the end of the seconds.
         n_trials: plans that were simulated.
         complete: whether the search came to its end; else its seconds were spent, and smaller changes may be known to a
             longer one.
@@ -299,33 +299,36 @@ def repair(
 
 def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions) -> Iterator[Repaired]:
     """The repair of each plan. The searches of several plans share runs of the engine."""
-    end_s = math.inf if options.seconds is None else time.monotonic() + options.seconds
+    limit = TimeLimit(math.inf if options.seconds is None else options.seconds)
     waiting = iter(plans)
     while group := list(islice(waiting, AT_ONCE)):
         searches = [Search(plan, question.sim, options, question.film_turns, question.is_wide) for plan in group]
         try:
-            run_searches(searches, TrialStream(question, end_s), question.threads)
+            stream = TrialStream(question, limit, SEARCHED if options.worlds else 1.0)
+            run_searches(searches, stream, question.threads)
             late = [search for search in searches if search.before is None]
             drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=False) for search in late]
             for search, trial in zip(late, question.trials(drafts) if late else [], strict=True):
                 search.begin(trial)
-            results = _with_shares(searches, question, options)
+            results = _with_shares(searches, question, options, limit)
         except KeyboardInterrupt:  # nothing is simulated any more: the engine was stopped anywhere
             yield from (_repaired_by(search, _first(search), None, None) for search in searches if search.complete)
             raise
         yield from results
 
 
-def _with_shares(searches: Sequence[Search], question: Question, options: RepairOptions) -> list[Repaired]:
-    """The results of searches, with the shares of worlds with errors."""
+def _with_shares(
+    searches: Sequence[Search], question: Question, options: RepairOptions, limit: TimeLimit
+) -> list[Repaired]:
+    """The results of searches, with the shares of worlds with errors, as far as there is time."""
     before: list[Share | None] = [None] * len(searches)
     after = list(before)
     chosen = [_first(search) for search in searches]
     if options.worlds:
-        before = [*question.shares([search.plan for search in searches])]
+        before = question.shares([search.plan for search in searches], limit)
         after = [None if state is None else share for state, share in zip(chosen, before, strict=True)]
         changed = {row: state.draft.as_plan() for row, state in enumerate(chosen) if state and state.changes}
-        for row, result in zip(changed, question.shares([*changed.values()]) if changed else [], strict=True):
+        for row, result in zip(changed, question.shares([*changed.values()], limit) if changed else [], strict=True):
             after[row] = result
     return [_repaired_by(*row) for row in zip(searches, chosen, before, after, strict=True)]
 

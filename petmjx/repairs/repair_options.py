@@ -64,8 +64,9 @@ class RepairOptions(CheckedRecord):
     )
     seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
         None,
-        description="time for the search of all plans, s: then what is known counts, and results say so; without a "
-        "limit they depend on plans and options alone",
+        description="time for all plans, s, 70 % of it for the search if there are worlds with errors; the start of "
+        "the engine does not count; then what is known counts, and results say so; without a limit they depend on "
+        "plans and options alone",
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         8,

@@ -127,14 +127,21 @@ class Search(Candidates):
         (trial,) = yield from self._simulated([self._start], judged=not is_driven)
         start = State(self._start, (), trial)
         if not is_driven:
-            (scored,), (faults,) = yield Together([self._scored([start]), self._faults([start], math.inf)])
+            (scored,), (faults,) = yield Together([self._begun(start), self._faults([start], math.inf)])
             start = scored if start.trial.stands else replace(start, faults=faults)
             trial = scored.trial
-        self.begin(trial)
+        else:
+            self.begin(trial)
         if not trial.stands:
             yield from self._mended(start)
             self._seen.clear()
             self.complete = True
+
+    def _begun(self, start: State) -> Steps[list[State]]:
+        """Score the plan as it is, and note its score at once: the time may be up before its faults are counted."""
+        scored = yield from self._scored([start])
+        self.begin(scored[0].trial)
+        return scored
 
     def _mended(self, start: State) -> Steps[None]:
         """Search for repairs of a plan that falls."""

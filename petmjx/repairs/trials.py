@@ -6,7 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -35,8 +35,8 @@ from petmjx.repairs.drafts import BoolArray, Draft
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.confidence import confidence_sweep
-from petmjx.runs.simulate import simulate
-from petmjx.runs.study import Nominal
+from petmjx.runs.simulate import RunStart, Watcher, simulate
+from petmjx.runs.study import FinishedWorld, Nominal
 from petmjx.runs.sweep_design import Design
 from petmjx.runs.sweep_file import Sweep, sweep_of_tables
 from petmjx.runs.sweep_study import SweepStudy
@@ -148,6 +148,29 @@ class OutOfTime(Exception):
     """The time for the search is up: what is known so far counts."""
 
 
+SEARCHED: Final = 0.7
+"""Share of the seconds in which plans are searched, if worlds with errors must be simulated afterwards."""
+
+
+@dataclass(eq=False)
+class TimeLimit:
+    """The time in which repairs are searched and simulated.
+
+    Attributes:
+        seconds: the time, s, from now on.
+        compiled_s: time in which engines compiled or loaded programs, s. It does not count.
+    """
+
+    seconds: float = math.inf
+    compiled_s: float = 0.0
+    _began_s: float = field(default_factory=time.monotonic)
+
+    def check(self, share: float = 1.0) -> None:
+        """Raise ``OutOfTime`` if this share of the time is over."""
+        if time.monotonic() - self._began_s - self.compiled_s > share * self.seconds:
+            raise OutOfTime
+
+
 class Together(NamedTuple):
     """Parts of a search that run side by side. The search goes on when all of them have ended, and is sent the list of
     their results."""
@@ -220,16 +243,13 @@ class Question:
         """Number of turns of film around plans before they are changed."""
         return self.sim.wrap.turns
 
-    def trials(self, asked: Sequence[Asked], end_s: float = math.inf) -> list[Trial]:
+    def trials(self, asked: Sequence[Asked], limit: TimeLimit | None = None) -> list[Trial]:
         """The trial of each draft.
 
-        Args:
-            end_s: time of ``time.monotonic`` at which drafts are judged no longer.
-
         Raises:
-            OutOfTime: drafts were still being judged at ``end_s``.
+            OutOfTime: the time is up.
         """
-        stream = TrialStream(self, end_s)
+        stream = TrialStream(self, limit)
         stream.put(None, asked)
         return next(answer.trials for answer in stream.answers() if answer is not None)
 
@@ -237,24 +257,26 @@ class Question:
         """Whether a draft need not be simulated, because its judged trial is its score."""
         return one.judged is not None and one.judged.is_score and self._second is None
 
-    def scores(self, asked: Sequence[Asked]) -> list[Trial]:
+    def scores(self, asked: Sequence[Asked], watcher: Watcher | None = None) -> list[Trial]:
         """The scores of drafts. Drafts with the same number of turns of film are simulated together."""
         drafts = [one.draft for one in asked]
         results = {n: one.judged for n, one in enumerate(asked) if one.judged is not None and one.judged.is_score}
         for film_turns in dict.fromkeys(draft.film_turns for draft in drafts):
             numbers = [n for n, draft in enumerate(drafts) if draft.film_turns == film_turns]
-            results |= self._scored(drafts, [n for n in numbers if n not in results], self._run)
+            results |= self._scored(drafts, [n for n in numbers if n not in results], self._run, watcher)
             if self._second is not None:
-                results |= self._scored(drafts, [n for n in numbers if results[n].stands], self._second)
+                results |= self._scored(drafts, [n for n in numbers if results[n].stands], self._second, watcher)
         return [results[number] for number in range(len(drafts))]
 
-    def _scored(self, drafts: Sequence[Draft], numbers: Sequence[int], run: RunOptions) -> dict[int, Trial]:
+    def _scored(
+        self, drafts: Sequence[Draft], numbers: Sequence[int], run: RunOptions, watcher: Watcher | None
+    ) -> dict[int, Trial]:
         """Scores the drafts with these ``numbers``; number → trial. All of them have the same number of turns of
         stretch film."""
         if not numbers:
             return {}
         plans = [drafts[number].as_plan(str(number)) for number in numbers]
-        results = self._simulate(plans, drafts[numbers[0]].film_turns, run)
+        results = self._simulate(plans, drafts[numbers[0]].film_turns, run, watcher)
         worlds, fallen = results.worlds.set_index("plan_id"), _fallen(results, self.sim)
         return {
             number: _trial(worlds.loc[str(number)], fallen.get(str(number), ()), drafts[number].order)
@@ -305,24 +327,22 @@ class Question:
         if self._owns:
             self._engine.close()
 
-    def shares(self, plans: Sequence[Plan]) -> list[Share]:
+    def shares(self, plans: Sequence[Plan], limit: TimeLimit | None = None) -> list[Share | None]:
         """The share of worlds with errors in which each plan stands at rest, as ``petmjx.score`` with ``confidence``
-        reports it."""
+        reports it. None: the time was up before all worlds of the plan had ended. To count only the worlds that had
+        ended would be unfair: worlds that fall end first."""
         sweep = confidence_sweep(self._options.worlds, self._errors, self._of_simulation)
         study = partial(SweepStudy, sweep, confidence=self._options.worlds)
-        run = simulate(study, sweep.simulation, list(plans), self._run)
-        assert run.summary is not None
-        rows = run.summary.set_index("plan_id")
-        return [
-            Share(int(row["n_worlds"] - row["n_invalid"]), int(row["n_standing"]))
-            for row in (rows.loc[plan.plan_id] for plan in plans)
-        ]
+        ends = _WorldEnds(limit or TimeLimit())
+        with suppress(OutOfTime):
+            simulate(study, sweep.simulation, list(plans), self._run, ends)
+        return [ends.share_of(plan, self._options.worlds) for plan in plans]
 
-    def _simulate(self, plans: list[Plan], film_turns: float, run: RunOptions) -> RunResults:
+    def _simulate(self, plans: list[Plan], film_turns: float, run: RunOptions, watcher: Watcher | None) -> RunResults:
         sweep = self._drive_sweep(film_turns)
         if sweep is None:
-            return simulate(partial(Nominal, self.sim), self.sim, plans, run)
-        return simulate(partial(SweepStudy, sweep), sweep.simulation, plans, run)
+            return simulate(partial(Nominal, self.sim), self.sim, plans, run, watcher)
+        return simulate(partial(SweepStudy, sweep), sweep.simulation, plans, run, watcher)
 
     def _drive_sweep(self, film_turns: float) -> Sweep | None:
         """The sweep with the one drive of the requirement; None: pallets must stand at rest."""
@@ -338,6 +358,36 @@ class Question:
             axes[str(profiles[0].strength)] = options.level
         simulation = {**self._of_simulation, "wrap": self.sim.wrap.changed(turns=film_turns)}
         return sweep_of_tables({"name": "repair", "axes": axes}, Path("repair"), True, simulation)
+
+
+@dataclass(eq=False)
+class _WorldEnds:
+    """A watcher of a run that ends the run when the time is up.
+
+    Attributes:
+        share: share of the time after which the run ends.
+        verdicts: plan id → verdicts of the worlds that have ended, without the world without errors.
+    """
+
+    limit: TimeLimit
+    share: float = 1.0
+    verdicts: dict[str, list[Verdict]] = field(default_factory=dict)
+
+    def begin(self, start: RunStart) -> None:
+        """See ``Watcher``."""
+
+    def world_done(self, world: FinishedWorld) -> None:
+        """See ``Watcher``."""
+        if world.variant.index:
+            self.verdicts.setdefault(world.plan.plan_id, []).append(world.outcome.verdict)
+        self.limit.check(self.share)
+
+    def share_of(self, plan: Plan, n_worlds: int) -> Share | None:
+        """The share of a plan; None: not all of its worlds have ended."""
+        verdicts = self.verdicts.get(plan.plan_id, [])
+        if len(verdicts) < n_worlds:
+            return None
+        return Share(sum(v is not Verdict.INVALID for v in verdicts), sum(v is Verdict.STABLE for v in verdicts))
 
 
 class Lane(NamedTuple):
@@ -400,11 +450,12 @@ class TrialStream:
     wait for it.
 
     Args:
-        end_s: time of ``time.monotonic`` at which the stream ends.
+        limit: the time, after which the stream ends.
+        share: share of this time that the stream has.
     """
 
-    def __init__(self, question: Question, end_s: float = math.inf) -> None:
-        self._question, self._end_s = question, end_s
+    def __init__(self, question: Question, limit: TimeLimit | None = None, share: float = 1.0) -> None:
+        self._question, self._limit, self._share = question, limit or TimeLimit(), share
         self._queues: dict[object, _Queue] = {}
         self._complete: deque[_Request] = deque()
         self._last: _Queue | None = None
@@ -440,7 +491,7 @@ class TrialStream:
             OutOfTime: the time is up.
         """
         while self._n_open:
-            self._check_time()
+            self._limit.check(self._share)
             yield from self._answered()
             waiting = [queue for queue in self._queues.values() if queue.entries]
             if waiting:
@@ -452,7 +503,8 @@ class TrialStream:
         """Score all drafts that wait for it."""
         waiting = [(request, number) for request, jobs in queue.entries for number, _ in jobs]
         queue.entries.clear()
-        trials = self._question.scores([request.drafts[number] for request, number in waiting])
+        ends = _WorldEnds(self._limit, self._share)
+        trials = self._question.scores([request.drafts[number] for request, number in waiting], ends)
         for (request, number), trial in zip(waiting, trials, strict=True):
             self._take(request, number, trial)
         yield from self._answered()
@@ -464,9 +516,11 @@ class TrialStream:
         stream = JobStream[Placement[tuple[_Request, int]]](feedback=True, bounds=bounds)
         stream.close()  # for the engine, all further jobs follow from outcomes
         self._feed(stream, queue, lane)
-        with closing(run_engine(lane.engine, stream, lane.sim, Progress(pauses=True), MOST_LISTED)) as outcomes:
+        progress, compiled_s = Progress(pauses=True), self._limit.compiled_s
+        with closing(run_engine(lane.engine, stream, lane.sim, progress, MOST_LISTED)) as outcomes:
             for outcome in outcomes:
-                self._check_time()
+                self._limit.compiled_s = compiled_s + progress.compile_s
+                self._limit.check(self._share)
                 if outcome is None:
                     yield None
                 else:
@@ -511,10 +565,6 @@ class TrialStream:
         while self._complete:
             self._n_open -= 1
             yield self._complete.popleft().answer
-
-    def _check_time(self) -> None:
-        if time.monotonic() > self._end_s:
-            raise OutOfTime
 
 
 def _quick(sim: Simulation) -> Simulation:

@@ -3,7 +3,6 @@ changed plan stands."""
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -30,7 +29,7 @@ from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import Tasks, run_searches
 from petmjx.repairs.states import Candidate, State, batch_of, key_of
-from petmjx.repairs.trials import Answer, Asked, OutOfTime, Question, Steps, Together, Trial, TrialStream
+from petmjx.repairs.trials import Answer, Asked, OutOfTime, Question, Steps, TimeLimit, Together, Trial, TrialStream
 
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
 """Options for repairs without worlds with errors, whose simulation takes the most time."""
@@ -370,7 +369,7 @@ def test_drafts_join_the_worlds_that_are_being_simulated(monkeypatch: pytest.Mon
 
     scores = question.scores
     monkeypatch.setattr("petmjx.repairs.trials.run_engine", counted)
-    monkeypatch.setattr(question, "scores", lambda asked: [runs.append("scored"), *scores(asked)][1:])
+    monkeypatch.setattr(question, "scores", lambda asked, _: [runs.append("scored"), *scores(asked)][1:])
     draft = Draft.of(make_plan(boxes=stack(2)))
     stream = TrialStream(question)
     stream.put("score", [Asked(draft, False)])
@@ -724,7 +723,7 @@ def test_judging_ends_when_the_time_is_up() -> None:
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     try:
         with pytest.raises(OutOfTime):
-            question.trials([Asked(draft, is_judged=True) for draft in drafts], end_s=time.monotonic())
+            question.trials([Asked(draft, is_judged=True) for draft in drafts], TimeLimit(0.0))
         assert [trial.stands for trial in question.trials([Asked(draft, is_judged=True) for draft in drafts])][1]
     finally:
         question.close()
