@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, Final, get_type_hints
 
+import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.engines.mjx.host_to_device import round_up
-from petmjx.engines.mjx.scene_rows import Rows, rows_of
+from petmjx.engines.mjx.scene_rows import rows_of
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene
@@ -29,31 +30,33 @@ def beginnings(scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
     """
     width = round_up(max(scene.n_boxes for scene in scenes))
     rows = rows_of(scenes, width, sim)
-    return [_keys(rows, row, scene.n_boxes) for row, scene in enumerate(scenes)]
-
-
-def _keys(rows: Rows, row: int, n_boxes: int) -> list[bytes]:
-    """The keys of the scene in this row."""
-    first = rows["first_shape"][row]
-
-    def of_body(body: int) -> list[NDArray[Any]]:
-        return [rows[name][row, body] for name in _axis("body") if name in rows] + [
-            rows[name][row, first[body] : first[body + 1]] for name in _axis("shape") if name in rows
-        ]
-
-    digest = hashlib.blake2b(digest_size=KEY_BYTES)
-    for name in _axis(""):
-        if name in rows:
-            digest.update(rows[name][row].tobytes())
+    first = rows["first_shape"]
+    of_shapes = [rows[name] for name in _axis("shape") if name in rows]
+    of_boxes = [rows[name] for name in _axis("box") if name in rows]
+    of_boxes += [rows[name][:, 1:] for name in _axis("body") if name in rows]
+    each, box_shapes = np.arange(len(scenes))[:, None], first[:, 1 : width + 1]
+    of_boxes += [values[each, box_shapes] for values in of_shapes]
+    boxes = np.concatenate([_bytes_of(values) for values in of_boxes], axis=2)
+    of_worlds = [rows[name] for name in _axis("") if name in rows]
+    of_worlds += [rows[name][:, 0] for name in _axis("body") if name in rows]
     keys = []
-    for body in range(n_boxes + 1):
-        values = of_body(body)
-        if body:
-            values += [rows[name][row, body - 1] for name in _axis("box") if name in rows]
-        for array in values:
-            digest.update(array.tobytes())
-        keys.append(digest.digest())
+    for row, scene in enumerate(scenes):
+        begins = [values[row] for values in of_worlds] + [values[row, : first[row, 1]] for values in of_shapes]
+        digest = hashlib.blake2b(b"".join(values.tobytes() for values in begins), digest_size=KEY_BYTES)
+        its_keys = [digest.digest()]
+        for box in range(scene.n_boxes):
+            digest.update(boxes[row, box])
+            for shape in range(first[row, box + 1] + 1, first[row, box + 2]):  # pieces of a sheet or a pallet
+                digest.update(b"".join(values[row, shape].tobytes() for values in of_shapes))
+            its_keys.append(digest.digest())
+        keys.append(its_keys)
     return keys
+
+
+def _bytes_of(values: NDArray[Any]) -> NDArray[np.uint8]:
+    """(row, box, byte) the bytes of an array whose first axes are rows and boxes."""
+    flat = np.ascontiguousarray(values.reshape(*values.shape[:2], -1))
+    return flat.view(np.uint8)
 
 
 @cache
