@@ -479,7 +479,10 @@ class TrialStream:
             lane = None if job is None else self._question.lane(one, job)
             key = None if lane is None else (id(lane.engine), id(lane.sim))
             if key not in self._queues:
-                self._queues[key] = _Queue(lane, CommonPlacements() if lane is not None and lane.can_pause else None)
+                can_pause = lane is not None and lane.can_pause
+                self._queues[key] = _Queue(
+                    lane, CommonPlacements(is_wide=self._question.is_wide) if can_pause else None
+                )
             numbered.setdefault(key, []).append((number, job))
         for kind, jobs in numbered.items():
             self._queues[kind].entries.append((request, jobs))

@@ -86,7 +86,7 @@ def test_later_worlds_start_from_kept_states() -> None:
 @pytest.mark.usefixtures("without_least")
 def test_kept_states_have_a_limit() -> None:
     """The state of four letters has 16 + 400 bytes as NumPy counts it, so two of them fit."""
-    common = CommonPlacements[str](1000)
+    common = CommonPlacements[str](most_bytes=1000)
     for letter in "abc":
         simulated(common, [4 * letter + "x", 4 * letter + "y"], 400)
     n_placed = [simulated(common, [4 * letter + "z"], 400)[1] for letter in "abc"]
@@ -97,3 +97,4 @@ def test_few_boxes_in_common_are_not_worth_a_pause() -> None:
     assert simulated(CommonPlacements(), ["abcdef", "abcxyz"])[1] == 12
     many = ["abc" + letter for letter in "defghijkl"]
     assert simulated(CommonPlacements(), many)[1] == 3 + 9
+    assert simulated(CommonPlacements(is_wide=True), many)[1] == 4 * 9, "a pause takes longer on a GPU"
