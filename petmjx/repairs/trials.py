@@ -9,6 +9,7 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -43,8 +44,8 @@ from petmjx.runs.sweep_study import SweepStudy
 from petmjx.world.job import Job
 from petmjx.world.profiles.profile import Strength
 from petmjx.world.profiles.profile_registry import resolve
-from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import apply
+from petmjx.world.scene import Scene, build_scenes
+from petmjx.world.variants import apply_all
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 """Fields of ``RunOptions`` that a repair accepts."""
@@ -283,17 +284,35 @@ class Question:
             for number in numbers
         }
 
-    def job(self, one: Asked) -> Job | None:
-        """The world in which a draft is judged; None: the draft is scored. If pallets must survive a profile, all
+    def jobs(self, asked: Sequence[Asked]) -> list[Job | None]:
+        """The worlds in which drafts are judged; None: the draft is scored. If pallets must survive a profile, all
         drafts are scored, except in worlds with errors, which are not shaken.
 
         Most drafts fall, and falling boxes are the costliest part of a simulation. So a world ends when a box is lost,
         like a world with errors. It then takes a quarter of the time. No draft is simulated again with other settings,
         as a score would do (docs/rules.md, section 9).
         """
-        if one.world or (one.is_judged and self._options.profile is None):
-            return Job(self._scene(one), has_errors=True)
-        return None
+        of_draft: dict[tuple[bool, int], list[int]] = {}
+        for number, one in enumerate(asked):
+            if one.world or (one.is_judged and self._options.profile is None):
+                of_draft.setdefault((one.world > 0, id(one.draft)), []).append(number)
+        jobs: list[Job | None] = [None] * len(asked)
+        for has_errors in (False, True):
+            groups = [numbers for (errors, _), numbers in of_draft.items() if errors is has_errors]
+            plans = [asked[numbers[0]].draft.as_plan() for numbers in groups]
+            exact = build_scenes(plans, self._error_sweep.simulation if has_errors else self.sim)
+            for numbers, plan, scene in zip(groups, plans, exact, strict=True):
+                worlds = [asked[number].world for number in numbers]
+                scenes = self._with_errors(plan, scene, worlds) if has_errors else repeat(scene)
+                for number, its_scene in zip(numbers, scenes, strict=False):
+                    jobs[number] = Job(its_scene, has_errors=True)
+        return jobs
+
+    def _with_errors(self, plan: Plan, scene: Scene, worlds: Sequence[int]) -> Iterator[Scene]:
+        """The scenes of a plan in these worlds with errors. All drafts of a plan have the same errors, others than a
+        score has. The scenes are made together, in a fraction of the time."""
+        variants = [self._variants[world] for world in worlds]
+        return apply_all(scene, f"{plan.plan_id}: search", variants, self._error_sweep.seed)
 
     def lane(self, one: Asked, job: Job) -> Lane:
         """The engine and the options with which a draft is judged."""
@@ -313,14 +332,6 @@ class Question:
         (margin,) = margins_of([outcome], self.sim.thresholds)
         is_score = outcome.verdict is Verdict.STABLE and not may_go_on(outcome, self.sim)
         return trial._replace(margin=margin, is_score=is_score)
-
-    def _scene(self, asked: Asked) -> Scene:
-        """The scene in which a draft is judged. All drafts of a plan have the same errors, others than a score has."""
-        plan = asked.draft.as_plan()
-        if not asked.world:
-            return build_scene(plan, self.sim)
-        scene = build_scene(plan, self._error_sweep.simulation)
-        return apply(scene, f"{plan.plan_id}: search", self._variants[asked.world], self._error_sweep.seed)
 
     def close(self) -> None:
         """Free the engine's resources."""
@@ -470,12 +481,11 @@ class TrialStream:
         request = _Request(ticket, drafts)
         self._n_open += 1
         numbered: dict[object, list[tuple[int, Job | None]]] = {}
-        for number, one in enumerate(drafts):
+        for number, (one, job) in enumerate(zip(drafts, self._question.jobs(drafts), strict=True)):
             if self._question.is_known(one):
                 assert one.judged is not None
                 self._take(request, number, one.judged)
                 continue
-            job = self._question.job(one)
             lane = None if job is None else self._question.lane(one, job)
             key = None if lane is None else (id(lane.engine), id(lane.sim))
             if key not in self._queues:
