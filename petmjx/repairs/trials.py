@@ -164,7 +164,7 @@ class TimeLimit:
 
     seconds: float = math.inf
     compiled_s: float = 0.0
-    _began_s: float = field(default_factory=time.monotonic)
+    _began_s: float = field(default_factory=lambda: time.monotonic())
 
     def check(self, share: float = 1.0) -> None:
         """Raise ``OutOfTime`` if this share of the time is over."""
@@ -297,7 +297,7 @@ class Question:
             if one.world or (one.is_judged and self._options.profile is None):
                 of_draft.setdefault((one.world > 0, id(one.draft)), []).append(number)
         jobs: list[Job | None] = [None] * len(asked)
-        for has_errors in (False, True):
+        for has_errors in {key[0] for key in of_draft}:
             groups = [numbers for (errors, _), numbers in of_draft.items() if errors is has_errors]
             plans = [asked[numbers[0]].draft.as_plan() for numbers in groups]
             exact = build_scenes(plans, self._error_sweep.simulation if has_errors else self.sim)

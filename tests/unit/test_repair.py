@@ -3,6 +3,7 @@ changed plan stands."""
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -729,6 +730,34 @@ def test_judging_ends_when_the_time_is_up() -> None:
         question.close()
 
 
+def test_scores_and_shares_end_when_the_time_is_up() -> None:
+    """Of three worlds with errors that ended in time, none counts: those that fall end first."""
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=4))
+    plan = make_plan(boxes=stack(2))
+    try:
+        with pytest.raises(OutOfTime):
+            question.trials([Asked(Draft.of(plan), is_judged=False)], TimeLimit(0.0))
+        assert question.shares([plan], TimeLimit(0.0)) == [None]
+        assert [share and share.n_worlds for share in question.shares([plan])] == [4]
+    finally:
+        question.close()
+
+
+def test_the_start_of_an_engine_takes_none_of_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 50.0
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    limit = TimeLimit(100.0)
+    now_s = 130.0
+    limit.check()
+    with pytest.raises(OutOfTime):
+        limit.check(0.7)
+    limit.compiled_s = 20.0
+    limit.check(0.7)
+    now_s = 171.0
+    with pytest.raises(OutOfTime):
+        limit.check()
+
+
 def test_a_search_whose_seconds_are_spent_says_so() -> None:
     result = repaired(TOWER, seconds=0.1)
     assert not result.complete
@@ -826,7 +855,7 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
             n_answers += answer is not None
             yield answer
 
-    def no_shares(question: Question, plans: Sequence[Plan]) -> Any:
+    def no_shares(*_: object) -> Any:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(TrialStream, "answers", stopped)
