@@ -17,7 +17,7 @@ import numpy as np
 from petmjx.engines.verdict import Outcome
 from petmjx.world.job import EngineState, Job
 
-LEAST_SAVED: Final = 24
+LEAST_SAVED: Final = 40
 GPU_LEAST_SAVED: Final = 96
 """A common placement is simulated apart if this saves placements of at least this many boxes in all. A pause takes as
 long as some placements. On a GPU, a world that has paused waits for the end of a time slice, of 100 ms."""

@@ -95,6 +95,6 @@ def test_kept_states_have_a_limit() -> None:
 
 def test_few_boxes_in_common_are_not_worth_a_pause() -> None:
     assert simulated(CommonPlacements(), ["abcdef", "abcxyz"])[1] == 12
-    many = ["abc" + letter for letter in "defghijkl"]
-    assert simulated(CommonPlacements(), many)[1] == 3 + 9
-    assert simulated(CommonPlacements(is_wide=True), many)[1] == 4 * 9, "a pause takes longer on a GPU"
+    many = ["abc" + letter for letter in "defghijklmnopqr"]
+    assert simulated(CommonPlacements(), many)[1] == 3 + 15
+    assert simulated(CommonPlacements(is_wide=True), many)[1] == 4 * 15, "a pause takes longer on a GPU"
