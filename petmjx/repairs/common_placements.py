@@ -22,9 +22,9 @@ GPU_LEAST_SAVED: Final = 96
 """A common placement is simulated apart if this saves placements of at least this many boxes in all. A pause takes as
 long as some placements. On a GPU, a world that has paused waits for the end of a time slice, of 100 ms."""
 
-MOST_KEPT_BYTES: Final = 128 << 20
-"""Largest memory for the states of common placements that are kept for further worlds. A state of 40 boxes takes
-10 kB."""
+MOST_KEPT_BYTES: Final = 64 << 20
+"""Largest memory for the states of common placements that are kept for further worlds; as much again is used for worlds
+with errors. A state of 40 boxes takes 10 kB."""
 
 Tag = TypeVar("Tag")
 

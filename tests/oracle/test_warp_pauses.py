@@ -36,6 +36,14 @@ HEAP: Sequence[Box] = (
 FALLING: Sequence[Box] = (*HEAP[:3], ((100, 100, 300), (460, 30, 250), 5), HEAP[3])
 """The same, with a fourth box that falls."""
 
+WITH_SHEET: Sequence[Box] = (
+    *(((200, 200, 100), (x, 0, 0), 5) for x in (0, 400)),
+    ((600, 200, 5), (0, 0, 100), 0.5),
+    *HEAP[3:4],
+    ((200, 150, 120), (320, 30, 105), 2),
+)
+"""A sheet of several pieces on two towers. (The fourth box hangs above it, and falls on it.)"""
+
 ERRORS = PlacementChange(
     x_mm=Distribution("normal", 0.0, 6.0),  # type: ignore[arg-type]
     y_mm=Distribution("normal", 0.0, 6.0),  # type: ignore[arg-type]
@@ -45,7 +53,8 @@ ERRORS = PlacementChange(
 
 
 def scene_of(boxes: Sequence[Box], *, errors: bool = False) -> Scene:
-    scene = build_scene(make_plan(boxes=boxes), SHORT)
+    kinds = tuple("sheet" if box[0][2] == 5 else "" for box in boxes)
+    scene = build_scene(replace(make_plan(boxes=boxes), kinds=kinds if any(kinds) else ()), SHORT)
     return apply(scene, "heap", Variant(1, ERRORS), 33329) if errors else scene
 
 
@@ -55,10 +64,12 @@ def simulated(*jobs: Job) -> list[Outcome]:
     return sorted(outcomes, key=lambda outcome: outcome.job)
 
 
-@pytest.mark.parametrize("errors", [False, True], ids=["exact", "errors"])
-def test_a_placement_that_has_paused_ends_as_one_that_has_not(errors: bool) -> None:
+@pytest.mark.parametrize(
+    ("boxes", "errors"), [(HEAP, False), (HEAP, True), (WITH_SHEET, False)], ids=["exact", "errors", "sheet"]
+)
+def test_a_placement_that_has_paused_ends_as_one_that_has_not(boxes: Sequence[Box], errors: bool) -> None:
     """It pauses before each box in turn, and goes on in the table of another run, beside other worlds."""
-    job = Job(scene_of(HEAP, errors=errors), has_errors=errors)
+    job = Job(scene_of(boxes, errors=errors), has_errors=errors)
     (whole,) = simulated(job)
     start = None
     for n_placed in range(1, job.scene.n_boxes):
