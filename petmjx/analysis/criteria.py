@@ -398,7 +398,7 @@ CRITERIA: Final = (
         _MM,
         "common",
         lambda inputs: inputs.hulls.distance(np.arange(inputs.contacts.n_boxes), inputs.contacts.centre_mm[:, :2]),
-        number="centre inside the hull's edge",
+        number="distance of the box's centre from the hull's edge",
     ),
     Criterion(
         "load_polygon",
@@ -407,7 +407,7 @@ CRITERIA: Final = (
         _MM,
         "Gao et al. 2025, arXiv 2507.09123",
         lambda inputs: load_polygon_slack(inputs.contacts),
-        number="centre inside the load polygon's edge",
+        number="distance of the box's centre from the load polygon's edge",
     ),
     Criterion(
         "stacking_tree",
@@ -416,7 +416,7 @@ CRITERIA: Final = (
         _MM,
         "Zhao et al. 2022, arXiv 2108.13680",
         lambda inputs: load_slack(inputs.contacts, inputs.hulls, lever_rule),
-        number="resultant inside the hulls' edges",
+        number="smallest distance of a resultant from its hull's edge",
     ),
     Criterion(
         "equilibrium",
@@ -425,7 +425,7 @@ CRITERIA: Final = (
         _MM,
         "Ramos et al. 2016",
         lambda inputs: equilibrium_slack(inputs.contacts, inputs.hulls),
-        number="resultant inside the hulls' edges",
+        number="smallest distance of a resultant from its hull's edge",
     ),
     Criterion(
         "force_balance",
@@ -434,7 +434,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
         lambda inputs: inputs.balance[0],
-        number="share of an even load at every corner",
+        number="share of an even load that every corner can carry",
         ends=True,
     ),
     Criterion(
@@ -444,7 +444,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
         lambda inputs: inputs.balance[1],
-        number="share of an even load at every corner",
+        number="share of an even load that every corner can carry",
         ends=True,
     ),
     Criterion(

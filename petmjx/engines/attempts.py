@@ -195,11 +195,13 @@ _FALLBACK_NOTES: Final = {
 """Capability that an engine lacks → the note about the worlds that the fallback engine simulated for this reason."""
 
 BESIDE: Final = {"mjx-warp": "mjx-warp-cpu"}
-"""Name of an engine → name of the engine that makes rare further attempts on CPU threads at the same time."""
+"""Name of an engine → name of the engine that makes further attempts on CPU threads at the same time, if few worlds
+need further attempts."""
 
 BESIDE_ITSELF: Final = "mjx-warp-cpu"
-"""The engine whose runs make rare further attempts on additional threads of the same process. Without these threads,
-most threads of the engine would be idle while the last world is simulated."""
+"""Name of the engine that makes further attempts itself if few worlds need them: on additional threads of the same
+process, while the run goes on. Without these threads, most threads of the engine would be idle while the last world is
+simulated."""
 
 
 @dataclass(eq=False)

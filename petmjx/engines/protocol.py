@@ -59,8 +59,8 @@ def says_at_hand(run: Run) -> Run:
     """Mark a method ``run`` that keeps ``Progress.at_hand`` up to date. If ``Progress.pauses`` is set, this method also
     yields None while it waits.
 
-    The mark is on the method and not on the engine: a user's engine that inherits from an engine of petmjx may delay
-    outcomes.
+    The method is marked, and not the engine's class. If a user's engine inherits from an engine of petmjx but has a
+    ``run`` of its own, this ``run`` is therefore not marked; it may delay outcomes.
     """
     run.says_at_hand = True  # type: ignore[attr-defined]  # functions accept further attributes
     return run
@@ -68,7 +68,7 @@ def says_at_hand(run: Run) -> Run:
 
 def takes_stream(run: Run) -> Run:
     """Mark a method ``run`` that takes jobs from a ``JobStream`` while it simulates other jobs (``StreamEngine``). Any
-    other ``run`` gets lists of jobs. The mark is on the method and not on the engine, for the reason given at
+    other ``run`` gets lists of jobs. The method is marked, and not the engine's class, for the reason given at
     ``says_at_hand``."""
     run.takes_stream = True  # type: ignore[attr-defined]  # functions accept further attributes
     return run

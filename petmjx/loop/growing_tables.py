@@ -13,8 +13,8 @@ FIRST_COLUMNS: Final = 16
 
 
 def widened_table(values: NDArray[Any], columns: int, fill: float = 0.0) -> NDArray[Any]:
-    """The table with at least ``columns`` columns. If the table has fewer columns, their number is doubled until it is
-    large enough."""
+    """The table ``values``, widened to at least ``columns`` columns: the number of columns is doubled until it is large
+    enough, and new columns have the value ``fill``."""
     while values.shape[1] < columns:
         values = np.concatenate([values, np.full_like(values, fill)], axis=1)
     return values

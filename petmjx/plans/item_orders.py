@@ -456,7 +456,8 @@ class _OrderBuilder:
             if fault is not None:
                 self.faults.setdefault(row, fault)
 
-    # The line about the reading.
+    # The following methods make the line that tells how a table of orders was read: units, columns, and numbers of
+    # orders and boxes.
 
     def _has_own_names(self) -> bool:
         columns = self.columns

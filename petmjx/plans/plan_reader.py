@@ -542,9 +542,9 @@ class _PlanLoader:
 def _likelier(own: TableError, other: InputError) -> InputError:
     """The error to report for a table that could be read neither as a table of petmjx nor as one of another tool.
 
-    Another tool's table needs fewer columns than petmjx's. So the error of the reader for other tools is reported: a
-    bad cell, or two possible readings. The columns that petmjx's own form lacks are reported only if sizes or places
-    are missing as well.
+    Usually, the error of the reader for other tools is reported, such as a bad cell or two possible readings. The error
+    of petmjx's own reader, which names the missing columns, is reported only if the other reader finds no boxes at all,
+    or if it finds no sizes or places and the table has more than ``_MOSTLY_OWN`` of petmjx's column names.
     """
     lacks_columns = isinstance(other, NoBoxes) or (own.n_known > _MOSTLY_OWN and isinstance(other, NoGeometry))
     return own if lacks_columns else other

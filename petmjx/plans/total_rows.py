@@ -41,9 +41,9 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
 
     The sizes, places and weights of the last row must all be sums, or all be means. At least two of these numbers must
     clearly be sums or means. A single sum or mean is not enough: a box on two smaller boxes may have the sum of their
-    lengths, and a box in the middle of a layer of equal boxes has their mean place. In a table with petmjx's own column
-    names and no places, a last row is never taken as means: it is more likely a medium-sized box. Nor is it taken
-    as means if it has an article of its own, as all rows above it have.
+    lengths, and a box in the middle of a layer of equal boxes has their mean place. If a table has petmjx's own column
+    names and no places, its last row is never taken for a row of means: it is more likely a medium-sized box. If all
+    rows have articles, the last row is not taken for a row of means either.
     """
     if len(rows) > 1 and is_total(table.rows[rows[-1]], geometric_columns(table.header)):
         return "the total"
@@ -88,7 +88,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
 
 
 def _names_box(articles: Iterable[Any]) -> bool:
-    """Whether all these cells of a column have text, and the last text is no sign for a mean."""
+    """Whether all these cells of a column have text, and the last text is not a symbol for a mean (ø, or o or x in its
+    place)."""
     texts = [plain_text(cell).strip() if isinstance(cell, str) else "" for cell in articles]
     return all(texts) and texts[-1].lower() not in ("ø", "o", "x")
 

@@ -59,8 +59,8 @@ def wilson_interval(
 
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
-    """Aggregate worlds in groups: once over all plans, and once for each plan. Over all plans, and for each plan, all
-    worlds together form a group (axis ""), and all worlds with the same value on an axis form a group.
+    """Aggregate worlds in groups. Groups are made twice: from the worlds of all plans together, and from the worlds of
+    each plan. Each time, one group has all these worlds (axis ""), and there is one group for each value of each axis.
 
     Args:
         columns: the values to compute for each group, as keyword arguments of pandas' ``agg``: name=(column, function).

@@ -86,8 +86,8 @@ class Study(ABC):
         n_worlds: largest possible number of worlds.
         known: whether ``n_worlds`` is exact. The number of worlds of a search is not known, since the outcomes
             determine it.
-        first_variant: number of the first variant of each plan. If ``known`` is true, the numbers of further variants
-            follow without a gap.
+        first_variant: number of the first variant of each plan. If ``known`` is true, the variants of each plan are
+            numbered consecutively from this number on.
         amount: text with the numbers of plans and worlds, for messages.
         command: the command in ``run.json``, "score" or "sweep".
         what: the noun for a world in messages.

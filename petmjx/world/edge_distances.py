@@ -102,11 +102,12 @@ def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray
 
 
 def has_loads_beyond_edges(scenes: Sequence[Scene]) -> NDArray[np.bool_]:
-    """(m,) whether a box of each complete plan tips over, as far as statics shows it quickly.
+    """(m,) for each scene, with all boxes placed: whether a quick test of statics finds a box that tips over.
 
-    It is True if a box's own weight or its load acts beyond an edge, or inside by less than ``NEARLY_BEYOND_M``.
-    Supports share loads like springs. ``loads_and_edges`` takes several times as long, since it also looks for other
-    shares that keep all loads inside.
+    A box tips over if its own weight or its load acts beyond an edge, or inside an edge by less than
+    ``NEARLY_BEYOND_M``. In this test, supports share loads like springs. ``loads_and_edges`` takes several times as
+    long as this function: if a load acts beyond an edge, it also looks for another distribution of the loads among the
+    supports that keeps all loads inside the edges.
     """
     bearing = bearings_of(scenes, (), (), ())
     loads = bearing.loads([scene.n_boxes for scene in scenes])

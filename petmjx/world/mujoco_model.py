@@ -256,12 +256,12 @@ def _add_shapes(
 ) -> None:
     """Add a body's shapes as geoms. Each geom is larger than its shape on all sides, by a thickness called skin.
 
-    A contact begins when the enlarged geoms overlap by the skins of both partners. For two faces, the contact begins
+    A contact of two geoms begins when the geoms overlap by the sum of their skins. For two faces, the contact begins
     when the shapes themselves touch. Contacts of edges begin up to √2 − 1 skins earlier, contacts of corners up to √3 −
     1 skins earlier.
 
     If two edges cross, MuJoCo's collider returns either the contact of the faces, or the single point at which the
-    edges cross. The collider chooses the point if the point's depth is smaller by 5 % than that of the faces (MuJoCo
+    edges cross. The collider chooses the point if its depth is at least 5 % smaller than the depth of the faces (MuJoCo
     3.17, ``engine_collision_box.c``). At the usual depth of a tenth of a millimetre, the collider's choice changes from
     step to step, and pallets tremble. With skins, both depths are larger by the same amount, so the difference is below
     5 % (docs/validation.md).
