@@ -72,7 +72,7 @@ _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group",
 
 @dataclass(frozen=True)
 class Strength:
-    """The strength in one row of a table of articles.
+    """The strength that one row of a table of articles gives: in newtons, or through properties of the cartons' board.
 
     Attributes:
         strength_n: strength, N. If None, the strength is computed from the board by McKee's formula.
@@ -187,8 +187,8 @@ def read_articles(path: str | Path) -> Articles:
 
 
 def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
-    """Check one row. Returns the kind of its name (article, product_group or material), the name, and the
-    properties."""
+    """Check one row of a table of articles. Returns what the row is about (article, product_group or material), its
+    name, and its properties."""
     values = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
     unknown = [name for name in values if name not in _FIELDS]
     if unknown:

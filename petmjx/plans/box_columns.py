@@ -1,7 +1,8 @@
 """Meanings of the columns of other tools' tables (``BoxColumns``): sizes, places, rotations, weights and names of
 boxes.
 
-The meaning of the numbers (units, axes, anchors) is decided later (``petmjx.plans.readings``).
+Units, axes and anchors (the points of the boxes that coordinates describe) are decided later
+(``petmjx.plans.readings``).
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ def box_columns(
     if sequence_index is not None:
         sequence, _ = extraction.numbers(sequence_index, {"": 1.0})
         if len(sequence) > 2 and bool((sequence == sequence[0]).all()) and "sequence" not in extraction.fixed:
-            sequence, sequence_index = None, None  # such as the number of the message that holds all boxes
+            sequence, sequence_index = None, None  # all values are equal: this is no packing order
     used = {name for geometry in geometries for name in geometry.columns.values()}
     plan, plan_name = extraction.texts("plan", role="plan")
     plan = extraction.filled_down(plan, plan_name, least_rows=2.0)
@@ -164,8 +165,8 @@ def box_columns(
 
 
 def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, str]:
-    """(n,) names of boxes in the first column without a known name whose cells are different texts, and the column's
-    name. None and "" if there is none."""
+    """(n,) names of boxes, and the name of their column: the first column whose name is unknown and whose cells are all
+    different texts. None and "" if there is no such column."""
     for index, meaning in enumerate(extraction.meanings):
         cells = extraction.cells(index)
         texts = {cell for cell in cells if isinstance(cell, str) and cell_number(cell) is None}
@@ -175,7 +176,7 @@ def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, s
 
 
 def weight_column(extraction: ColumnExtraction) -> int | None:
-    """The column of weights: that of gross weights if there are several."""
+    """The column of weights. If several columns have weights, the first column of gross weights is taken."""
     if "weight" in extraction.fixed:
         return extraction.fixed["weight"]
     gross = [
@@ -204,7 +205,7 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
     """The column of rotations. If no column is known to have rotations, and exactly one column of unknown meaning has
-    answers of yes and no, that column may have them."""
+    answers of yes and no, that column may have the rotations."""
     index = extraction.first("rotation", "rotation")
     if index is not None:
         return _rotations_of(extraction, index)

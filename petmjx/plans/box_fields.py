@@ -20,8 +20,8 @@ _LEAST_COLUMNS: Final = 5
 
 def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     """The rows of an object that stores them by column: lists of the same length, or pandas' forms (``columns`` and
-    ``data``, or objects with one value per row), or lists by name with the names of their members beside them. None if
-    the object has another form."""
+    ``data``, or objects with one value per row), or lists of values, with the names of the values in a further field.
+    None if the object has another form."""
     names = _names_in(value)
     for data in value.values() if names else ():
         if isinstance(data, list) and data and all(isinstance(row, list) and len(row) == len(names) for row in data):
@@ -63,8 +63,8 @@ LEAST_NUMBERS: Final = 6
 
 
 def rows_of_numbers(value: Sequence[Any]) -> list[dict[str, Any]] | None:
-    """The rows of a list of lists of numbers: sizes, coordinates and more, or matrices. None if the list has another
-    form."""
+    """One row for each box in a list of lists. Each inner list has the numbers of a box (sizes, coordinates and
+    others), or is a matrix. None if the list has another form."""
     if not value or not all(isinstance(row, list | tuple) for row in value):
         return None
     first = value[0]
@@ -130,14 +130,15 @@ _PARTS_OF_POSES: Final = {
     6: ("x", "y", "z", "rx", "ry", "rz"),
     7: ("x", "y", "z", *(f"quaternion[{index}]" for index in range(4))),
 }
-"""Length of a list of numbers that is called a pose → its members."""
+"""Length of a list called "pose" → meanings of the numbers in such a list."""
 
 
 _VALUES: Final = ("value", "amount", "magnitude")
 _UNITS: Final = frozenset(
     ("unit", "units", "uom", "einheit", "unite", "unité", "unidad", "unita", "unità", "jednostka")
 )
-"""Fields of a number, and fields of its unit, in an object beside one another."""
+"""Names of the two fields in objects such as {"value": 400, "unit": "mm"}: of the field with the number, and of the
+field with the unit."""
 
 
 def _quantity(value: Mapping[str, Any]) -> Any:
@@ -154,7 +155,7 @@ def _quantity(value: Mapping[str, Any]) -> Any:
 
 def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | None:
     """The smallest and the largest coordinates of the eight corners of a box, [[x, y, z], …]; None for other lists. If
-    the points are not the corners of a level box, one coordinate is replaced by a fault's text."""
+    the points are not the corners of a level box, one coordinate in the result is replaced by an error text."""
     if len(value) != 8 or not all(isinstance(point, list | tuple) and len(point) == 3 for point in value):
         return None
     ends: tuple[list[Any], list[Any]] = ([], [])

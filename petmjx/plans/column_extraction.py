@@ -55,7 +55,8 @@ _NO_WEIGHT: Final = word_set(
 """Words in names of columns whose masses are not the weights of boxes."""
 _UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites unidad unidades unita jednostka")
 _SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
-"""Units that a column may have under any name. Others, such as "m" or "in", also have other meanings."""
+"""Texts that are recognised as units in a column of any name. Other units, such as "m" or "in", may also be words with
+another meaning."""
 _ORDER_WORDS: Final = frozenset(("order", "ordre", "orden", "ordine"))
 
 
@@ -133,8 +134,8 @@ class ColumnExtraction:
                 self.meanings[index] = ColumnMeaning("rotation")
 
     def _has_units(self, index: int, cells: Sequence[Any]) -> bool:
-        """Whether a column, whose first cells are given, has units. If so, they become the units of the rows, or, if
-        all are the same, the units of the form."""
+        """Whether the cells of a column are names of units; ``cells`` are its first cells. If so, these units apply to
+        the numbers in the same rows, or, if all units are equal, to the whole list."""
         for units in (LENGTH_UNITS, MASS_UNITS):
             sure = units.keys() if _UNIT_WORDS.intersection(words_of(self.table.header[index])) else _SURE_UNITS
             if not all(isinstance(cell, str) and _as_unit(cell) in units.keys() & sure for cell in cells):
@@ -151,7 +152,7 @@ class ColumnExtraction:
         return False
 
     def _are_quarter_turns(self, cells: Sequence[Any]) -> bool:
-        """Whether cells are angles of quarter turns, in degrees, some of which turn a box."""
+        """Whether cells are angles in degrees, all of them multiples of 90, and some but not all of them turn a box."""
         angles = {None if number is None else number.value for cell in cells for number in (cell_number(cell),)}
         return (
             angles <= {0.0, 90.0, 180.0, 270.0, -90.0, -180.0} and bool(angles & {90.0, 270.0, -90.0}) and 0.0 in angles
@@ -246,7 +247,8 @@ class ColumnExtraction:
         return np.stack([values * LENGTH_UNITS.get(unit, 1.0) for values, unit in parts], axis=1), "mm"
 
     def columns_of(self, *kinds: str) -> dict[str, list[int]]:
-        """Axis → the columns for this axis that describe boxes and whose meaning is of one of these kinds."""
+        """Axis → indices of the columns for this axis whose meaning has one of the given kinds. Columns about
+        containers are left out."""
         by_axis: dict[str, list[int]] = {}
         for index, meaning in enumerate(self.meanings):
             if meaning is not None and meaning.kind in kinds and not meaning.of_container:
@@ -254,7 +256,8 @@ class ColumnExtraction:
         return by_axis
 
     def numbers_or_median(self, index: int) -> FloatArray:
-        """(n,) numbers of a column; the median of the column if a cell is bad, which is not reported here."""
+        """(n,) numbers of a column. In place of a bad cell, the median of the column is returned; the bad cell is not
+        reported here."""
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
         values = np.array([np.nan if number is None else number.value for number in numbers])
         with np.errstate(invalid="ignore"):
@@ -284,7 +287,7 @@ class ColumnExtraction:
         Args:
             names: texts of the cells; None: there is no column.
             column: name of the column.
-            least_rows: a column with fewer rows per name in the mean is not changed.
+            least_rows: if the column has fewer rows per name than this on average, it is not changed.
 
         Raises:
             InputError: there are blank cells that cannot be filled in this manner.

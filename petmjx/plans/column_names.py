@@ -70,7 +70,7 @@ _AXIS_WORDS: Final = {
     "ordonnee": _Y, "ordinate": _Y, "ordinata": _Y, "ordenada": _Y, "rzedna": _Y,
     "cote": _Z, "kote": _Z, "quota": _Z, "cota": _Z, "applicate": _Z,
 }  # fmt: skip
-"""Words that name an axis without its letter."""
+"""Words for the axes x, y and z that do not contain these letters."""
 _POSITION: Final = word_set(
     "pos position positions posn coord coords coordinate coordinates koordinate koordinaten loc location "
     "placement place posizione posicion pozycja poz coordonnee coordonnees coordenada coordenadas coordinata "
@@ -162,8 +162,8 @@ _LETTERS: Final[tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = (
     (("l", "a", "h"), ("length", "width", "height")),
 )
 """Letters of three columns → their meanings: longueur, largeur, hauteur; Länge, Breite, Höhe; Breite, Höhe, Tiefe;
-largeur, hauteur, profondeur; larghezza, profondità, altezza; długość, szerokość, wysokość; largo, ancho, and H. The
-first rows distinguish capitals from small letters."""
+largeur, hauteur, profondeur; larghezza, profondità, altezza; długość, szerokość, wysokość; largo, ancho, and H. In the
+first rows, capital and small letters have different meanings."""
 
 _LONE: Final = {"l": "length", "w": "width", "b": "width", "h": "height", "d": "depth", "t": "depth"}
 """Letters that name a size even when they stand alone."""
@@ -175,7 +175,8 @@ _COMPOUND: Final = re.compile(
     r"^(artikel|aussen|box|carton|case|einzel|item|karton|kisten?|kolli|pack(?:age|stuc?k|stueck)|paket|parcel|produkt|stuc?k)"
     r"(lange|laenge|length|breite|width|hoe?he|height|tiefe|depth|gewicht|weight|nummer|nr|id)$"
 )
-"""Names of boxes and what is measured of them, in one word: "Artikellänge", "Kartongewicht", "boxwidth"."""
+"""A word for a box and a word for its size, weight or number, written as one word: "Artikellänge", "Kartongewicht",
+"boxwidth"."""
 _TOKEN: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|'")
 _UNIT_MARK: Final = re.compile(
     r"[\[(\{<]\s*([^\])}>]*?)\s*[\])}>]|/\s*([a-zµ]+)\s*$|\bin\s+([a-z]+)\s*$", re.IGNORECASE
@@ -240,7 +241,7 @@ def plain_text(text: str) -> str:
 _CAMEL_UNIT: Final = re.compile(
     r"(.*(?:[a-z](?=[A-Z])|[a-z][XYZ](?=[a-z])))(Mm|Cm|Kg|MM|CM|KG|Lbs|Lb|Inches|Meters|Grams|Pounds|mm|cm)"
 )
-"""A unit without a mark before it: "lengthMm", "posXmm"."""
+"""A unit at the end of a name, without a space or bracket before the unit: "lengthMm", "posXmm"."""
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -335,7 +336,8 @@ _COUNTER: Final = re.compile(
 
 
 def may_count(name: str) -> bool:
-    """Whether a column with this name may hold numbers of boxes, in any order: "N°", "Lfd. Nr.", "#", "Pick"."""
+    """Whether a column with this name may hold running numbers of boxes, in any order: "N°", "Lfd. Nr.", "#",
+    "Pick"."""
     return bool(_COUNTER.match(" ".join(re.findall(r"[a-z]+|#", plain_text(name.rpartition("[")[0] or name).lower()))))
 
 
@@ -499,12 +501,12 @@ def _anchor_of(words: set[str]) -> str:
 
 
 _NO_WEIGHT: Final = word_set("max limit capacity total maximum tare tara dim dimensional volumetric chargeable empty")
-"""Words for weights that are not those of boxes with their contents."""
+"""Words that show that a weight is not the weight of a box with its contents."""
 _UNLOADING: Final = word_set(
     "unload unloading unpack unpacking entladen entladung ausladen dechargement descarga scarico"
 )
 _CODES: Final = word_set("item cargo code codice codigo kod")
-"""Words that may stand beside words for boxes in names of columns with their ids."""
+"""Words that may stand beside a word for boxes in the name of a column with the ids of boxes."""
 _FIRST: Final[tuple[Kind, ...]] = (
     "density", "weight", "volume", "quantity", "layers", "rotation", "strength", "group", "sequence",
 )  # fmt: skip

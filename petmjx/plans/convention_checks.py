@@ -69,7 +69,7 @@ _Layout = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Convention:
-    """A convention other than petmjx's, in which an odd plan is read as a trial.
+    """A convention other than petmjx's. petmjx tries whether an odd plan is less odd if it is read in this convention.
 
     Attributes:
         looks: text for messages: how plans in this convention look.
@@ -78,7 +78,7 @@ class Convention:
         read: function that converts corners and sizes to petmjx's convention. None: the convention does not change
             corners and sizes.
         least_odd: smallest number of floating boxes and overlaps that a plan must have before this convention may
-            explain it. Used only if the lowest box does not float.
+            explain it. This limit applies only if the lowest box does not float.
         of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
             changed.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
@@ -273,7 +273,7 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
     readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
     own_plans = [
         plan for plan in plan_set.plans if plan.source not in plan_set.readings
-    ]  # for all other plans, it has already been decided what the columns mean
+    ]  # plans of other tools have already been converted to petmjx's convention
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
     conventions = _find_conventions(own_plans, own_odd, extent_mm)
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
@@ -372,7 +372,7 @@ def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
 def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]) -> bool:
     """Whether a plan whose boxes all have z = 0 is a wall with y and z swapped. Two conditions must hold: the plan
     extends beyond the carrier in y; and after a swap, some boxes lie on others, all boxes have support, and none is
-    outside. A layer that would fit on the carrier after a turn is not odd."""
+    outside. A layer that would fit on the carrier if it were turned by 90° is not taken for such a wall."""
     if odd.n_floating or odd.n_overlapping_pairs or plan.corner_mm[:, 2].max() > DEFAULT_TOLERANCE_MM:
         return False
     length, width = np.array(extent_mm) + DEFAULT_TOLERANCE_MM

@@ -75,7 +75,7 @@ class PlanBuilder:
             lost = self._plans_with_lost(names)
             single_reading = search.single_reading if len(plans) == 1 and not lost else None
             reading, candidate = single_reading or choose_reading(self.columns, plans, self.wishes, lost)
-        except InputError:  # no row is good, or the good rows are implausible without the bad ones
+        except InputError:  # either no row is good, or the good rows alone make no plausible plan
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]
                 raise InputError(f"{place}: {fault}") from None
@@ -152,7 +152,7 @@ class PlanBuilder:
         return any(np.nanmin(low[rows, 2], initial=np.inf) > DEFAULT_TOLERANCE_MM for rows in plans.values())
 
     def _check_words(self, reading: Reading, candidate: Candidate) -> None:
-        """Note the words of rotations.
+        """Add a note that tells how two unknown words in a column of rotations were read.
 
         Raises:
             InputError: nothing shows the meaning of the words.
@@ -173,7 +173,7 @@ class PlanBuilder:
     def _note_quantities(self) -> None:
         """Add a note about quantities above 1, unless they count the rows of an article. A row has only one place."""
         table, articles = self.boxes.table, self.columns.article or [""] * self.columns.n_boxes
-        if self.columns.source.form == PACKINGSOLVER:  # has its own note
+        if self.columns.source.form == PACKINGSOLVER:  # the reader of this form adds a note about quantities itself
             return
         rows_of_article = Counter(articles)
         for name, meaning in zip(table.header, self.boxes.meanings, strict=True):

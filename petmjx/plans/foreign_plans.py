@@ -69,8 +69,8 @@ def plans_of_sources(
 
 
 def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
-    """Lines about further lists of boxes that have sizes and places, but other columns than the first, and are not
-    read."""
+    """Lines about lists of boxes that are not read. They have sizes and places, but other columns than the first list,
+    which is read."""
     lines = []
     for other in sources[1:]:
         boxes = other.boxes

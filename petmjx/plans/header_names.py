@@ -96,7 +96,7 @@ def with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
         cell = group[index] if index < len(group) else None
         heading = cell_text(cell) if cell is not None else heading
         joined.append(f"{heading} {name}".strip() if heading and name else name)
-    with_units = []  # names that mean something alone get only the unit of their heading
+    with_units = []  # a name with a known meaning gets only the unit of the heading above it
     for long, name, meaning in zip(joined, names, column_meanings(names), strict=True):
         unit = split_unit(long.removesuffix(name).strip())[1]
         with_unit = f"{name} [{unit}]" if unit and not names_unit(name) else name

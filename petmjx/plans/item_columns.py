@@ -247,8 +247,8 @@ class _ItemExtraction(ColumnExtraction):
         return bool(cells) and all(isinstance(cell, str) and _PIECES_OF.match(cell.strip()) for cell in cells)
 
     def _is_whole(self, index: int) -> bool:
-        """Whether most cells are whole numbers, and the column is not one of identifiers. Identifiers increase from
-        row to row, or are all large."""
+        """Whether most cells of a column are whole numbers, but no identifiers. Numbers are identifiers if they
+        increase from row to row, or are all large."""
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
         integers = [number.value for number in numbers if number is not None and number.value.is_integer()]
         if len(integers) * 2 <= len(numbers):

@@ -24,7 +24,7 @@ _MATCHED: Final = 0.9
 """A table of items belongs to the boxes if at least this share of the boxes has an item in the table."""
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
 _MOST_BESIDE: Final = 20
-"""Largest number of files in the folder of a file with places alone that are tried as files of items."""
+"""If a file of plans has only places, at most this number of files in its folder are tried as files of items."""
 
 
 def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | None) -> BoxSource:

@@ -53,9 +53,9 @@ _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
 _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
 """Possible units of lists of lengths. The unit is cm, as in RoboBPP's lists, unless the sizes indicate another unit."""
 ROW_LEAD: Final = 0.75
-"""A weight in a row usually is that of a single box. If the reading as weights of whole rows has a cost that is lower
-by at least this, both readings are possible. For example, a row has ten boxes, and each of them would have 1,500 kg/m³
-if the weight were that of one box."""
+"""A weight in a row is usually the weight of one box, even if the row stands for several boxes. But if the cost is
+lower by at least this value when weights are read as those of whole rows, both readings are possible. For example, a
+row of ten boxes may give each box 1,500 kg/m³ if the weight is that of one box."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
 """Densities up to this value are relative to water."""
@@ -490,7 +490,7 @@ class _OrderBuilder:
 
 _OWN_NAMES: Final = {"weight_kg", "quantity", "order_id", "plan_id", "article", "item_id"}
 _SHOWN: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
-"""Roles whose columns the line about the reading names after the sizes."""
+"""Roles of the columns that are named, after the sizes, in the line that tells how a table of orders was read."""
 
 
 def _number_of(place: str) -> int:

@@ -191,7 +191,8 @@ def _by_pallet_rows(boxes: BoxList) -> BoxList:
 
 
 def _name_in(row: Sequence[Any], but: int) -> str:
-    """The first text of a row that is no number; "" if there is none. The cell at the index ``but`` is left out."""
+    """The first cell of a row that has a text and not a number; "" if there is no such cell. The cell at the index
+    ``but`` is left out."""
     cells = (cell for index, cell in enumerate(row) if index != but)
     return next((cell for cell in cells if isinstance(cell, str) and cell_number(cell) is None), "")
 

@@ -1,5 +1,5 @@
-"""Loose boxes, and ties between boxes: what the plan alone shows of a world's cost. The results are used only to
-estimate simulation times."""
+"""Properties of plans from which simulation times are estimated: loose boxes, whose centre of mass is not over their
+supports, and ties, which are the further supports of a box after its first."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import shared_length
 
 MOST_LOOKED_AT: Final = 200
-"""Largest number of plans of a run that are examined. They are evenly spread. Without this limit, a run of 10,003 plans
-would be delayed."""
+"""Largest number of plans of a run that are examined. The examined plans are evenly spread over all plans. Without this
+limit, a run of 10,003 plans would be delayed."""
 
 _LEVEL_MM: Final = 3.0
 """A box is borne by the highest top under it, and by all tops that are lower by at most this length."""
@@ -24,11 +24,12 @@ _BESIDE_MM: Final = 1.0
 
 
 class Statics(NamedTuple):
-    """What plans show of the cost of their worlds. ``petmjx.engines.cost_model.Work`` has the same fields.
+    """Properties of plans from which simulation times are estimated. ``petmjx.engines.cost_model.Work`` has the same
+    fields.
 
     Attributes:
         placed_share: (n,) the share of each plan's boxes up to and including its first loose box; 1 if there is none.
-        ties: (n,) number of supports of a box beyond its first, the mean over the boxes of each plan.
+        ties: (n,) for each plan, the number of supports of a box beyond its first support, as a mean over the boxes.
         giving: (n,) number of compliant boxes of each plan.
     """
 
@@ -38,7 +39,7 @@ class Statics(NamedTuple):
 
 
 def statics_of(plans: Sequence[Plan]) -> Statics:
-    """The statics of plans.
+    """The properties of each plan from which its simulation time is estimated.
 
     If there are more than ``MOST_LOOKED_AT`` plans, only some are examined. The other plans get the values of the
     examined plans, repeated in order.
@@ -65,7 +66,8 @@ def first_loose(plan: Plan) -> int:
 
 
 def _looked_at(plan: Plan) -> tuple[int, int]:
-    """The first loose box (``first_loose``), and the number of ties: supports beyond the first of each box."""
+    """The first loose box (``first_loose``), and the number of ties: all supports of all boxes, without the first
+    support of each box."""
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]
     numbers = np.arange(plan.n_boxes)

@@ -14,7 +14,7 @@ from petmjx.plans.known_forms import SCENE, BoxSource
 from petmjx.plans.raw_tables import RawTable
 
 NO_BOX: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wall|robot|gripper", re.IGNORECASE)
-"""Words in names of bodies and meshes that are no boxes."""
+"""Words in the names of bodies and meshes. A body or mesh with such a word is not taken for a box."""
 
 
 def source_of_scene(text: str) -> BoxSource:

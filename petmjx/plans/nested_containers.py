@@ -1,4 +1,4 @@
-"""What the objects around nested boxes say: names of plans, containers, and coordinates of layers and stacks."""
+"""Reads the objects that contain nested boxes: names of plans, containers, and coordinates of layers and stacks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NAMES: Final = (
 )  # fmt: skip
 """Fields that name a plan, most reliable first."""
 _N_OF_PLANS: Final = 12
-"""Number of these fields, from the first, that name a plan wherever they are."""
+"""Number of fields at the beginning of ``_NAMES`` that name a plan wherever they are in a file."""
 CONTAINERS: Final = word_set(
     "container containers bin bins pallet pallets truck trucks carrier carriers vehicle box_size bin_size binsize "
     "containersize palletsize load_carrier"

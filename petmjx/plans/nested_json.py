@@ -94,8 +94,8 @@ def _words_of_last(boxes: BoxList) -> set[str]:
 
 
 def _side_by_side(lists: Sequence[BoxList]) -> list[BoxList]:
-    """Lists of boxes, in which lists beside each other are joined: "A.boxes" and "B.boxes" are two plans of one file,
-    and so are "pallet_1" and "pallet_2". They must have the same sizes and places."""
+    """Join lists of boxes that are beside each other in a file: "A.boxes" and "B.boxes" are two plans of one file, and
+    so are "pallet_1" and "pallet_2". The lists must have the same columns for sizes and places."""
     groups: dict[tuple[Any, ...], list[BoxList]] = {}
     for boxes in lists:
         *outer, last = boxes.path.split(".")
@@ -116,8 +116,8 @@ def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
     """Lists of boxes as one list.
 
     Args:
-        names: for each list, the step in which its path differs from the others. It names a plan, unless it means a
-            layer.
+        names: for each list, the step in which its path differs from the others. This step is the name of a plan,
+            unless it is the name of a layer.
     """
     table = united([boxes.table for boxes in group])
     parts: list[str] = []
@@ -167,7 +167,7 @@ def _members(
         members = [name for name, inner in value.items() if isinstance(inner, Mapping)]
         alike = len(members) > 1 and len(members) == len(value) and _alike([value[name] for name in members])
         keyed = _is_plan_key(value)
-        around_it = (*around, (_last_step(place), dict[str, Any]()))  # if its fields are boxes, it is no container
+        around_it = (*around, (_last_step(place), dict[str, Any]()))  # an object whose fields are boxes is no container
         for name, inner in value.items():
             inner_place = f"{place}.{name}" if place else str(name)
             if keyed:
@@ -282,8 +282,9 @@ _KIND_FIELDS: Final = frozenset(("event", "type", "kind", "action", "record", "o
 def _without_other_kinds(
     members: Sequence[NestedBox], flat: list[dict[str, Any]]
 ) -> tuple[Sequence[NestedBox], list[dict[str, Any]], list[str]]:
-    """Members of a list and their fields, without those of other kinds than boxes, such as events "start" and "end". An
-    object is of another kind if it has no size and no place, and a field tells its kind, which no box has."""
+    """The boxes among the members of a list, their fields, and notes. Other members, such as events "start" and "end",
+    are left out. A member is no box if it has no size and no place, and if a field such as ``type`` gives it a kind
+    that no box has."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     geometric = {
         name
@@ -308,7 +309,7 @@ _GEOMETRIC: Final = ("size", "sizes", "position", "positions", "low", "high")
 
 def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     """Fill coordinates that are 0 and not written, as in JSON of protocol buffers. Some of x, some of y and some of z
-    must be missing, and no coordinate may be written as 0. Returns a note if there are any."""
+    must be missing, and no coordinate may be written as 0. Returns a note if coordinates were filled."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     by_axis: dict[str, list[str]] = {}
     for name, meaning in zip(names, column_meanings(names), strict=True):

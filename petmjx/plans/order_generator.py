@@ -173,7 +173,8 @@ def target_extent_mm(target: str) -> tuple[float, float]:
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:
-    """The random stream of ``key`` under ``seed``. Streams of different keys are independent of each other."""
+    """The random generator for a seed and a key of several numbers. Generators for different keys are independent of
+    each other."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
 
 
@@ -214,7 +215,7 @@ def draw_order(seed: int, index: int) -> Order:
         free = of_all < volumes[bulkiest]
         free[chosen] = False
         smaller = np.flatnonzero(free)
-        if not len(smaller):  # no article is smaller: the order has one of its boxes less
+        if not len(smaller):  # no unused article is smaller, so the order gets one box less
             quantity[bulkiest] -= 1
             continue
         chosen[bulkiest] = int(smaller[int(rng.integers(len(smaller)))])

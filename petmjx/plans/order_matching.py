@@ -261,7 +261,8 @@ def _item_has_properties(item: Item) -> bool:
 
 
 def _properties(plan: Plan, sizes: FloatArray) -> FloatArray:
-    """(n, 8) stiffness (0: rigid), whether it is a sheet, and length, width, height and centre of mass along these."""
+    """(n, 8) for each box: stiffness (0: rigid), whether it is a sheet, three sizes, and the centre of mass along
+    length, width and height."""
     stiff = np.zeros(plan.n_boxes) if plan.stiffness_n_mm is None else np.nan_to_num(plan.stiffness_n_mm)
     return _as_rows(stiff, plan.sheets, plan.item_size_mm, plan.item_com_mm, sizes)
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import ForeignOrders, OrderReading
 
 _CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
-"""Advice that is appended for commands that have no options for reading orders."""
+"""Advice that is appended to errors of commands that have no options for reading orders."""
 _FRAME: Final = "orders"
 """Name of a data frame in messages."""
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")

@@ -42,8 +42,8 @@ class PalletSearch:
         self.single_reading: tuple[Reading, Candidate] | None = None
 
     def columns_with_pallets(self) -> tuple[BoxColumns, tuple[str, ...]]:
-        """The columns, in which pallets become plans if boxes of different pallets would otherwise overlap; and notes
-        about it. Exactly one column must separate the pallets.
+        """The columns, and notes. If boxes would overlap as one plan, or the packing order repeats numbers, the column
+        that separates the pallets becomes the column of plans. There must be exactly one such column.
 
         Raises:
             InputError: the column does not have a word for pallets in its name, or several columns separate the

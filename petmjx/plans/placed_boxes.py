@@ -1,4 +1,4 @@
-"""The boxes of a reading in millimetres and kilograms, with the deck's corner as the origin."""
+"""Converts the boxes of another tool's file to millimetres and kilograms, with the deck's corner as the origin."""
 
 from __future__ import annotations
 

@@ -114,7 +114,8 @@ def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[Rea
         return None
     texts = list(values.values())  # these texts refer to the caller's memory
     colons = [bytes(text).count(b":") for text in texts]
-    # If an id were repeated, one of its entries would be lost. So each colon of the text must belong to a known entry.
+    # Of entries with the same id, the decoder keeps only one. So an id is repeated if the text has more colons than the
+    # decoded entries.
     if data.count(b":") != sum(colons) + len(texts) + sum(plan_id.count(":") for plan_id in values):
         return None
     if max((memoryview(text).nbytes for text in texts), default=0) > LONGEST_VALUE:
@@ -137,7 +138,7 @@ def _decode(
     """Decode the entries of some plans, in order.
 
     Args:
-        colons: for each text, the number of colons of its fields, plus those inside its strings.
+        colons: for each text, the number of its colons: those after names of fields, and those inside strings.
     """
     plain = {
         number: placements

@@ -211,7 +211,7 @@ def _list_files(paths: list[Path]) -> list[Path]:
 
 
 def plan_files_in(folder: Path) -> list[Path]:
-    """The files directly in a folder that are named like files of plans, sorted. Raises OSError."""
+    """The files of plans directly in a folder, recognised by their names, sorted by name. Raises OSError."""
     return sorted(
         member
         for member in folder.iterdir()
@@ -336,7 +336,7 @@ class _PlanLoader:
         try:
             self._take_foreign(source, partial(read_foreign, data, path, source))
         except InputError as error:
-            if self.strict and str(error).startswith(f"{source}: "):  # the error concerns a plan or row
+            if self.strict and str(error).startswith(f"{source}: "):  # the error is about one plan or row
                 raise
             return error
         return None
@@ -554,8 +554,8 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
     """The error text for a text that does not begin like JSON; None for JSON, including damaged JSON.
 
     Args:
-        named: whether the file has the name of a JSON file. If the file has another name, only tables are distinguished
-            from damaged JSON.
+        named: whether the file has the name of a JSON file. If so, any text that does not look like a table is taken
+            for damaged JSON.
     """
     if looks_like_table(data):
         return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"

@@ -39,7 +39,7 @@ _SOURCES = "paths or Plan objects, or one of them, a PlanSet or a data frame"
 
 
 def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    """The plans that can be simulated. Warns about conventions that they appear to follow.
+    """The plans that can be simulated. Warns if plans appear to follow another convention than petmjx's.
 
     Args:
         plans: the source; None: the bundled plans.

@@ -73,8 +73,8 @@ def meets(
 
 
 DEFAULT_TOLERANCE_MM: Final = 0.5
-"""Gaps and overlaps up to this size count as touching. Plans are in whole millimetres, and their neighbours touch. Half
-of the last digit distinguishes rounding from intent."""
+"""Gaps and overlaps up to this size count as touching. Sizes and places in plans are usually whole millimetres, so
+larger gaps and overlaps are intended, and not rounding errors."""
 
 
 _MOST_PAIRS: Final = 1 << 17

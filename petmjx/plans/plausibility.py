@@ -35,7 +35,8 @@ _DECKS_MM: Final = (
 )  # fmt: skip
 """Usual carriers: pallets of Europe, America and Asia, the roll container, sea containers and a trailer."""
 _PALLETS: Final = 10
-"""Number of pallets, which come first in this list. The other carriers are considered only if the file names them."""
+"""Number of carriers at the beginning of ``_DECKS_MM`` that are always considered: the pallets and the roll container.
+The other carriers are considered only if the file names them."""
 _DECK_SPREAD: Final = 0.6
 _LARGE_MM: Final = 1000.0
 """The footprint of a load counts as evidence only for carriers at least this long. Smaller carriers are no larger than
@@ -167,7 +168,7 @@ def _outside(
         begin = low[:, :2].min(axis=0)
         cost = _NEGATIVE if (begin < -tolerance).any() else 0.0
         return np.zeros(n, bool), cost, "middle" if around else "given"
-    # loads may overhang pallets, so a tenth of a side is no evidence against a reading
+    # loads may overhang pallets, so an overhang of up to 2 % of a side is no evidence against a reading
     slack = np.maximum(tolerance, 0.02 * container[:2])
     at_corner = ((low[:, :2] < -slack) | (high[:, :2] > container[:2] + slack)).any(axis=1)
     half = container[:2] / 2
@@ -284,7 +285,8 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
 
 
 _WHOLE_MM: Final = 0.03
-"""Largest distance of a length from whole millimetres, mm. Lengths in inches have three decimals."""
+"""A length counts as whole millimetres if it differs from them by at most this, mm. Lengths in inches have three
+decimals, so they are not exact."""
 
 
 def converted_share(lengths_mm: FloatArray) -> float:

@@ -53,7 +53,7 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
         if not sizes and np.allclose(scale, 1.0, equal_nan=True):
             return []
         size, axes, unit, _, columns = sizes[0] if sizes else (np.ones((n, 3)), XYZ, "", False, {})
-        if not np.allclose(size, scale, rtol=1e-3, equal_nan=True):  # else the matrices repeat the sizes
+        if not np.allclose(size, scale, rtol=1e-3, equal_nan=True):  # else the matrices only repeat the sizes
             size = size * scale
             _check_scales(extraction, scale, matrix)
         columns = {**columns, "pose": header[matrix]}
@@ -110,7 +110,8 @@ def _without_scale(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _quaternions(extraction: ColumnExtraction) -> list[_Rotations]:
-    """Rotations by quaternions, if there are any. In a list without names, w may be the first or the last one."""
+    """Rotations by quaternions, if there are any. In a list without names, the component w may be the first or the last
+    number."""
     header = extraction.table.header
     named, turned = extraction.columns_of("quaternion"), extraction.columns_of("rotation")
     if "w" in named:
@@ -203,6 +204,7 @@ def _pose(
 
 
 def _roles(role: str, names: Sequence[str]) -> dict[str, str]:
-    """Role → name of its column, for columns that have one role together. Members of a list have one name."""
+    """Role → name of its column, for several columns that together have one role, such as a rotation. Columns that are
+    members of one list count as one column."""
     names = list(dict.fromkeys(name.rpartition("[")[0] or name for name in names))
     return {role if number == 1 else f"{role} ({number})": name for number, name in enumerate(names, start=1)}

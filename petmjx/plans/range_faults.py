@@ -45,8 +45,8 @@ def far_cells(columns: BoxColumns, wishes: Wishes) -> dict[int, tuple[str, str]]
 
 
 def first_bad_row(columns: BoxColumns, wishes: Wishes) -> tuple[int, str] | None:
-    """The first row that no reading can use, and its fault: a bad cell, or a size that is not positive. None if all
-    rows are good."""
+    """The first row that is bad however the file is read, and its fault: a bad cell, or a size that is not positive.
+    None if all rows are good."""
     weight = columns.columns.get("weight", "") if wishes.density_kg_m3 is not None else ""
     faults = {row: f"{name} {text}" for row, (name, text) in columns.faults.items() if name != weight}
     geometries = columns.geometries

@@ -110,7 +110,8 @@ def _container_along(candidate: Candidate, container: Mapping[str, float], order
 
 
 def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings that names, the form and the caller allow, with their priors."""
+    """Yield all readings that names, the form and the caller allow. Each has a prior: its cost before any numbers are
+    considered."""
     form = columns.source.form
     for geometry in columns.geometries:
         for up, up_prior in _ups(geometry, columns, wishes):
@@ -139,7 +140,7 @@ def _pairs(
     geometry: Geometry, up: str, columns: BoxColumns, wishes: Wishes
 ) -> list[tuple[tuple[int, int, int], float]]:
     """Pairs (assignment, prior). An assignment has the indices of the sizes that lie along the file's first, second and
-    third axis; the prior is its cost."""
+    third axis. The prior is the cost of the assignment before any numbers are considered."""
     axes = geometry.axes
     if len(wishes.along) == 3:
         names = [role_of(axis) for axis in axes]
@@ -234,13 +235,14 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 _LEAST_BY_LENGTH: Final = 3
 _MOSTLY_LONGER: Final = 0.9
-"""Smallest number of turned and of unturned boxes, and smallest share of them whose length exceeds their width, from
-which sizes are told apart."""
+"""Lengths and widths show whether sizes are those of placed boxes or of items only if there are at least this number of
+turned boxes and of unturned boxes, and if length exceeds width in at least this share of the unturned boxes."""
 
 
 def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
     """Whether sizes are those of the placed box or those of the item. The length of an item is rarely smaller than its
-    width. So lengths that are larger than widths also if boxes are turned are those of items. "" if this is unknown."""
+    width. So if lengths are larger than widths even for turned boxes, sizes are those of items. "" if this is
+    unknown."""
     turns = columns.turns
     if turns is None or not {"length", "width"} <= set(geometry.axes):
         return ""

@@ -83,7 +83,7 @@ class _Sample:
 
 
 def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str] = ()) -> _Sample:
-    """The first plans that have no faults. If all plans have faults, the rows without faults of the first plans.
+    """The first plans that have no faults. If all plans have faults, the first plans without their bad rows.
 
     Args:
         damaged: names of plans that lack rows.
@@ -259,8 +259,8 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
 
 
 def _within_reach(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
-    """Whether coordinates are in their range in the most plausible units. In another unit than that of sizes, boxes may
-    be so far apart that they cannot overlap."""
+    """Whether coordinates are in their range in the most plausible units. If coordinates were read in a larger unit
+    than sizes, boxes could be so far apart that they cannot overlap."""
     factor = LENGTH_UNITS[_unit_costs(judged, columns, wishes)[0][1]]
     return all(float(np.abs(layout.low).max()) * factor <= FARTHEST_MM for layout in judged.layouts)
 

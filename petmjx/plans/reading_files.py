@@ -112,11 +112,13 @@ def _choosable(columns: Mapping[str, str]) -> dict[str, str]:
 def wishes_of(
     options: RunOptions, deck_mm: tuple[float, float] | None = None, reading: Reading | None = None
 ) -> Wishes:
-    """The options for reading files of other tools. Single options take precedence over a written reading.
+    """The options for reading files of other tools. An option for one choice, such as ``units``, takes precedence over
+    a written reading.
 
     Args:
         deck_mm: extents of the carrier along x and y; None: unknown.
-        reading: a reading to be used instead of the written reading in the options.
+        reading: how to read the file (units, columns, axes); used instead of the file that the options name with
+            ``--as``; None: that file is used.
 
     Raises:
         InputError: the written reading cannot be read.

@@ -18,9 +18,10 @@ _SIZE_SETS: Final = (
     ("length", "height", "depth"), XYZ, ("0", "1", "2"),
 )  # fmt: skip
 _GOALS: Final = word_set("to bis top")
-"""Words that mean far corners beside near ones ("from" and "to"), and otherwise any point of the box."""
+"""Words such as "to". Beside columns of near corners ("from"), a column with such a word has the far corners; alone, it
+may describe any point of the box."""
 _PICKED: Final = word_set("pick picked grasp source from")
-"""Words in names of the places from which a robot takes boxes."""
+"""Words in the names of columns that hold the places from which a robot takes boxes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +150,7 @@ def place_choices(extraction: ColumnExtraction) -> list[tuple[FloatArray, str, s
         if meaning is not None and meaning.kind == "positions" and not choices:
             values, unit = extraction.triples(index)
             choices.append((values, unit, meaning.anchor, {"position": header[index]}, ""))
-    if not choices:  # the far corners, and sizes instead of the near ones
+    if not choices:  # the file has the far corners and the sizes, but no near corners
         far = {_ON_AXES.get(axis, axis): columns[0] for axis, columns in extraction.columns_of("high").items()}
         if all(axis in far for axis in XYZ):
             values, unit = extraction.joined([far[axis] for axis in XYZ])
@@ -198,7 +199,8 @@ _EXTENTS: Final = word_set("extent extents")
 
 
 def with_half_extents(geometry: Geometry) -> Geometry | None:
-    """A geometry whose sizes are half extents, if the names of its columns allow this and do not tell it; else None."""
+    """The geometry with its sizes read as half extents, if the names of the columns allow half extents without stating
+    them; else None."""
     names = [name for role, name in geometry.columns.items() if role not in (*XYZ, "position")]
     words = {word for name in names for word in words_of(name)}
     if not words & _EXTENTS or "half" in words or geometry.anchor == "corner":
@@ -221,6 +223,7 @@ def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list
 
 
 def _without_picks(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[list[int]]:
-    """The columns for each coordinate, without the places from which a robot takes boxes if there are others."""
+    """The columns for each coordinate. Columns with the places from which a robot takes boxes are left out if there are
+    other columns."""
     others = [[index for index in columns if not _PICKED.intersection(words_of(header[index]))] for columns in picked]
     return others if all(others) else [list(columns) for columns in picked]

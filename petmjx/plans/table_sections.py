@@ -174,7 +174,7 @@ def _sections(
         if is_remark:
             remarks.append((row, place))
             continue
-        if any(body for _, body in sections):  # between boxes, such a line may be a damaged box
+        if any(body for _, body in sections):  # between boxes, a line with a name and a value may be a damaged box
             lost += [(where, f"is no box: {printable_name(_line(line))}") for line, where in remarks]
         else:
             notes += _remark_notes(remarks)
@@ -200,7 +200,7 @@ _KEY_AND_VALUE: Final = re.compile(r"^[^\d:;]{3,60}:\s*[\d.,]+\s*\S{0,12}$")
 
 
 def _is_remark(row: Sequence[Any], geometric: Sequence[int]) -> bool:
-    """Whether a row is a name and a value, and no title."""
+    """Whether a row consists of a name and a value, such as "Utilization: 81.2 %", and is no title."""
     line = _line(row)
     is_pair = _KEY_AND_VALUE.match(line) is not None and not TITLE_WORDS.intersection(words_of(line))
     return is_pair and _n_numbers(row, geometric) * 2 < len(geometric)
@@ -230,8 +230,8 @@ def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:
 
 
 def _short_title(cells: Sequence[Any]) -> str:
-    """The name of a section: the first cell of its title, and the second one if the first is only such a
-    word."""
+    """The name of a section: the first cell of its title. If this cell has only a word for pallets or orders, the
+    second cell is added."""
     name = cell_text(cells[0]).rstrip(": ")
     return name if set(re.findall(r"\w+", plain_text(name).lower())) - TITLE_WORDS else f"{name} {cell_text(cells[1])}"
 

@@ -162,8 +162,9 @@ def angles_of(columns: Sequence[Sequence[Any]], decimal: str) -> FloatArray:
 
 
 def rotations_of_angles(angles: FloatArray) -> list[FloatArray]:
-    """(n, 3, 3) rotation matrices of (n, 3) angles about x, y and z, in degrees, if the turns about x, y and z follow
-    one another in this order, and in the reverse order. One array if both are the same but for signs."""
+    """(n, 3, 3) rotation matrices of (n, 3) angles about x, y and z, in degrees. The first array has the turns in the
+    order x, y, z, the second array in the order z, y, x. Only one array is returned if both are equal except for
+    signs."""
     about = []
     for axis in range(3):
         cos, sin = np.cos(np.radians(angles[:, axis])), np.sin(np.radians(angles[:, axis]))
@@ -197,10 +198,12 @@ def _degrees(angle_rad: float) -> float:
 
 
 _NEAR_QUARTER: Final = 5e-3
-"""Largest deviation of an angle in radians from quarter turns, in quarter turns. 1.57 is written with three digits."""
+"""An angle in radians counts as quarter turns if it differs from them by at most this share of a quarter turn, since
+1.57 has only three digits."""
 
 _LEVEL_RAD: Final = 0.1
-"""Smaller angles do not turn a box, whether they are radians or degrees: boxes that have settled lie so."""
+"""Angles up to this value do not turn a box, whether they are in radians or in degrees: boxes that have settled are
+never exactly level."""
 
 _MOST_RAD: Final = 2 * math.pi + 0.01
 """Largest angle in radians: a whole turn, which may be rounded up."""

@@ -185,7 +185,7 @@ def value_of_xml(text: str) -> Any:
 
 def _repeated_names(root: ElementTree.Element) -> set[tuple[str, str]]:
     """(name of an element, name of its children) for children that occur several times in at least one element of this
-    name. They are a list in all such elements, also where there is only one of them."""
+    name. In all elements of this name, these children become a list, even a single child."""
     repeated: set[tuple[str, str]] = set()
     for element in root.iter():
         counts = Counter(map(_name_of, element))
@@ -234,7 +234,7 @@ def _tables_of_sheets(sheets: dict[str, list[list[Any]]]) -> list[RawTable]:
     notes = tuple(
         f"sheet {printable_name(title)} not read: {fault}"
         for title, fault in faults.items()
-        if not isinstance(fault, NoBoxes)  # sheets of text are usual
+        if not isinstance(fault, NoBoxes)  # workbooks often have sheets that contain only text
     )
     return [replace(tables[0], notes=(*tables[0].notes, *notes)), *tables[1:]]
 
