@@ -131,14 +131,17 @@ class Board(CheckedRecord):
 
     name: Name = Field("", description="name of the board in messages")
     corner_mm: tuple[Place, Place, Place] = Field(
-        description="its front-left-bottom corner; the carrier's front-left corner on the floor is the origin"
+        description="front-left-bottom corner of the board, mm; the origin is the carrier's front-left corner on the "
+        "floor"
     )
-    size_mm: tuple[Length, Length, Length] = Field(description="its extents along x, y and z")
-    mass_kg: Mass | None = Field(None, description="its mass; or mass_kg of the carrier, shared out by volume")
+    size_mm: tuple[Length, Length, Length] = Field(description="extents of the board along x, y and z, mm")
+    mass_kg: Mass | None = Field(
+        None, description="mass of the board, kg; by default its share, by volume, of the carrier's mass_kg"
+    )
     friction: Coefficient | None = Field(
-        None, description="coefficient of sliding friction between it and boxes; by default that of the carrier"
+        None, description="coefficient of sliding friction between the board and boxes; by default that of the carrier"
     )
-    material: Name = Field("", description="what it is made of; by default what the carrier is")
+    material: Name = Field("", description="material of the board; by default that of the carrier")
 
     @property
     def volume_mm3(self) -> float:
@@ -153,15 +156,17 @@ class OwnCarrier(CheckedRecord):
     connected, no board is on the floor, the top is not level, or no real carrier has such extents or masses.
     """
 
-    name: Name = Field("", description="name of the carrier; by default the file's")
-    mass_kg: Mass | None = Field(None, description="the mass of all boards together, if they have none of their own")
+    name: Name = Field("", description="name of the carrier; by default the name of its file")
+    mass_kg: Mass | None = Field(
+        None, description="mass of all boards together, kg, if the boards have no masses of their own"
+    )
     friction: Coefficient | None = Field(
         None, description="coefficient of sliding friction of boards without a value of their own"
     )
-    material: Name = Field(WOOD, description="material of boards that name none, for friction by materials")
-    walls: Walls = Field(Walls(), description="walls around its top, as for the option walls")
+    material: Name = Field(WOOD, description="material of boards that name none; it determines friction by materials")
+    walls: Walls = Field(Walls(), description="walls around the carrier's top, as for the option walls")
     boards: Annotated[tuple[Board, ...], Field(min_length=1, max_length=MOST_BOARDS)] = Field(
-        description="[[boards]] tables with corner_mm, size_mm and mass_kg"
+        description="the boards: [[boards]] tables with corner_mm, size_mm and mass_kg"
     )
 
     @property

@@ -94,11 +94,13 @@ class FrictionPair(CheckedRecord):
     """The coefficient of sliding friction between two materials, which may be the same material."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
-    friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(description="coefficient of sliding friction")
+    friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(
+        description="coefficient of sliding friction between the two materials"
+    )
     kinetic: Annotated[StrictFloat, Field(ge=0, le=100)] | None = Field(
         None,
-        description="the coefficient while they slide, at most that at rest; left out: physics.kinetic_friction_share "
-        "of it",
+        description="coefficient of friction while the materials slide on each other, at most friction; by default "
+        "friction times physics.kinetic_friction_share",
     )
 
     @model_validator(mode="after")
@@ -120,10 +122,13 @@ class LandingPair(CheckedRecord):
     between: tuple[Name, Name] = Field(description="the two materials")
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(
         None,
-        description="share of its speed with which one bounces off the other; left out: as the table or physics says",
+        description="share of its speed with which a box of one material bounces off the other material; by default "
+        "the value of petmjx's table or of physics",
     )
     landing_s: Annotated[float, within(SHORTEST_LANDING_S, LONGEST_LANDING_S)] | None = Field(
-        None, description="time in which one is stopped by the other, s; left out: as physics says"
+        None,
+        description="time in which a box of one material is stopped by the other material, s; by default "
+        "physics.landing_s",
     )
 
     @property

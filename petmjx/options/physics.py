@@ -92,55 +92,60 @@ class Physics(CheckedRecord):
     box_friction: Friction = Field((0.5, 0.005, 0.0001), description="friction of boxes")
     floor_friction: Friction = Field((1.0, 0.005, 0.0001), description="friction of the floor")
     floor_z_m: Annotated[float, within(-20, 0)] = Field(
-        -0.144, lt=0, description="height of the floor: a pallet's height below z = 0"
+        -0.144, lt=0, description="z of the floor, m: a pallet's height below the carrier's top, which is at 0"
     )
     carrier_half_height_m: Annotated[float, within(0.001, 10)] = Field(
-        0.072, gt=0, description="half the carrier's height"
+        0.072, gt=0, description="half the carrier's height, m"
     )
-    carrier_mass_kg: Annotated[float, within(0.001, 100_000)] = Field(25.0, gt=0, description="the carrier's mass")
-    timestep_s: Annotated[float, within(SHORTEST_TIMESTEP_S, 0.02)] = Field(0.002, gt=0, description="length of a step")
-    gravity_m_s2: Annotated[float, within(0.001, 100)] = Field(9.81, gt=0, description="gravity, downwards")
+    carrier_mass_kg: Annotated[float, within(0.001, 100_000)] = Field(25.0, gt=0, description="mass of the carrier, kg")
+    timestep_s: Annotated[float, within(SHORTEST_TIMESTEP_S, 0.02)] = Field(
+        0.002, gt=0, description="length of a time step, s"
+    )
+    gravity_m_s2: Annotated[float, within(0.001, 100)] = Field(9.81, gt=0, description="gravity, downwards, m/s²")
     solref: Annotated[tuple[float, float], AfterValidator(_contact_times)] = Field(
-        (0.02, 1.25), description="MuJoCo's time constant and damping ratio of contacts"
+        (0.02, 1.25), description="MuJoCo's solref of contacts: time constant, s, and damping ratio"
     )
     solreffriction: Annotated[tuple[float, float], AfterValidator(_contact_times)] = Field(
         (0.004, 1.0),
-        description="MuJoCo's solref of friction, with elliptic cones; 0, 0: that of contacts",
+        description="MuJoCo's solreffriction: time constant, s, and damping ratio of friction, with elliptic cones; "
+        "0, 0: the values of solref",
     )
     solimp: Annotated[Triple, AfterValidator(_impedances)] = Field(
-        (0.1, 0.999, 0.0001), description="MuJoCo's impedances of contacts and their width, m"
+        (0.1, 0.999, 0.0001),
+        description="MuJoCo's solimp of contacts: impedance at first touch, impedance at full depth, and this depth, m",
     )
     impratio: Annotated[float, within(1, 10_000)] = Field(
-        100.0, description="MuJoCo's impratio: how much stiffer friction is than pressure, with elliptic cones"
+        100.0, description="MuJoCo's impratio: how many times stiffer friction is than pressure, with elliptic cones"
     )
     slip_correction: bool = Field(
         True,
-        description="whether friction of a contact that slides leaves its pressure alone, with elliptic cones "
-        "(petmjx/world/contact_laws.py); else, as in MuJoCo itself, a slip raises it, and boxes that slide hop",
+        description="whether a contact keeps its pressure while it slides, with elliptic cones "
+        "(petmjx/world/contact_laws.py); if false, sliding raises the pressure, as in MuJoCo itself, and sliding "
+        "boxes hop",
     )
     kinetic_friction_share: Annotated[float, within(0.1, 1)] = Field(
         1.0,
-        description="friction of a contact that slides faster than 2 cm/s, as a share of its friction at rest, with "
-        "elliptic cones; CTU Code, Annex 7: 0.75",
+        description="coefficient of friction of a contact that slides faster than 2 cm/s, as a share of its "
+        "coefficient at rest, with elliptic cones; the CTU Code, Annex 7, has 0.75",
     )
     landing_s: Annotated[float, within(0, LONGEST_LANDING_S)] = Field(
         LANDING_S,
-        description="time in which what lands is stopped, s, with elliptic cones; 0: contacts are the same springs as "
-        "at rest",
+        description="time in which a landing box is stopped, s, with elliptic cones; 0: a landing box has the same "
+        "contact springs as a box at rest",
     )
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] = Field(
-        RESTITUTION, description="share of its speed with which a box bounces, if landing_s is not 0"
+        RESTITUTION, description="share of its speed with which a landing box bounces, if landing_s is not 0"
     )
     skin_m: Annotated[float, within(0, 0.001)] = Field(
         0.0001,
-        description="by how much boxes are enlarged on each side for the collider, which then prefers faces to "
-        "edges, m; the carrier is enlarged by twice that; contacts of faces still begin where the boxes "
-        "themselves touch",
+        description="length by which boxes are enlarged on each side for collision detection, m, so that it prefers "
+        "contacts of faces to contacts of edges; the carrier is enlarged by twice this length; contacts of faces "
+        "still begin where the boxes themselves touch",
     )
     falls_into_place: bool = Field(
         False,
-        description="whether boxes are released above their place, by at least size_reduction_mm, and fall into it; "
-        "else they are released where they will rest",
+        description="whether boxes are released above their places, by at least size_reduction_mm, and fall; if "
+        "false, boxes are released where they will rest",
     )
 
     @property

@@ -35,24 +35,28 @@ class Placing(CheckedRecord):
 
     name: Annotated[Way, CliFlag("--placing")] = Field(
         Way.AUTO,
-        description="how a box is placed: exact: it appears at its place, at rest; drop: it falls from a height; hand: "
-        "it is carried there by a limited force, and let go where it can go no further; tines: the same, and let go "
-        "with one bottom edge down and the opposite one still up; auto: hand where places or sizes have errors, else "
-        "exact",
+        description="how a box is placed: exact: it appears at its place, at rest; drop: it falls from a height; "
+        "hand: a robot carries it with limited force, and lets it go where it can move no further; tines: as hand, "
+        "but the box is let go with one bottom edge down and the opposite edge still up; auto: hand if places or "
+        "sizes have errors, else exact",
     )
     height_mm: Annotated[float, within(0, 2000), CliFlag("--placing-height-mm", "MM")] = Field(
-        5.0, description="drop, hand, tines: height above its place at which a box begins, mm"
+        5.0, description="drop, hand, tines: height above its place at which a box starts, mm"
     )
     side_mm: Annotated[float, within(0, 1000), CliFlag("--placing-side-mm", "MM")] = Field(
         5.0,
-        description="hand, tines: how far beside its place a box begins, against its approach; any box may begin twice "
-        "as far aside of what is in its way, mm",
+        description="hand, tines: distance beside its place at which a box starts, opposite to its direction of "
+        "approach, mm; if another box is in the way, the start moves sideways by at most twice this distance",
     )
     speed_m_s: Annotated[float, within(0.001, 10), CliFlag("--placing-speed", "M/S")] = Field(
-        0.08, description="hand, tines: largest speed on the way, m/s; a path that would take more than 2 s is faster"
+        0.08,
+        description="hand, tines: largest speed of a carried box, m/s; a box moves faster if its path would otherwise "
+        "take more than 2 s",
     )
     force_n: Annotated[float, within(0.1, 100_000), CliFlag("--placing-force-n", "N")] = Field(
-        100.0, description="hand, tines: what the robot presses with at most, beside holding the box's weight, N"
+        100.0,
+        description="hand, tines: largest force with which the robot presses, in addition to the force that holds the "
+        "box's weight, N",
     )
     tines_mm: Annotated[float, within(0, 1000), CliFlag("--tines-height-mm", "MM")] = Field(
         10.0,

@@ -125,17 +125,18 @@ class Confidence(CheckedRecord):
 
     confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
         None,
-        description="also simulate each plan in this many worlds with errors of placement, friction, mass and size, "
-        "and report the share that stands; at least 4, since fewer worlds cannot tell a share from one half",
+        description="also simulate each plan in this many worlds with random errors of placement, friction, mass and "
+        "size, and report the share of worlds in which the plan stands; at least 4, since fewer worlds cannot tell "
+        "this share from one half",
     )
     errors: Annotated[File | None, CliFlag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
-        None, description="sweep file with these errors, those of a robot and of its cartons"
+        None, description="sweep file with the random errors of the robot and of its cartons"
     )
 
     exact_too: Annotated[bool, CliFlag("--exact-too")] = Field(
         False,
-        description="also simulate each world with errors with boxes that appear at their places, and say where the "
-        "share that stands differs beyond chance from that of boxes that are carried",
+        description="also simulate each world with errors a second time, with boxes that appear at their places and "
+        "are not carried, and report where the two shares of worlds that stand differ by more than chance",
     )
 
     @model_validator(mode="after")
@@ -153,9 +154,9 @@ class Transport(CheckedRecord):
 
     chain: Annotated[File | None, CliFlag("--chain", "NAME|FILE")] = Field(
         None,
-        description="take each plan through a chain, from the robot to the dock, in as many worlds with errors as the "
-        "chain says or confidence asks for, and report how likely it arrives: a ready-made one, such as "
-        "chain-film-truck, or a sweep file with legs",
+        description="take each plan through a transport chain, from the robot to the dock, in worlds with random "
+        "errors, and report how likely the pallet is to arrive: the name of a ready-made chain, such as "
+        "chain-film-truck, or a sweep file with legs; the number of worlds is that of the chain, or of confidence",
     )
 
 
@@ -170,8 +171,8 @@ class RunOptions(CheckedRecord):
     engine: Annotated[Any, CliFlag("--engine")] = Field(
         AUTO,
         description="engine: mujoco: C MuJoCo on CPU threads; mjx-warp: kernels on a GPU; mjx-warp-cpu: the same "
-        "kernels on CPU threads; mjx-jax: MJX in batches; auto: the one expected to finish first; in Python also an "
-        "engine of your own",
+        "kernels on CPU threads; mjx-jax: MJX in batches; auto: the engine that is expected to finish first; in "
+        "Python also an engine of your own",
     )
     threads: Annotated[int | None, within(1, 4096), CliFlag("--threads", "N")] = Field(
         None,
@@ -182,40 +183,42 @@ class RunOptions(CheckedRecord):
     lanes: Annotated[int | None, within(1, 1 << 20), CliFlag("--lanes", "N")] = Field(
         None,
         ge=1,
-        description="worlds that are simulated at once: with mjx-warp one per thread block, by default as many as "
-        "fit on the device; with mjx-jax one batch, by default up to 256, on a CPU one world per thread",
+        description="number of worlds that are simulated at once: with mjx-warp one world per thread block, by "
+        "default as many as fit on the device; with mjx-jax the worlds of one batch, by default up to 256 on a GPU, "
+        "and one per thread on a CPU",
     )
     world_timeout_s: Annotated[float | None, within(0, 1e9), CliFlag("--world-timeout", "S")] = Field(
         None,
         gt=0,
-        description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only; by "
-        "default 32 times the CPU time that is expected of it (70 times by hand), but at least 30 s in a static check "
-        "and 300 s else",
+        description="wall-clock time after which the simulation of a world ends as invalid by timeout, s; engine "
+        "mujoco only; by default 32 times the expected CPU time of the world (70 times if a hand or tines carry "
+        "boxes), but at least 30 s in a static check and 300 s otherwise",
     )
     workers: Annotated[int | str | None, BeforeValidator(_workers), CliFlag("--workers", "N|auto")] = Field(
         None,
-        description="run in this many processes by Ray (extra ray): a worker has its share of the CPU threads, or a "
-        "GPU, which up to four can share; auto: one for each GPU or, with mujoco, for each machine",
+        description="run in this many processes with Ray (extra ray): each worker has a share of the CPU threads, or "
+        "a GPU, which up to four workers can share; auto: one worker for each GPU or, with mujoco, for each machine",
     )
     ray: Annotated[str | None, AfterValidator(_address), CliFlag("--ray", "ADDRESS")] = Field(
         None,
-        description="run on the Ray cluster whose head is at HOST:PORT (auto: the one on this machine), with workers "
-        "auto if their number is not given; by default workers run on this machine",
+        description="run on the Ray cluster whose head is at HOST:PORT (auto: the cluster on this machine); without a "
+        "number of workers, workers is auto; by default workers run on this machine",
     )
     limit: Annotated[int | None, within(1, 2**63 - 1), CliFlag("--limit", "N")] = Field(
-        None, ge=1, description="take only this many plans"
+        None, ge=1, description="simulate only the first plans, up to this number"
     )
     units: Annotated[
         str | None, AfterValidator(_units), CliFlag("--units", "LENGTH,MASS", default=f"{PLAN_UNITS}; {_OR_BY_FILE}")
     ] = Field(
         None,
-        description="units of the lengths and masses in the plans: mm, cm, m or in; kg, g, lb or t; one of them "
-        "or both, as in cm,g",
+        description="unit of the lengths (mm, cm, m or in) and unit of the masses (kg, g, lb or t) in the plans; one "
+        "of them or both, as in cm,g",
     )
     anchor: Annotated[Anchor | None, CliFlag("--anchor", "POINT", default=f"corner; {_OR_BY_FILE}")] = Field(
         None,
-        description="which point of a box the plans give: corner, the one with the smallest x, y and "
-        "z; centre; base-centre, the centre of its base; far-corner; or top-centre, the centre of its top",
+        description="point of a box that coordinates in the plans describe: corner, the one with the smallest x, y "
+        "and z; centre; base-centre, the centre of its base; far-corner, the one with the largest x, y and z; or "
+        "top-centre, the centre of its top",
     )
     up: Annotated[Literal["y", "z"] | None, CliFlag("--up", "y|z", default=_BY_FILE)] = Field(
         None, description="the vertical axis of files of other tools"
@@ -227,51 +230,51 @@ class RunOptions(CheckedRecord):
         dict[str, str] | None, BeforeValidator(_columns), CliFlag("--columns", "ROLE=NAME,…", default=_BY_FILE)
     ] = Field(
         None,
-        description="names of columns in files of other tools, such as x=Pos X,length=Länge; ROLE=-: no column; in "
-        "Python a table",
+        description="names of the columns in files of other tools, by role, such as x=Pos X,length=Länge; ROLE=-: no "
+        "column has this role; in Python a dictionary",
     )
     density: Annotated[float | None, within(1, 20_000), CliFlag("--density", "KG/M3", default="300")] = Field(
-        None, description="density of boxes whose weight a file of another tool lacks, kg/m³"
+        None, description="density of boxes without a weight in files of other tools, kg/m³"
     )
     items: Annotated[File | None, CliFlag("--items", "FILE")] = Field(
         None,
-        description="table of items with sizes and weights, for files of other tools that have places alone, or orders "
-        "that name articles alone",
+        description="file with the sizes and weights of items, for files of other tools that have only places, and "
+        "for orders that have only articles",
     )
     reading: Annotated[File | None, CliFlag("--as", "FILE.toml")] = Field(
-        None, description="how to read files of other tools, as petmjx info FILE --write-as wrote it"
+        None, description="file that petmjx info FILE --write-as wrote: it tells how files of other tools are read"
     )
     articles: Annotated[File | None, CliFlag("--articles", "FILE")] = Field(
         None,
-        description="table of articles or product groups, as for petmjx loads: materials of boxes, which give the "
-        "friction between them, and centres of mass",
+        description="table of articles or product groups, as for petmjx loads: it gives the materials of boxes, which "
+        "determine the friction between them, and centres of mass",
     )
     record: Annotated[str | tuple[str, ...] | None, CliFlag("--record", "failed|all|ID,…", "--record-plans")] = Field(
         None,
-        description="keep histories, frame by frame, of the worlds that are not stable, of all, or of these plans; no "
-        "other result changes; in Python also a list of ids",
+        description="keep histories (motion, frame by frame) of the worlds that are not stable, of all worlds, or of "
+        "the plans with these ids; no other result changes; in Python also a list of ids",
     )
     record_interval_s: Annotated[float, within(0.0001, 3600), CliFlag("--record-interval", "S")] = Field(
         FRAME_INTERVAL_S, description="time between two frames of a history, s; each placement is a frame too"
     )
     record_details: Annotated[bool, CliFlag("--record-details")] = Field(
-        False, description="histories with accelerations, penetrations and contacts; engine mujoco only"
+        False, description="histories also have accelerations, penetrations and contacts; engine mujoco only"
     )
     force_intervals: Annotated[bool, CliFlag("--force-intervals")] = Field(
         False,
-        description="also compute the least and the most force on top of each box at rest that balance and friction "
-        "allow; takes a tenth of a second or more per world; needs SciPy (extra packers); changes no "
+        description="also compute, for each box at rest, the smallest and the largest force on its top that balance "
+        "and friction allow; takes a tenth of a second or more per world; needs SciPy (extra packers); changes no "
         "other result",
     )
     keep: Annotated[Literal["all", "worlds"], CliFlag("--keep", "all|worlds")] = Field(
         "all",
-        description="tables that are kept: all, or only worlds: a large sweep's bytes are nearly all of boxes; changes "
-        "no other result",
+        description="tables that are kept: all, or only worlds; in a large sweep, nearly all bytes are in the table "
+        "boxes; changes no other result",
     )
     orders: Annotated[File | None, CliFlag("--orders", "FILE")] = Field(
         None,
-        description="orders that the plans were packed from, in any form (docs/plan-format.md#orders): counts boxes "
-        "that plans leave out, and orders without a plan; changes no verdict",
+        description="file of the orders from which the plans were packed, in any form (docs/plan-format.md#orders): "
+        "counts the boxes that plans leave out, and the orders without a plan; changes no verdict",
     )
     strict: Annotated[bool, CliFlag("--strict")] = Field(
         False, description="stop at the first unusable plan instead of skipping it"
@@ -281,17 +284,18 @@ class RunOptions(CheckedRecord):
     )
     out: Annotated[File | None, CliFlag("--out", "DIR", "-o", default="petmjx-results/DATE-TIME")] = Field(
         None,
-        description="folder for the results; in Python, without one, results stay in memory",
+        description="folder for the results; in Python, results stay in memory if no folder is given",
     )
     overwrite: Annotated[bool, CliFlag("--overwrite")] = Field(
-        False, description="replace the results that the folder holds"
+        False, description="replace the results that are already in the folder"
     )
     resume: Annotated[bool, CliFlag("--resume")] = Field(
         False,
         description="continue the run in the folder: simulate only what is missing; begin a new run if there is none",
     )
     shard: Annotated[str | None, AfterValidator(_share), CliFlag("--shard", "I/N")] = Field(
-        None, description="take only the I-th of N shares of the plans, I from 1; petmjx merge joins the results"
+        None,
+        description="simulate only the I-th of N shares of the plans, counted from 1; petmjx merge joins the results",
     )
 
     @model_validator(mode="after")

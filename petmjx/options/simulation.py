@@ -72,7 +72,7 @@ class Thresholds(CheckedRecord):
     IV-C)."""
 
     shift_m: Annotated[float, within(0, 100), CliFlag("--shift-limit-m", "M")] = Field(
-        0.02, gt=0, description="a plan is unstable if a box ends further than this from its place in x, y or z, m"
+        0.02, gt=0, description="a plan is unstable if a box ends further than this from its place, along x, y or z, m"
     )
     shift_floor_m: Annotated[float, within(0, 100)] = Field(
         0.001, ge=0, description="components of a displacement below this count as 0, m"
@@ -83,13 +83,19 @@ class Thresholds(CheckedRecord):
         description="a plan is unstable if the angle between a box's z axis and the world's exceeds this, degrees",
     )
     drop_hull_z_m: Annotated[float, within(-100, 100)] = Field(
-        -0.1, description="a box whose hull reaches below this has dropped, m"
+        -0.1, description="a box has dropped if a part of it is lower than this z, m"
     )
     lin_acc_m_s2: Annotated[float, within(0, 1e9)] = Field(
-        110.0, gt=0, description="a larger linear acceleration before the first sign is an explosion, m/s²"
+        110.0,
+        gt=0,
+        description="a box with a larger linear acceleration is a sign of an explosion of the simulation, unless a "
+        "box has failed before, m/s²",
     )
     ang_acc_rad_s2: Annotated[float, within(0, 1e9)] = Field(
-        110.0, gt=0, description="a larger angular acceleration before the first sign is an explosion, rad/s²"
+        110.0,
+        gt=0,
+        description="a box with a larger angular acceleration is a sign of an explosion of the simulation, unless a "
+        "box has failed before, rad/s²",
     )
 
 
@@ -112,34 +118,43 @@ class Quiet(CheckedRecord):
     """
 
     quiet_m_s: Annotated[float, within(0, 100)] = Field(
-        0.01, gt=0, description="speed of a box's fastest point below which it is quiet, m/s"
+        0.01, gt=0, description="a box is quiet if the speed of its fastest point is below this, m/s"
     )
     slow_m_s: Annotated[float, within(0, 100)] = Field(
-        0.001, ge=0, description="speed of a box's fastest point below which it is slow, m/s"
+        0.001, ge=0, description="a box is slow if the speed of its fastest point is below this, m/s"
     )
     slowing: Annotated[float, within(0, 1000)] = Field(
-        0.7, ge=0, description="a box that is not slow creeps unless it slows to this share of its speed"
+        0.7, ge=0, description="a box that is not slow creeps unless it slows to this share of its earlier speed"
     )
     steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        15, ge=1, description="steps for which all boxes must have been quiet"
+        15, ge=1, description="number of steps for which all boxes must have been quiet before the next box is placed"
     )
     landing_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        50, ge=1, description="steps in which a box lands: no rest window, and no explosion, begins before"
+        50,
+        ge=1,
+        description="number of steps after its placement for which a box counts as landing; in these steps, no rest "
+        "window begins, and no acceleration is a sign of an explosion",
     )
-    poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(5, ge=1, description="steps between two checks")
+    poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
+        5, ge=1, description="number of steps between two checks whether the pallet is quiet"
+    )
     still_m_s: Annotated[float, within(0, 100)] = Field(
-        0.0001, ge=0, description="speed of a box's fastest point up to which it is still, m/s"
+        0.0001, ge=0, description="a box is still if the speed of its fastest point is at most this, m/s"
     )
     still_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        50, ge=1, description="steps before a world's end for which all boxes must have been still"
+        50, ge=1, description="number of steps at the end of a world for which all boxes must have been still"
     )
     tremble_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         250,
         ge=1,
-        description="length of the windows of a wait, in steps; at the end of each, trembling boxes are looked for",
+        description="length of the windows into which a wait is divided, in steps; at the end of each window, "
+        "trembling boxes are searched for",
     )
     tremble_share: Annotated[float, within(0, 1)] = Field(
-        0.25, ge=0, description="a box trembles that gets no further away than this share of the way that it goes"
+        0.25,
+        ge=0,
+        description="a box trembles if, within a window, it moves away by no more than this share of the path that it "
+        "travels",
     )
 
     @property
@@ -153,16 +168,18 @@ class Simulation(CheckedRecord):
 
     check: Annotated[Check, CliFlag("--check")] = Field(
         Check.ONE_BY_ONE,
-        description="how boxes come to stand: one-by-one: box after box; static: all from the start",
+        description="how boxes come to stand: one-by-one: they are placed one after another; static: all boxes stand "
+        "from the start",
     )
     schedule: Annotated[Schedule, CliFlag("--schedule")] = Field(
         Schedule.ADAPTIVE,
-        description="when the next box is placed: adaptive: as soon as the pallet is quiet and nothing creeps; "
-        "fixed: every interval",
+        description="when the next box is placed: adaptive: as soon as the pallet is quiet and no box creeps; fixed: "
+        "at equal intervals",
     )
     physics: Annotated[Physics, CliFlag("--physics")] = Field(
         PHYSICS["pallet"],
-        description="contact physics: pallet: pallets rest, the carrier is of wood; reference: as in PET-Physics",
+        description="physics of contacts: pallet: pallets come to rest, and the carrier is of wood; reference: as in "
+        "PET-Physics",
     )
     carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE")] = Field(
         Carrier.FOOTPRINT,
@@ -175,20 +192,25 @@ class Simulation(CheckedRecord):
     friction_pairs: tuple[FrictionPair, ...] = Field(
         (),
         max_length=100,
-        description="friction between materials of boxes and boards, in addition to petmjx's own table: tables with "
-        "between (a list of two materials) and friction",
+        description="coefficients of friction between materials of boxes and boards, in addition to petmjx's own "
+        "table: tables with between (a list of two materials) and friction",
     )
     landing_pairs: tuple[LandingPair, ...] = Field(
         (),
         max_length=100,
-        description="landings between materials of boxes and boards, in addition to petmjx's own table: tables with "
-        "between (a list of two materials), and restitution, landing_s or both",
+        description="how boxes bounce and stop when they land, by pairs of materials, in addition to petmjx's own "
+        "table: tables with between (a list of two materials), and restitution, landing_s or both",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
-        0.1, ge=0, description="boxes are made smaller by this along x and y, so that neighbours start apart, mm"
+        0.1,
+        ge=0,
+        description="length by which boxes are made smaller along x and y, so that neighbours do not touch at the "
+        "start, mm",
     )
     interval_s: Annotated[float, within(0, LONGEST_INTERVAL_S), CliFlag("--interval", "S")] = Field(
-        0.7, gt=0, description="time between two placements, s; adaptive: the longest wait once a box has failed"
+        0.7,
+        gt=0,
+        description="time between two placements, s; with schedule adaptive: the longest wait once a box has failed",
     )
     longest_wait_s: Annotated[float, within(0, LONGEST_INTERVAL_S), CliFlag("--longest-wait", "S")] = Field(
         10.0,
@@ -202,53 +224,56 @@ class Simulation(CheckedRecord):
     settle_s: Annotated[float, within(0, LONGEST_S), CliFlag("--settle", "S")] = Field(
         2.0,
         ge=0,
-        description="pause between the last placement and a profile, s; adaptive: only for pallets that have failed",
+        description="pause between the last placement and a profile (a motion of the carrier), s; with schedule "
+        "adaptive: only for pallets that have failed",
     )
     rest_s: Annotated[float, within(0, LONGEST_S), CliFlag("--rest", "S")] = Field(
         1.0,
         ge=0,
-        description="time to come to rest after a profile's last sample, s; adaptive: less where it is quiet sooner",
+        description="time to come to rest after the last sample of a profile (a motion of the carrier), s; with "
+        "schedule adaptive: less if the pallet is quiet sooner",
     )
     total_time_factor: Annotated[float | None, within(1, 10)] = Field(
         None,
         gt=1,
-        description="fixed, one by one: length of the whole run in multiples of the placement time, instead of rest_s",
+        description="with schedule fixed, one by one: length of the whole simulation as a multiple of the time for "
+        "placing; replaces rest_s",
     )
     sample_interval_s: Annotated[float, within(0, LONGEST_S), CliFlag("--sample-interval", "S")] = Field(
         0.2, gt=0, description="time between two samples of the metrics, s"
     )
     rest_window_s: Annotated[float, within(0, LONGEST_S)] = Field(
-        0.2, gt=0, description="rest_top_force_n is averaged over this at the end, s"
+        0.2, gt=0, description="length of the window at the end over which rest_top_force_n is averaged, s"
     )
     early_stop: Annotated[bool, CliFlag("--early-stop/--no-early-stop")] = Field(
         True,
-        description="stop a world once a box has dropped, or with random errors or in a drive is lost, instead of "
-        "going on to the end of the schedule",
+        description="end a world once a box has dropped or, in worlds with random errors and in drives, is lost "
+        "(tilted too far), instead of going on to the end of the schedule",
     )
     check_timestep: Annotated[bool, CliFlag("--check-timestep")] = Field(
         False,
-        description="simulate worlds with a margin below a half again at half the timestep, and name those that change "
-        "(flag timestep)",
+        description="simulate worlds whose margin is below 0.5 a second time, at half the timestep, and name the "
+        "worlds whose verdict changes (flag timestep)",
     )
     soft: Annotated[bool, CliFlag("--soft")] = Field(
         False,
         description="simulate boxes that have a stiffness as flex bodies of MuJoCo, which bend and twist, instead of "
-        "by a contact law; on mujoco alone, and up to a hundred times as slow",
+        "using a contact law; engine mujoco only; up to a hundred times slower",
     )
     attempts: Annotated[Attempts, CliFlag("--attempts")] = Field(
         Attempts.RIGID,
-        description="soft: once more simulate, with all boxes as flex bodies, worlds that are invalid after all other "
-        "attempts, or whose verdict soft contacts may have decided; rigid: do not",
+        description="soft: make one more attempt, with all boxes as flex bodies, at worlds that are invalid after all "
+        "other attempts, or whose verdict soft contacts may have decided; rigid: make no such attempt",
     )
     placing: Placing = Field(Placing(), description="how a box is placed")
     wrap: Wrap = Field(Wrap(), description="stretch film around a pallet that is shaken")
     thresholds: Thresholds = Field(Thresholds(), description="thresholds beyond which a plan is unstable")
-    quiet: Quiet = Field(Quiet(), description="when a pallet is quiet enough for the next box")
+    quiet: Quiet = Field(Quiet(), description="conditions under which a pallet is quiet enough for the next box")
     solver: Annotated[Solver, CliFlag("--solver")] = Field(
         Solver.NEWTON, description="constraint solver of the first attempt"
     )
     solver_iterations: Annotated[int | None, within(1, MOST_STEPS)] = Field(
-        None, gt=0, description="solver iterations per step, at most; none: the engine's own choice"
+        None, gt=0, description="largest number of solver iterations per step; none: the engine's own choice"
     )
     solver_tolerance: Annotated[float | None, within(0, 1)] = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"

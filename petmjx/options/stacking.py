@@ -38,29 +38,37 @@ class Stacking(CheckedRecord):
     """
 
     interlocked_loss: Annotated[float, within(0, 1)] = Field(
-        0.5, description="share that a box loses if no wall of the boxes on it stands on its own walls; less as more do"
+        0.5,
+        description="share of its strength that a box loses if no wall of the boxes on it stands on its own walls; "
+        "the loss is smaller if some walls do",
     )
     overhang_loss: Annotated[float, within(0, 1)] = Field(
-        1.0, description="share that a box would lose if all of its walls hung over nothing; in proportion to those"
+        1.0,
+        description="share of its strength that a box would lose if all of its walls hung over nothing; the actual "
+        "loss is in proportion to the walls that do",
     )
     gap_loss: Annotated[float, within(0, 1)] = Field(
-        0.26, description="share that a box on the deck loses if walls of it cross gaps between boards"
+        0.26,
+        description="share of its strength that a box on the deck loses if some of its walls cross gaps between boards",
     )
     soft_deck_loss: Annotated[float, within(0, 1)] = Field(
         0.0,
-        description="share that boxes on the deck lose by boards that bend: stiff boards 0, soft ones 0.21 to 0.27",
+        description="share of their strength that boxes on the deck lose because boards bend: 0 for stiff boards, "
+        "0.21 to 0.27 for soft boards",
     )
     wall_tolerance_mm: Annotated[float, within(0, 1000)] = Field(
-        10.0, description="walls stand on each other, and on edges of what is below, if no further apart, mm"
+        10.0, description="a wall stands on another wall, or on an edge below it, if their distance is at most this, mm"
     )
     humidity_percent: Annotated[float, within(0, 100)] = Field(
-        50.0, description="relative humidity of the air, %; above 50 it takes strength, at rest and at the peak"
+        50.0, description="relative humidity of the air, %; above 50 %, boxes lose strength, at rest and at the peak"
     )
     storage_days: Annotated[float, within(0, 180)] = Field(
-        0.0, description="days under load at rest, which take strength; 0: as long as in a press"
+        0.0, description="days under load, which reduce strength at rest; 0: boxes are loaded as briefly as in a press"
     )
     loss_spread: Annotated[float, within(0, 1)] = Field(
-        0.2, description="how far each loss may be from its number, as a share of it: for surely and possibly"
+        0.2,
+        description="how far each loss may differ from its value, as a share of the value; used to tell surely from "
+        "possibly overloaded boxes",
     )
 
     def with_losses(self, factor: float) -> Self:

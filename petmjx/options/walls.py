@@ -45,33 +45,37 @@ class Walls(CheckedRecord):
     sides: Annotated[tuple[Side, ...] | None, CliFlag("--walls", "SIDE,…")] = Field(
         None,
         description="sides of the carrier that have a wall: left (at x = 0), right, front (at y = 0), back; by "
-        "default those of the carrier, of which rollcontainer-2, -3 and -4, gitterbox and container-20ft have some",
+        "default the carrier's own walls, such as those of rollcontainer-2, -3 and -4, gitterbox and container-20ft",
     )
     open: Annotated[tuple[Side, ...], CliFlag("--open-walls", "SIDE,…")] = Field(
         (),
-        description="walls that are open, as a door is: nothing leans on them, but their mass stays",
+        description="walls that are open, like a door: nothing can lean on an open wall, but the wall keeps its mass",
     )
     height_mm: Annotated[float | None, within(1, 4000)] = Field(
-        None, description="height of the walls above the carrier's top, mm; by default the carrier's, else 1500"
+        None,
+        description="height of the walls above the carrier's top, mm; by default that of the carrier's walls, else "
+        "1500",
     )
     gap_mm: Annotated[float | None, within(-200, 500)] = Field(
         None,
-        description="distance of the walls from the sides of the carrier's top, mm; negative: they stand on it, as "
-        "collars do; by default the carrier's, else 0",
+        description="distance of the walls from the sides of the carrier's top, mm; negative: the walls stand on the "
+        "top, as collars do; by default that of the carrier's walls, else 0",
     )
     thickness_mm: Annotated[float | None, within(1, 500)] = Field(
-        None, description="thickness of the walls, mm; by default the carrier's, else 30"
+        None, description="thickness of the walls, mm; by default that of the carrier's walls, else 30"
     )
     mass_kg_m2: Annotated[float | None, within(0, 1000)] = Field(
-        None, description="mass of the walls by area, kg/m²; by default the carrier's, else 6"
+        None, description="mass of the walls by area, kg/m²; by default that of the carrier's walls, else 6"
     )
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] | None = Field(
         None,
-        description="coefficient of sliding friction between walls and boxes; by default as for boards that have "
-        "none, by materials or physics.carrier_friction",
+        description="coefficient of sliding friction between walls and boxes; by default the coefficient of boards "
+        "without their own: by materials, or physics.carrier_friction",
     )
     material: Annotated[str, Field(max_length=100)] | None = Field(
-        None, description="what the walls are made of, for friction by materials; by default the carrier's, else wood"
+        None,
+        description="material of the walls, for friction by materials; by default that of the carrier's walls, else "
+        "wood",
     )
 
     @model_validator(mode="before")
