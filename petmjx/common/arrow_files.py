@@ -40,7 +40,7 @@ def open_for_arrow(path: Path) -> pa.NativeFile:
 
     Raises:
         OSError: the file cannot be read, or is not a regular file; ``strerror`` has the reason.
-        ValueError: no file can have this name.
+        ValueError: the name is impossible for a file, such as a name with a null character.
     """
     # Python checks the file first, since Arrow would wait for ever if the file were a FIFO. pa.OSFile accepts a name
     # that consists of any bytes. Other functions of Arrow read "s3:" as a scheme and "a=1" in a folder's name as a

@@ -35,7 +35,7 @@ def open_regular(path: Path) -> BinaryIO:
 
     Raises:
         OSError: the file cannot be read, or is not a regular file; ``strerror`` has the reason.
-        ValueError: no file can have this name.
+        ValueError: the name is impossible for a file, such as a name with a null character.
     """
     # The path is checked before opening, because opening a device may have an effect. The opened file is checked again,
     # because the path may have changed in between.
@@ -57,7 +57,7 @@ def read_regular(path: Path, most: int) -> bytearray:
 
     Raises:
         OSError: the file cannot be read, is not a regular file, or is too large; ``strerror`` has the reason.
-        ValueError: no file can have this name.
+        ValueError: the name is impossible for a file, such as a name with a null character.
     """
     with open_regular(path) as file:
         if os.fstat(file.fileno()).st_size > most:

@@ -64,7 +64,8 @@ _FIELDS: Final = (*_KEYS, _MATERIAL, *_NUMBERS)
 _LONGEST_MATERIAL: Final = 100
 
 MOST_ARTICLES: Final = 1_000_000
-"""Largest number of articles in a table: more than any warehouse has. A table of this size takes about 400 MB."""
+"""Largest number of articles in a table: more than any warehouse has. A table with this number of articles takes about
+400 MB of memory."""
 
 _COMMA_NUMBER: Final = re.compile(COMMA_NUMBER)
 _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group", "materials": _MATERIAL}

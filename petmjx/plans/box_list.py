@@ -16,7 +16,7 @@ class BoxList:
 
     Attributes:
         table: the boxes.
-        path: path of the list, with [] for each list that it passes through: "containers[].stack.placements[]".
+        path: path of the list in the file, with [] after each list on the path: "containers[].stack.placements[]".
         parts: (n,) for each row, the name of its plan; "" if the plan has no name.
         containers: name of a plan → axis (as in ``ColumnMeaning``) → size of the plan's container, in the file's unit.
         left_out: a line about boxes that are not placed; "" if there are none.

@@ -80,7 +80,7 @@ class ColumnExtraction:
             self.meanings[upper["ID"]] = ColumnMeaning("article")
             self.meanings[upper["TYPE"]] = None
             self.meanings[upper.get("COPIES", upper["TYPE"])] = None
-        if source.form == BED_BPP:  # in this form, item.sequence counts the order's items
+        if source.form == BED_BPP:  # item.sequence numbers the items of the order: it is no packing order
             self.meanings = [
                 None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
             ]

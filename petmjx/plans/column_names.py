@@ -166,7 +166,7 @@ largeur, hauteur, profondeur; larghezza, profondità, altezza; długość, szero
 first rows, capital and small letters have different meanings."""
 
 _LONE: Final = {"l": "length", "w": "width", "b": "width", "h": "height", "d": "depth", "t": "depth"}
-"""Letters that name a size even when they stand alone."""
+"""Letters that name a size even if no other column is named by a letter."""
 _BOX: Final = word_set(
     "box item case carton ctn outer parcel package pkg karton kiste caja colis collo placed dim size"
 )

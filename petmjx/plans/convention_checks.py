@@ -49,9 +49,9 @@ _USUAL_M3: Final = 0.015
 plans a thousand times too dense. The usual volume shows which of the two units is wrong."""
 
 LEAST_SHARE: Final = 0.25
-"""Smallest share of the plans with odd layouts that a convention must explain to be reported. A packer that uses
-another convention uses it in all its plans. By chance, one in 300 plans with three floating boxes looks as if y and z
-were swapped."""
+"""Smallest share of the plans with odd layouts that a convention must explain to be reported. If a packer uses another
+convention, all its plans have this convention. By chance, one in 300 plans with three floating boxes looks as if y and
+z were swapped."""
 
 _LEAST_FILLED: Final = 0.3
 """A convention explains a plan only if the boxes, when read in this convention, fill at least this share of the plan's
@@ -95,7 +95,7 @@ class Convention:
     least_share: float = 0.0
 
     def layout_of(self, plan: Plan) -> _Layout:
-        """The plan's corners and sizes when it is read in this convention."""
+        """The corners and sizes of a plan's boxes if the plan is read in this convention."""
         assert self.read is not None
         corner, size = self.read(plan.corner_mm, plan.size_mm)
         if not self.of_turned:
@@ -446,5 +446,5 @@ def _first_oddity(plan: Plan, odd: PlanWarnings, way: Convention) -> str:
 
 
 def _box(plan: Plan, box: int) -> str:
-    """A box as messages name it: "box 22 (candy-00100723)". Boxes are numbered from 0, in packing order."""
+    """The name of a box in messages: "box 22 (candy-00100723)". Boxes are numbered from 0, in packing order."""
     return box_in_words(box, plan.articles[box])

@@ -48,7 +48,7 @@ def is_parquet(path: Path) -> bool:
 
     Raises:
         OSError: the file cannot be read, or is not a regular file.
-        ValueError: no file can have this name.
+        ValueError: the name is impossible for a file, such as a name with a null character.
     """
     with open_regular(path) as file:
         return is_parquet_name(path) or file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
@@ -80,7 +80,7 @@ def foreign_kind_of(path: Path) -> str | None:
 
     Raises:
         OSError: the file cannot be read, or is not a regular file.
-        ValueError: no file can have this name.
+        ValueError: the name is impossible for a file, such as a name with a null character.
     """
     with open_regular(path) as file:
         return foreign_kind(file.read(LOOKED_AT_ARCHIVE))

@@ -64,7 +64,7 @@ def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
 
 
 def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
-    """Whether most of the first rows have at least this number of numbers."""
+    """Whether at least ``least`` cells are numbers in most of the first rows."""
     first = rows[:20]
     counts = [sum(cell_number(cell) is not None or cell_number(cell, ",") is not None for cell in row) for row in first]
     return sum(count >= least for count in counts) * 2 > len(first)

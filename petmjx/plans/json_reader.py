@@ -28,7 +28,7 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
 
     Raises:
         OSError: the file cannot be read, is not a regular file, or is too large.
-        ValueError: no file can have this name.
+        ValueError: the name is impossible for a file, such as a name with a null character.
     """
     data, fault = unpacked_bytes(path)
     if data.startswith(_UTF16_MARKS) and b"\0" in data[2:4]:
@@ -56,7 +56,8 @@ def unpacked_bytes(path: Path) -> tuple[bytearray, str | None]:
 
 
 def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
-    """Unpack a gzip stream, which may have several members, up to its first error. Also returns this error, or None."""
+    """Unpack a gzip stream, which may have several members, up to its first error. Also returns the error, or None if
+    there is none."""
     most = allowed_bytes(len(packed), FREE_BYTES)
     view = memoryview(packed)
     plain = bytearray()

@@ -64,8 +64,8 @@ class BoxSource:
 
 
 MOST_BYTES: Final = 32 << 20
-"""Largest size of a file of another tool, in bytes. A file of this size holds about 200,000 boxes. As Python values,
-the boxes take ten times as much memory as the file."""
+"""Largest size of a file of another tool, in bytes. A file of the largest size holds about 200,000 boxes. As Python
+values, the boxes take ten times as much memory as the file."""
 
 PY3DBP: Final = KnownForm("py3dbp", anchor="corner", rule="py3dbp", sizes="item")
 _UPRIGHT: Final = KnownForm("", anchor="corner", up="z", sizes="placed")

@@ -28,7 +28,7 @@ TARGET_RANGE_MM = (100.0, 20_000.0)
 
 MOST_ITEMS = 512
 """Largest number of items of an order: twice the number of boxes in the largest plan. The packer's time grows with the
-third power of this number."""
+third power of the number of items."""
 
 MEAN_BOXES = 43.5
 STD_BOXES = 15.0

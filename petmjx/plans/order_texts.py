@@ -126,8 +126,8 @@ def order_source(data: bytes | bytearray) -> BoxSource | None:
 
 
 def _flags_at(line: _Line) -> int | None:
-    """Position of the word with the length in the line of a box type. It is recognised by the marks (0 or 1) after each
-    of the three sizes. None if the line has no such marks."""
+    """Position of the word with the length in the line of a box type. The length is recognised by the marks (0 or 1)
+    after each of the three sizes. None if the line has no such marks."""
     for begin in (1, 0):  # the line may begin with the number of the type
         marks = line.words[begin + 1 : begin + 6 : 2]
         if len(line) >= begin + 7 and len(marks) == 3 and sum(mark in ("0", "1") for mark in marks) >= 2:

@@ -29,8 +29,8 @@ USUAL_KG_M3: Final = 300.0
 that is the same for all boxes."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
-"""If no density in a column of densities exceeds this value, the column is relative to the density of water. Otherwise,
-it is in kg/m³."""
+"""If no density in a column exceeds this value, the densities are relative to the density of water; otherwise they are
+in kg/m³."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density
 of foam, and the upper limit above the density of iron parts."""

@@ -111,7 +111,7 @@ def _joined(of_pallets: Sequence[Any], of_loads: Sequence[Any]) -> Any:
 
 
 def _filled(values: Any, usual: Any, count: int) -> Any:
-    """The plan's values; if it has none, the usual value ``count`` times."""
+    """The values that the plan gives; if the plan gives none, the usual value ``count`` times."""
     return np.array([usual] * count) if values is None else values
 
 

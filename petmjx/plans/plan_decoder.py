@@ -166,7 +166,7 @@ def _plain_placements(text: msgspec.Raw, colons: int, max_boxes: int) -> list[_P
 def _plans_of(
     plan_ids: Sequence[str], plans: Sequence[Sequence[_Placement]], options: DecoderOptions
 ) -> list[Plan | None]:
-    """Make the plans of these placements. None for a plan with a value that is not allowed.
+    """Make a plan from each list of placements; None for a plan with a value that is not allowed.
 
     Whole columns are checked, for all plans at once. The plans share their arrays.
     """

@@ -187,8 +187,8 @@ _OF_A_RUN: Final = "petmjx convert writes its plans to a file"
 
 
 def _list_files(paths: list[Path]) -> list[Path]:
-    """The files in the order in which they are read. All paths are checked before any file is read, so that a typing
-    error is reported at once."""
+    """The files of all paths, in the order in which the files are read. All paths are checked before any file is read,
+    so that a typing error is reported at once."""
     if not paths:
         raise InputError("no plan files were given")
     files: list[Path] = []
@@ -292,7 +292,7 @@ class _PlanLoader:
         self._count_unlisted(FRAME)
 
     def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
-        """Read a Parquet file with other column names than petmjx's. Returns the reason if it cannot be read, else
+        """Read a Parquet file with other column names than petmjx's. Returns an error if the file cannot be read, else
         None."""
         from petmjx.plans.table_files import parquet_frame
 
@@ -302,7 +302,7 @@ class _PlanLoader:
             return error
 
     def _read_foreign_frame(self, frame: SupportsArrow, source: str = FRAME) -> InputError | None:
-        """Read a data frame with other column names than petmjx's. Returns the reason if it cannot be read, else
+        """Read a data frame with other column names than petmjx's. Returns an error if the frame cannot be read, else
         None."""
         from petmjx.plans.foreign_plans import plans_of_sources
         from petmjx.plans.python_objects import sources_of_frame
@@ -330,7 +330,7 @@ class _PlanLoader:
         self._count_unlisted(OBJECT)
 
     def _read_foreign(self, source: str, path: Path, data: bytes | bytearray) -> InputError | None:
-        """Read a file of another tool. Returns the reason if it cannot be read, else None."""
+        """Read a file of another tool. Returns an error if the file cannot be read, else None."""
         from petmjx.plans.foreign_plans import read_foreign
 
         try:
@@ -433,7 +433,7 @@ class _PlanLoader:
         """Read the plans of a text. If the text turns out not to be JSON, its plans are removed again.
 
         Args:
-            damaged: whether the text is known to be damaged JSON. In this case, the plans before the damage are kept.
+            damaged: whether the text is known to be damaged JSON. If so, the plans before the damage are kept.
         """
         if not damaged and not looks_like_own_json(data) and not self._is_left_to_own(source, path, data):
             return

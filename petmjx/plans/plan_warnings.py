@@ -1,6 +1,6 @@
 """Warnings about odd plans (``PlanWarnings``): boxes that overlap, float, or are outside the carrier.
 
-Packing algorithms do produce such plans, and the simulation decides whether they stand. So odd boxes are only counted,
+Packing algorithms do produce odd plans, and the simulation decides whether these stand. So odd boxes are only counted,
 and the plan is not refused. The functions use arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), with rows
 in packing order and sizes as placed.
 

@@ -101,7 +101,7 @@ def _check_scales(extraction: ColumnExtraction, scale: FloatArray, index: int) -
 
 def _without_scale(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n, 3, 3) rotations, and (n, 3) scale factors along the axes of the boxes, of matrices that turn and scale.
-    If all factors are nearly 1, they are 1: matrices are rounded."""
+    If all factors are nearly 1, exactly 1 is returned, since matrices in files are rounded."""
     scale: FloatArray = np.linalg.norm(matrices, axis=1)
     if not (np.abs(scale - 1.0) >= _ROUNDED_SCALE).any():
         return matrices, np.ones_like(scale)

@@ -35,7 +35,7 @@ _GROUPS: Final = re.compile(r"^[+-]?\d{1,3}([.,' \u00a0\u202f\u2019])\d{3}(?:\1\
 _FRACTION: Final = re.compile(
     r"^([+-]?)(?:(\d{1,4})[ -])?(\d{1,2})/(2|4|8|16|32|64)\s*(\"|″|in\.?|inch|inches)?$", re.IGNORECASE
 )
-"""A length as tape measures in inches show it: "23 5/8", "3/4"."""
+"""A length in inches and fractions of an inch, as on a tape measure: "23 5/8", "3/4"."""
 _LONGEST_NUMBER: Final = 60
 
 
@@ -94,8 +94,8 @@ _ONLY_GROUPS: Final = {",": re.compile(r"^[+-]?\d{1,3}(?:\.\d{3})+$"), ".": re.c
 
 
 def has_groups_with_decimals(rows: Sequence[Sequence[Any]], decimal: str) -> bool:
-    """Whether a number of a table has marks between its thousands and decimals, "1.234,5". Then "1.200" is 1200 in this
-    table."""
+    """Whether a number of a table has marks between its thousands and decimals, "1.234,5". If so, "1.200" means 1200
+    everywhere in the table."""
     pattern = _GROUPS_AND_DECIMALS.get(decimal)
     return pattern is not None and any(isinstance(cell, str) and pattern.match(cell) for row in rows for cell in row)
 
@@ -216,7 +216,8 @@ def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: b
 
 
 def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
-    """The decimal sign of numbers that are stored as text. "" if it is undecided, so that "1,200" could be 1200 or 1.2.
+    """The decimal sign of numbers that are stored as text. "" if the numbers do not show which sign it is, so that
+    "1,200" could be 1200 or 1.2.
 
     "1,200" has a decimal comma if the other numbers have no mark between their thousands. "1.200" may mean 1200 if the
     numbers of its column have no decimals.

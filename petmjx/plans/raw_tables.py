@@ -14,7 +14,7 @@ MOST_COLUMNS: Final = 1_000
 
 @dataclass(frozen=True, eq=False)
 class RawTable:
-    """A table with the content that it has in a file.
+    """A table with its cells as they are in a file, before anything is interpreted.
 
     Attributes:
         header: names of the columns. A table without a header has "column 1", "column 2" …

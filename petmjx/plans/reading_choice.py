@@ -39,7 +39,7 @@ WEAK: Final = 5.0
 overlap, or if a quarter of them float."""
 WEAK_LEAD: Final = 3.0
 """A weak reading wins only if its cost is lower than the cost of every other reading by at least this value. If a plan
-really has odd boxes, other readings make it even odder."""
+really has odd boxes, even more boxes are odd in wrong readings."""
 _UNUSUAL: Final = 1.0
 """A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
@@ -57,7 +57,7 @@ _MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """A candidate with its costs."""
+    """A candidate (a possible reading) with its costs."""
 
     candidate: Candidate
     layout_cost: float
@@ -65,7 +65,7 @@ class _Judged:
     evidence: Evidence
     layouts: tuple[Layout, ...]
     rows: NDArray[np.int64]
-    """The rows of the boxes in all layouts."""
+    """The row numbers of all boxes that the layouts contain."""
     unit_cost: float = 0.0
     """Cost of the most plausible units, which depends on which sides of the load lie on the deck."""
 

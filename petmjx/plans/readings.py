@@ -187,7 +187,8 @@ class Wishes:
 
 
 class AmbiguousFile(InputError):
-    """Raised if a file has two possible readings. The message names both, and the option that decides between them.
+    """Raised if a file has two possible readings. The message names both readings, and the option that decides between
+    them.
 
     Attributes:
         readings: the possible readings, most plausible first.

@@ -57,7 +57,7 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
         where, unread = sorted_columns(names)
     except TableError as error:
         for number, name in enumerate(names, start=1):
-            if not is_text(name):  # this column may be the missing one
+            if not is_text(name):  # the column whose name is not UTF-8 may be the missing one
                 raise TableError(f"row 1, column {number}: the name is not UTF-8 text{other_encoding(name)}") from error
         raise
     if not data[len(header) :].strip():

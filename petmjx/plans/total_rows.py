@@ -39,11 +39,11 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
     Args:
         rows: indices of the rows of one plan.
 
-    The sizes, places and weights of the last row must all be sums, or all be means. At least two of these numbers must
-    clearly be sums or means. A single sum or mean is not enough: a box on two smaller boxes may have the sum of their
-    lengths, and a box in the middle of a layer of equal boxes has their mean place. If a table has petmjx's own column
-    names and no places, its last row is never taken for a row of means: it is more likely a medium-sized box. If all
-    rows have articles, the last row is not taken for a row of means either.
+    The sizes, places and weights of the last row must all be sums, or all be means. At least two numbers of the row
+    must clearly be sums or means. A single sum or mean is not enough: a box on two smaller boxes may have the sum of
+    their lengths, and a box in the middle of a layer of equal boxes has their mean place. If a table has petmjx's own
+    column names and no places, its last row is never taken for a row of means: it is more likely a medium-sized box. If
+    all rows have articles, the last row is not taken for a row of means either.
     """
     if len(rows) > 1 and is_total(table.rows[rows[-1]], geometric_columns(table.header)):
         return "the total"
@@ -115,4 +115,4 @@ _TOTAL: Final = re.compile(
 _ONLY_TOTAL: Final = re.compile(
     _TOTAL.pattern + r"[\s:=.]*(?:\(.*\)|\[.*\]|[\d.,]+\s*\w{0,5})?[\s:=.]*$", re.IGNORECASE
 )
-"""The same words with no other word after them: "Summe:", "Total (26)", "Total 12 kg"."""
+"""A word for a total or a mean, with no other word after it: "Summe:", "Total (26)", "Total 12 kg"."""

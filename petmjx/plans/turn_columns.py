@@ -43,8 +43,8 @@ class Turns:
 def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[int, str], None]) -> Turns | None:
     """The rotations in a column; None if the column is empty.
 
-    If the cells have two words of unknown meaning, either of them may be that of a turned box. If they have more such
-    words, there is no rule.
+    If the cells have two words of unknown meaning, either word may stand for a turned box. If the cells have more than
+    two words of unknown meaning, there is no rule.
 
     Args:
         name: name of the column.

@@ -14,7 +14,7 @@ from petmjx.plans.size_and_place_columns import Geometry
 from petmjx.plans.turn_columns import Turns
 
 _DENSEST: Final = 1.5
-"""Largest density, relative to water, in a column without a name. No carton reaches this density."""
+"""A column without a name has densities only if they are at most this, relative to water. Cartons are less dense."""
 _MOST_SOUND: Final = 0.9
 """In a table without a header, at least this share of the rows must match the guessed meaning of a column. Rows that do
 not match have bad cells."""
