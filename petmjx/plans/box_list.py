@@ -1,4 +1,4 @@
-"""Lists of boxes (``BoxList``): a raw table of boxes, with what the file says around it."""
+"""Lists of boxes (``BoxList``): a raw table of boxes, with information from the objects around it in the file."""
 
 from __future__ import annotations
 

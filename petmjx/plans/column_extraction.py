@@ -1,6 +1,6 @@
 """Extracts columns from a source (``ColumnExtraction``): meanings by names and cells, numbers in one unit, and names.
 
-Cells become numbers here, and each bad cell becomes a line that names its row and column.
+Cells are converted to numbers. For each bad cell, an error line names the row and the column.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ class ColumnExtraction:
         return values[:, 0], unit
 
     def triples(self, index: int) -> tuple[FloatArray, str]:
-        """(n, 3) numbers of a column with three numbers per cell. Also returns their unit."""
+        """(n, 3) numbers of a column with three numbers per cell. Also returns the unit of the numbers."""
         rows: list[Sequence[CellNumber]] = []
         for row, cell in enumerate(self.cells(index)):
             triple = cell_triple(cell, self.table.decimal)
@@ -204,7 +204,8 @@ class ColumnExtraction:
     def _in_one_unit(
         self, index: int, rows: Sequence[Sequence[CellNumber]], units: Mapping[str, float], width: int
     ) -> tuple[FloatArray, str]:
-        """(n, width) numbers of a column, NaN for rows without numbers. Also returns their unit ("": none is given).
+        """(n, width) numbers of a column, NaN for rows without numbers. Also returns the unit of the numbers ("": none
+        is given).
 
         A number without a unit gets the unit that the column's name, an option or the form gives. If none of them gives
         a unit, but other cells of the column have units, the number is bad, since the unit of one cell does not imply

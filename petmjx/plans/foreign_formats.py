@@ -87,7 +87,7 @@ def _sources_of_markup(text: str) -> list[BoxSource]:
     """The lists of boxes in a web page or in XML.
 
     Raises:
-        InputError: there are none.
+        InputError: the text has no lists of boxes.
     """
     kind = foreign_kind(text.encode()[:4096]) or "is XML of another kind"
     if re.search(r"<table[\s>]", text, re.IGNORECASE) and re.search(r"<t[dh][\s>]", text, re.IGNORECASE):

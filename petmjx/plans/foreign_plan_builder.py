@@ -147,7 +147,7 @@ class PlanBuilder:
         return ForeignPlans(table, tuple(refused), reading, containers)
 
     def _float(self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]) -> bool:
-        """Whether all boxes of some plan are above the deck."""
+        """Whether there is a plan in which no box stands on the deck."""
         _, low, _ = placed_boxes(self.columns, reading, candidate, plans, self.wishes, [])
         return any(np.nanmin(low[rows, 2], initial=np.inf) > DEFAULT_TOLERANCE_MM for rows in plans.values())
 

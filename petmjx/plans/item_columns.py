@@ -84,14 +84,13 @@ _PIECE: Final = word_set("box carton karton case item package")
 """Names of columns with articles, such as "Box type"."""
 _ORDER: Final = word_set("order orders ordre")
 """Names of columns that may have a packing order or customers' orders. The values in such a column decide which of the
-two it has."""
+two meanings it has."""
 
 
 STRENGTH: Final = "strength_n"
 UPRIGHT: Final = "upright"
 BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
-"""Columns that only environments read (``for_episodes``). These columns are recognised only if they have exactly these
-names."""
+"""Columns that only environments read (``for_episodes``). They are recognised only under exactly these names."""
 SIZE_LETTERS: Final = "lwh"
 """The letters that the column ``upright`` may have: l for length, w for width, h for height."""
 

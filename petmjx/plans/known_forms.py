@@ -208,7 +208,8 @@ def _container_in(boxes: BoxList, row: int) -> Mapping[str, float]:
 
 
 def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
-    """Remove the posts that the fork of py3dbp puts into the corners of its container. Also returns their number."""
+    """Remove the posts that the fork of py3dbp puts into the corners of its container. Also returns the number of
+    removed posts."""
     if "type" not in boxes.table.header:
         return boxes, 0
     kinds = boxes.table.column("type")

@@ -43,7 +43,8 @@ _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packe
 
 
 def box_lists(value: Any) -> list[BoxList]:
-    """Find all lists of boxes in a value. Lists with places come first; then the list with the most boxes.
+    """Find all lists of boxes in a value. Lists with places come first, then lists with sizes; among otherwise equal
+    lists, longer lists come first.
 
     Raises:
         InputError: there are too many boxes.
@@ -113,7 +114,7 @@ def _side_by_side(lists: Sequence[BoxList]) -> list[BoxList]:
 
 
 def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
-    """Lists of boxes as one list.
+    """Join lists of boxes into one list.
 
     Args:
         names: for each list, the step in which its path differs from the others. This step is the name of a plan,

@@ -250,8 +250,8 @@ def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, floa
 
 
 def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
-    """Problems in this form: the number of boxes, the bin, and a line per box with its width, height and depth. None if
-    the first lines have another form.
+    """The problems of a text in the form of Martello, Pisinger and Vigo: the number of boxes, the bin, and a line per
+    box with its width, height and depth. None if the first lines have another form.
 
     Each problem begins with one line "n W H D", or with two lines, "n" and "W H D"; either of these two may come first.
     n is the number of boxes; W, H and D are the width, height and depth of the bin. The height is vertical.

@@ -201,7 +201,7 @@ def masses_kg(
 
 
 def density_lines(columns: BoxColumns, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
-    """Lines about densities that no load of a pallet can have."""
+    """Lines that report implausible densities: densities that no load of a pallet can have."""
     with np.errstate(invalid="ignore", divide="ignore"):
         density = mass / (size.prod(axis=1) / 1e9)
     density = density[np.isfinite(density)]

@@ -60,7 +60,7 @@ class InputColumn:
 
     Attributes:
         values: an Arrow array; or Python objects, if they have several types.
-        is_text: whether numbers are stored as text, as in CSV. Empty text is then a missing value.
+        is_text: whether numbers are stored as text, as in CSV. If so, empty text is a missing value.
         decimal: the decimal mark of numbers stored as text. If the decimal mark is a comma, numbers have no points.
     """
 

@@ -42,7 +42,7 @@ _LARGE_MM: Final = 1000.0
 """The footprint of a load counts as evidence only for carriers at least this long. Smaller carriers are no larger than
 two cartons, so a footprint of their size may be chance."""
 _NEAR: Final = 0.03
-"""Largest relative difference between a deck and a usual deck."""
+"""A deck counts as a usual deck if its sides differ from those of the usual deck by at most this share."""
 
 
 @dataclass(frozen=True, eq=False)

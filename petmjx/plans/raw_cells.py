@@ -17,8 +17,8 @@ from petmjx.plans.file_formats import number_hint
 from petmjx.plans.plan_fields import LARGEST_MM
 
 GROUPED: Final = "grouped"
-"""This value replaces the decimal sign of a column in which no number has decimals. Points and commas in such a column
-only separate thousands."""
+"""This value replaces the decimal sign of a column in which no number has decimals. In a column without decimals,
+points and commas only separate thousands."""
 
 
 class CellNumber(NamedTuple):

@@ -81,7 +81,7 @@ class _Scene:
         """The boxes as a list.
 
         Raises:
-            InputError: there are none.
+            InputError: the scene has no boxes.
         """
         if not self.boxes:
             raise InputError(f"is {form.name} in which no mesh is a box")

@@ -106,8 +106,8 @@ _BOX_DRAWING: Final = str.maketrans(
 
 
 def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str:
-    """The text in which lines with an unclosed quotation mark are replaced by empty lines. These lines are added to
-    ``lost``."""
+    """The text in which lines with an unclosed quotation mark are replaced by empty lines. The replaced lines are added
+    to ``lost``."""
     lines = text.split("\n")
     for index, line in enumerate(lines):
         if line.count('"') % 2:

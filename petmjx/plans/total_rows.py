@@ -16,7 +16,8 @@ from petmjx.plans.raw_tables import RawTable
 
 def is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
     """Whether a row is a total or a mean. Its first text must be a word for a total or a mean. If the text only begins
-    with such a word, the row must also lack a size or a place, since a box may be called "Total fruit"."""
+    with a word for a total or a mean, the row must also lack a size or a place, since a box may be called "Total
+    fruit"."""
     text = next(
         (
             cell

@@ -21,8 +21,8 @@ not match have bad cells."""
 
 
 def array_choices(extraction: ColumnExtraction) -> list[Geometry]:
-    """Geometries of columns without names. The first columns may be sizes or places, or the columns may be two
-    corners."""
+    """Geometries of columns without names. The first columns may hold sizes or places, or the columns may hold two
+    corners of each box."""
     header, width = extraction.table.header, len(extraction.table.header)
     starts = [start for start in (0, 1) if width >= start + 6]
     geometries = []

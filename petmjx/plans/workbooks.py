@@ -23,8 +23,8 @@ from petmjx.plans.text_tables import tables_of_text
 
 
 def tables_of_xlsx(data: bytes | bytearray) -> list[RawTable]:
-    """The tables of a workbook (.xlsx), at least one per sheet with content. Formulas have the values stored in the
-    file.
+    """The tables of a workbook (.xlsx), at least one per sheet with content. In place of a formula, its result is
+    returned, as the file stores it.
 
     Raises:
         InputError: the file is damaged or too large, or contains no table. The error does not name the file.
@@ -168,7 +168,8 @@ def tables_of_page(text: str) -> list[RawTable]:
 
 def value_of_xml(text: str) -> Any:
     """The elements of XML as nested dictionaries: attributes and children by name, a list for children with the same
-    name, and the text of an element that has only text. Text beside attributes is called "value".
+    name, and the text of an element that has only text. If an element has text and also attributes or children, the
+    text gets the name "value".
 
     Raises:
         InputError: the text is not XML, or declares entities. The error does not name the file.
