@@ -18,9 +18,8 @@ from petmjx.engines.verdict import Outcome
 from petmjx.world.job import EngineState, Job
 
 LEAST_SAVED: Final = 40
-GPU_LEAST_SAVED: Final = 96
 """A common placement is simulated apart if this saves placements of at least this many boxes in all. A pause takes as
-long as some placements. On a GPU, a world that has paused waits for the end of a time slice, of 100 ms."""
+long as some placements."""
 
 MOST_KEPT_BYTES: Final = 64 << 20
 """Largest memory for the states of common placements that are kept for further worlds; as much again is used for worlds
@@ -63,12 +62,10 @@ class CommonPlacements(Generic[Tag]):
     All worlds have the same options of the simulation.
 
     Args:
-        is_wide: whether the engine simulates many worlds as fast as a few.
         most_bytes: largest memory for states that are kept. The state that was used least recently is removed first.
     """
 
-    def __init__(self, *, is_wide: bool = False, most_bytes: int = MOST_KEPT_BYTES) -> None:
-        self._least_saved = GPU_LEAST_SAVED if is_wide else LEAST_SAVED
+    def __init__(self, *, most_bytes: int = MOST_KEPT_BYTES) -> None:
         self._kept: OrderedDict[bytes, tuple[EngineState, int]] = OrderedDict()
         self._most_bytes, self._bytes = most_bytes, 0
 
@@ -98,7 +95,7 @@ class CommonPlacements(Generic[Tag]):
                 break
         if len(worlds) == 1:
             yield Placement(replace(worlds[0].job, start=start), worlds, worlds[0].job.scene.n_boxes)
-        elif (len(worlds) - 1) * (n_common - n_placed) >= self._least_saved:
+        elif (len(worlds) - 1) * (n_common - n_placed) >= LEAST_SAVED:
             job = replace(worlds[0].job, start=start, pauses_after=n_common)
             yield Placement(job, worlds, n_common)
         else:

@@ -413,9 +413,12 @@ class Lane(NamedTuple):
 
     @property
     def can_pause(self) -> bool:
-        """Whether placements can pause, so that worlds that begin alike share their beginning."""
+        """Whether placements can pause, so that worlds that begin alike share their beginning. On a GPU they do not: a
+        paused world waits for the end of a time slice, and the one run with pauses that was measured had fewer trials
+        per second."""
         waits = self.sim.schedule is Schedule.ADAPTIVE and self.sim.check is Check.ONE_BY_ONE
-        return waits and Capability.PAUSES in getattr(self.engine, "capabilities", Capability(0))
+        pauses = Capability.PAUSES in getattr(self.engine, "capabilities", Capability(0))
+        return waits and pauses and self.engine.name != ON_A_GPU
 
 
 class Answer(NamedTuple):
@@ -490,9 +493,7 @@ class TrialStream:
             key = None if lane is None else (id(lane.engine), id(lane.sim))
             if key not in self._queues:
                 can_pause = lane is not None and lane.can_pause
-                self._queues[key] = _Queue(
-                    lane, CommonPlacements(is_wide=self._question.is_wide) if can_pause else None
-                )
+                self._queues[key] = _Queue(lane, CommonPlacements() if can_pause else None)
             numbered.setdefault(key, []).append((number, job))
         for kind, jobs in numbered.items():
             self._queues[kind].entries.append((request, jobs))
