@@ -34,8 +34,8 @@ def beginnings(scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
     of_shapes = [rows[name] for name in _axis("shape") if name in rows]
     of_boxes = [rows[name] for name in _axis("box") if name in rows]
     of_boxes += [rows[name][:, 1:] for name in _axis("body") if name in rows]
-    each, box_shapes = np.arange(len(scenes))[:, None], first[:, 1 : width + 1]
-    of_boxes += [values[each, box_shapes] for values in of_shapes]
+    row_numbers, box_shapes = np.arange(len(scenes))[:, None], first[:, 1 : width + 1]
+    of_boxes += [values[row_numbers, box_shapes] for values in of_shapes]
     boxes = np.concatenate([_bytes_of(values) for values in of_boxes], axis=2)
     of_worlds = [rows[name] for name in _axis("") if name in rows]
     of_worlds += [rows[name][:, 0] for name in _axis("body") if name in rows]
