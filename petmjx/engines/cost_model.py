@@ -296,7 +296,8 @@ class Work:
         return way.steps * self.share * self._placing_steps + way.falls * self.fall_steps
 
     def as_planned(self, errors: Errors) -> float:
-        """Number of placements without errors that cost a device as much as all placements of a plan."""
+        """Cost of all placements of a plan on a device, with and without errors, in units of the cost of one placement
+        of this plan without errors whose boxes are not carried."""
         planned = errors.carried if self.sim.placing.carries else 1.0
         return planned * self.planned + errors.displaced * self.displaced + errors.carried * self.carried
 

@@ -83,8 +83,8 @@ class Maps:
         on_threads(load, np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE)))
 
     def _over(self, box_spans: NDArray[np.integer]) -> tuple[Map, Map]:
-        """Two arrays (x, m) and (y, m), for the cells along x and along y. An entry is 1 if the box of a pallet (one of
-        m) covers the cell, and otherwise 0.
+        """Whether a box of each of m pallets covers each cell along x, (x, m), and along y, (y, m): 1 if it does,
+        otherwise 0.
 
         Args:
             box_spans: (m, 2, 2) the ranges of cells that one box of each pallet covers, from ``spans``.

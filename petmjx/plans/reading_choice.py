@@ -319,8 +319,8 @@ def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
 
 
 def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
-    """Whether sizes are whole millimetres only if their unit is inches, which shows that millimetres were converted to
-    inches.
+    """Whether ``unit`` is inches, and the sizes are whole millimetres if read in inches, but not if read in any of the
+    units ``others``. If so, the file's author has converted millimetres to inches.
 
     Whole centimetres are no evidence, although they are whole millimetres, because boxes may also have whole inches.
     """

@@ -1,4 +1,4 @@
-"""Columns with the sizes and places of boxes (``Geometry``): which columns may have them, by name."""
+"""Finds the columns of a table that, by their names, may hold the sizes and places of boxes (``Geometry``)."""
 
 from __future__ import annotations
 

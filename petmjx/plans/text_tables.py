@@ -188,7 +188,8 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
 
 
 _LEAST_TABS: Final = 2
-"""If all lines have the same number of tabs, and at least this number, fields are separated by tabs."""
+"""Fewest tabs of a line that count as separators: fields are separated by tabs if all lines have equally many tabs, and
+at least this many."""
 
 
 def _delimiter_of(text: str) -> str:

@@ -42,16 +42,16 @@ PERHAPS: Final = 0.5
 
 
 class Balance(NamedTuple):
-    """The loads of one draft that are beyond edges while it is built.
+    """The loads of one draft that are beyond an edge of their supports at some step of building.
 
     Attributes:
-        box: (k,) numbers of the boxes with such loads, in order of time.
-        step: (k,) position in packing order of the box whose placement moves the load beyond.
+        box: (k,) numbers of the boxes whose loads are beyond an edge, in order of time.
+        step: (k,) position in packing order of the box whose placement moves each load beyond the edge.
         cause: (k,) number of the box at that position.
         depth_mm: (k,) largest distance of each load beyond the edge.
         last_mm: (k,) distance of each load from the edge once all boxes are placed, positive inside.
-        trouble: sum of the weights of these loads. A load has a weight of 1 to 2, times ``PERHAPS`` if it may be
-            inside.
+        trouble: sum of the weights of the loads that are beyond an edge. Each of these loads has a weight of 1 to 2,
+            times ``PERHAPS`` if the load may be inside.
         weakness: sum of the weights of what makes the plan fall only with errors. A load near its edge has a weight of
             1 on the edge to 0 at ``SAFE_MM`` inside. A box that is lowered between two others has a weight of 1 without
             room to 0 with ``ROOM_MM`` of room.

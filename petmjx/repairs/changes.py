@@ -365,7 +365,7 @@ def cost_of(changes: Sequence[Change]) -> float:
 
 
 def _ways(dx_mm: float, dy_mm: float) -> str:
-    """A way in words: "22 mm to the left and 5 mm to the back"."""
+    """The displacement of a box in words, such as "22 mm to the left and 5 mm to the back"."""
     ways = []
     for length, negative_side, positive_side in ((dx_mm, "left", "right"), (dy_mm, "front", "back")):
         if abs(length) > 0:

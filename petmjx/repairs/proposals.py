@@ -449,7 +449,8 @@ def resting_corners(
 def _rest(
     x: FloatArray, y: FloatArray, size: FloatArray, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(p,) heights at which a box rests at corners, and (p,) supported shares of its base."""
+    """(p,) heights at which a box rests if its corner is at each of p points, mm, and (p,) share of its base that is
+    supported there. ``low`` and ``high`` are the corners of the boxes that may be under it."""
     if not len(low):
         return np.zeros(len(x)), np.ones(len(x))
     shared_x = np.minimum(x[:, None] + size[0], high[:, 0]) - np.maximum(x[:, None], low[:, 0])
@@ -461,7 +462,8 @@ def _rest(
 
 
 def _shared_mm2(x: FloatArray, y: FloatArray, size: FloatArray, corner: FloatArray, other: FloatArray) -> FloatArray:
-    """(p,) area that a box at corners shares with another box, seen from above, mm²."""
+    """(p,) area by which a box overlaps another box, seen from above, mm², if the box's corner is at each of p points.
+    ``corner`` and ``other`` are the corner and the size of the other box."""
     shared_x = np.minimum(x + size[0], corner[0] + other[0]) - np.maximum(x, corner[0])
     shared_y = np.minimum(y + size[1], corner[1] + other[1]) - np.maximum(y, corner[1])
     area: FloatArray = np.maximum(shared_x, 0.0) * np.maximum(shared_y, 0.0)

@@ -57,8 +57,8 @@ class Drive:
         """Factor that converts the excitation's samples to N (forces) or to m/s² (accelerations; the factor is 1).
 
         The factor for forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s², even if the simulation uses another
-        gravity: a push must not become weaker because boxes weigh less. The factor is the same on all engines. The
-        reference implementation also uses the total weight on earth.
+        gravity: a push must not become weaker because boxes weigh less in this gravity. The factor is the same on all
+        engines. The reference implementation also uses the weight of boxes and carrier at 9.81 m/s².
         """
         return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
 

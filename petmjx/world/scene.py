@@ -213,9 +213,9 @@ class Scene:
 def build_scene(plan: Plan, sim: Simulation) -> Scene:
     """The scene of a plan, without errors of places or sizes.
 
-    Length and width of the boxes are reduced by ``sim.size_reduction_mm``. The height is also reduced if boxes fall
-    into their places. The front-left-bottom corner of a box does not move. Half sizes and centres are rounded half up
-    to 1 µm, as in the reference implementation.
+    Length and width of the boxes are reduced by ``sim.size_reduction_mm``. If boxes fall into their places, the heights
+    of the boxes are reduced by this value, too. The front-left-bottom corner of a box does not move. Half sizes and
+    centres are rounded half up to 1 µm, as in the reference implementation.
     """
     stiffness = _stiffness(plan) if sim.physics.has_own_friction else None
     carrier, surfaces = carrier_of(plan, sim), find_surfaces(plan, sim)

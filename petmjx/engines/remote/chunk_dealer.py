@@ -43,9 +43,9 @@ class Deal:
     idle at the end of each chunk, there are only as many of these chunks as keep all workers busy.
 
     The first death of a worker may have an outside cause, so its jobs are given out again like other jobs. Jobs whose
-    workers have died twice wait until no other jobs are left. If n jobs wait for this reason, they are given out in
-    chunks of √n jobs, and after another death one by one. A job is given up if it was the only job in a worker that
-    died.
+    workers have died twice wait until no other jobs are left. If n such jobs come from the death of one worker,
+    they are given out in chunks of √n jobs, each chunk to a worker that holds no other one. If a worker dies again, the
+    jobs of its chunk are given out one by one. A job is given up if it was the only job in a worker that died.
 
     Args:
         costs: (n,) expected time of each job, in any unit.

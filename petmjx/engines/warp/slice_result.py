@@ -26,11 +26,11 @@ class SliceResult(NamedTuple):
     """The worlds that have ended in a time slice.
 
     Attributes:
-        picked: states and metrics of these worlds, on the device.
+        picked: states and metrics of the ended worlds, on the device.
         recorder: object that holds the histories of recorded worlds.
-        jobs: number of a table row → job of the world that was in this row.
-        stream_numbers: number of a table row → stream number of this job. The rows themselves may already hold other
-            worlds.
+        jobs: number of a table row → job of the ended world that was in this row. The row itself may already hold
+            another world.
+        stream_numbers: number of a table row → stream number of the job that ``jobs`` has for this row.
     """
 
     picked: Sequence[Readback]

@@ -22,8 +22,8 @@ from petmjx.engines.warp.small_world_blocks import compacted_queue
 
 MOST_EXPECTED: Final = 16
 """Largest number of worlds that get blocks for last worlds while other worlds still wait: the worlds that are expected
-to end last because they have the largest numbers of steps so far. A block for last worlds takes the room of two usual
-blocks."""
+to end last because they have the largest numbers of steps so far. A block for last worlds fills a GPU multiprocessor,
+which otherwise has room for two usual blocks."""
 
 LONG: Final = 2.0
 """A world is *long* if its number of steps is more than LONG times the mean number of steps of finished worlds."""

@@ -245,8 +245,8 @@ def _digest(file: Path) -> str:
 def _stories(
     entries: Sequence[Entry], comparison: PackerComparison, folder: Path, most: int
 ) -> tuple[list[StoryEntry], dict[str, list[Replay]]]:
-    """Make stories of some plans of each packer. Each of these plans is simulated again, as in its run. Returns the
-    stories, and the name of each packer → the simulations for its stories, as replays."""
+    """Make stories (pages about single plans) of some plans of each packer. Each of these plans is simulated again, as
+    in its run. Returns the stories, and a dict: name of a packer → replays of the plans that its stories tell."""
     folder.mkdir(exist_ok=True)
     stories: list[StoryEntry] = []
     replays_by_name: dict[str, list[Replay]] = {}
