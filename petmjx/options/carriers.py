@@ -166,7 +166,7 @@ class OwnCarrier(CheckedRecord):
     material: Name = Field(WOOD, description="material of boards that name none; it determines friction by materials")
     walls: Walls = Field(Walls(), description="walls around the carrier's top, as for the option walls")
     boards: Annotated[tuple[Board, ...], Field(min_length=1, max_length=MOST_BOARDS)] = Field(
-        description="the boards: [[boards]] tables with corner_mm, size_mm and mass_kg"
+        description="[[boards]] tables with corner_mm, size_mm and mass_kg"
     )
 
     @property

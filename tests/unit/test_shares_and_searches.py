@@ -241,7 +241,7 @@ def test_an_answer_for_each_test_is_asked_for() -> None:
 
 def test_bisection_refuses_levels_that_do_not_rise() -> None:
     for bad in ([], [0.1, 0.1], [0.2, 0.1]):
-        with pytest.raises(ValueError, match="rising"):
+        with pytest.raises(ValueError, match="ascending"):
             Bisection(bad, [STANDS])
 
 
