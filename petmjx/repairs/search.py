@@ -220,6 +220,8 @@ class Search(Candidates):
             if not queues:
                 break
             batch = batch_of(queues, min(self._scale * (2 * AT_ONCE if is_late else AT_ONCE), last - self.n_trials))
+            if not batch:  # fewer trials are left than there are queues
+                break
             states = yield from self._judged(batch)
             if any(state.trial.stands for state in states):  # other plans may stand in more worlds with errors
                 if not self.is_wide:

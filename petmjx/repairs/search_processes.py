@@ -81,31 +81,32 @@ class Tasks:
             simulator.put(ticket, drafts)
 
     def _go_on(self, task: _Task, results: Any) -> None:
-        """Continue a task with the trials or results for which it waits, until it waits for others."""
-        try:
-            wants = task.steps.send(results)
-            while isinstance(wants, Together) and not wants.parts:
-                wants = task.steps.send([])
-        except StopIteration as end:
-            self._end(task, end.value)
-            return
-        if isinstance(wants, Together):
-            task.results, task.n_running = [None] * len(wants.parts), len(wants.parts)
-            for place, part in enumerate(wants.parts):
-                self._go_on(_Task(part, task, place), None)
-        else:
-            self._waiting[self._n_requests] = task
-            self.requests.append((self._n_requests, wants))
-            self._n_requests += 1
-
-    def _end(self, task: _Task, result: Any) -> None:
-        """Note the result of a task. The task of which it is a part continues after its last part."""
-        whole = task.whole
-        if whole is not None:
-            whole.results[task.place] = result
-            whole.n_running -= 1
-            if not whole.n_running:
-                self._go_on(whole, whole.results)
+        """Continue a task with the trials or results for which it waits, until it waits for others. A task whose last
+        part has ended continues at once. The ready tasks are a stack, and not calls of this method by itself: rounds
+        without simulations may follow one another in any number."""
+        ready = [(task, results)]
+        while ready:
+            task, results = ready.pop()
+            try:
+                wants = task.steps.send(results)
+                while isinstance(wants, Together) and not wants.parts:
+                    wants = task.steps.send([])
+            except StopIteration as end:
+                whole = task.whole
+                if whole is not None:
+                    whole.results[task.place] = end.value
+                    whole.n_running -= 1
+                    if not whole.n_running:
+                        ready.append((whole, whole.results))
+                continue
+            if isinstance(wants, Together):
+                task.results, task.n_running = [None] * len(wants.parts), len(wants.parts)
+                parts = [(_Task(part, task, place), None) for place, part in enumerate(wants.parts)]
+                ready += reversed(parts)
+            else:
+                self._waiting[self._n_requests] = task
+                self.requests.append((self._n_requests, wants))
+                self._n_requests += 1
 
 
 def run_searches(searches: Sequence[Search], simulator: Simulator, processes: int) -> None:

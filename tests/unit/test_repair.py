@@ -452,6 +452,21 @@ def test_parts_of_a_search_wait_only_for_their_own_trials() -> None:
     assert results == [["long", "short", "none"]]
 
 
+def test_any_number_of_rounds_without_simulations_may_follow_one_another() -> None:
+    def part() -> Steps[str]:
+        return "known"
+        yield  # a generator without requests
+
+    def search() -> Steps[None]:
+        for _ in range(5000):
+            rounds.append((yield Together([part()])))
+
+    rounds: list[list[str]] = []
+    tasks = Tasks([search()])
+    assert rounds == [["known"]] * 5000
+    assert not tasks.requests
+
+
 def test_only_changes_that_are_needed_are_left() -> None:
     """Two of sixteen moves are needed. The search undoes groups of changes before single changes, so it needs fewer
     trials than if it undid the changes one by one."""
