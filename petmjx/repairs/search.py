@@ -217,10 +217,8 @@ class Search(Candidates):
                 if standing:
                     break
             queues = self._queues(useful, limits, anew=is_late)
-            if not queues:
-                break
             batch = batch_of(queues, min(self._scale * (2 * AT_ONCE if is_late else AT_ONCE), last - self.n_trials))
-            if not batch:  # fewer trials are left than there are queues
+            if not batch:  # no queue is left, or fewer trials are left than there are queues
                 break
             states = yield from self._judged(batch)
             if any(state.trial.stands for state in states):  # other plans may stand in more worlds with errors

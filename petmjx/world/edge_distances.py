@@ -112,8 +112,9 @@ def has_loads_beyond_edges(scenes: Sequence[Scene]) -> NDArray[np.bool_]:
     bearing = bearings_of(scenes, (), (), ())
     loads = bearing.loads([scene.n_boxes for scene in scenes])
     edge_m = np.fmin(bearing.edges_m(bearing.weights), bearing.edges_m(loads))  # NaN if a box has no support
-    number = np.repeat(np.arange(len(scenes)), np.diff(bearing.boxes.first))
-    return np.bincount(number[edge_m < NEARLY_BEYOND_M], minlength=len(scenes)) > 0
+    has_loads = np.zeros(len(scenes), bool)
+    has_loads[_scenes(bearing, edge_m < NEARLY_BEYOND_M)] = True
+    return has_loads
 
 
 def _scenes(bearing: Bearing, boxes: NDArray[np.bool_]) -> NDArray[np.intp]:

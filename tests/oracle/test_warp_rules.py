@@ -12,8 +12,8 @@ import pytest
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import Worlds, upload_worlds
-from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, upload_worlds
+from petmjx.engines.mjx.world_state import State, Status, fresh_state
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.job import Job

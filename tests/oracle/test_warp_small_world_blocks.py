@@ -26,7 +26,7 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.common.warp_cpp import with_cpp
-from petmjx.engines.mjx.world_state import NEVER
+from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp import block_pool
 from petmjx.engines.warp.block_launch import FEW_BOXES, SIZES, Launch

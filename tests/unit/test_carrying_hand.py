@@ -13,8 +13,8 @@ from support.plans import Box, make_scene
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx import hand
-from petmjx.engines.mjx.world_constants import Worlds, upload_worlds
-from petmjx.engines.mjx.world_state import NEVER, State, fresh_state
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, upload_worlds
+from petmjx.engines.mjx.world_state import State, fresh_state
 from petmjx.engines.mujoco.hand import Hand
 from petmjx.engines.mujoco.live_world import LiveWorld
 from petmjx.options.simulation import Simulation

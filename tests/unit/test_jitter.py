@@ -15,8 +15,8 @@ from support.plans import make_scene
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import upload_worlds
-from petmjx.engines.mjx.world_state import NEVER, Status, fresh_state
+from petmjx.engines.mjx.world_constants import NEVER, upload_worlds
+from petmjx.engines.mjx.world_state import Status, fresh_state
 from petmjx.engines.mujoco.rest import QuietRule
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job

@@ -16,8 +16,8 @@ from petmjx.engines.mjx import readback, repeated_rows
 from petmjx.engines.mjx.frame_recorder import Recorder
 from petmjx.engines.mjx.outcomes import outcomes
 from petmjx.engines.mjx.readback import READ_BACK_ROWS, prepare_readback, read_back, reduce_metrics
-from petmjx.engines.mjx.world_constants import Worlds, upload_worlds
-from petmjx.engines.mjx.world_state import NEVER, State, fresh_state, take_rows
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, upload_worlds
+from petmjx.engines.mjx.world_state import State, fresh_state, take_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 

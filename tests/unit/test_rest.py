@@ -15,8 +15,8 @@ from support.plans import Box, make_scene
 
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import upload_worlds
-from petmjx.engines.mjx.world_state import NEVER, Status, fresh_state
+from petmjx.engines.mjx.world_constants import NEVER, upload_worlds
+from petmjx.engines.mjx.world_state import Status, fresh_state
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco.rest import QuietRule
 from petmjx.engines.verdict import Verdict

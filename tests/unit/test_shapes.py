@@ -23,8 +23,8 @@ from petmjx.engines.mjx.padded_template import parked_positions
 from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable, build_timetable
-from petmjx.engines.mjx.world_constants import Worlds, upload_worlds
-from petmjx.engines.mjx.world_state import NEVER, Metrics, State, fresh_state, narrow, per_box, put_resized, take_rows
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, upload_worlds
+from petmjx.engines.mjx.world_state import Metrics, State, fresh_state, narrow, per_box, put_resized, take_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.friction_pairs import MOST_SURFACES
 from petmjx.world.job import Job

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import seconds_to_steps
 from petmjx.engines.frame_history import history_of
-from petmjx.engines.mjx.world_state import NEVER, State, Status
+from petmjx.engines.mjx.world_constants import NEVER
+from petmjx.engines.mjx.world_state import State, Status
 from petmjx.options.simulation import Simulation
 from petmjx.world.history import History
 from petmjx.world.job import Job

@@ -7,8 +7,8 @@ from typing import Final
 import jax.numpy as jnp
 import numpy as np
 
-from petmjx.engines.mjx.world_constants import Worlds, device_array, upload_worlds
-from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, upload_worlds
+from petmjx.engines.mjx.world_state import State, Status, fresh_state
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job

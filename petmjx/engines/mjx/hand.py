@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.body_dynamics import rotations
-from petmjx.engines.mjx.world_constants import Worlds
-from petmjx.engines.mjx.world_state import NEVER, State
+from petmjx.engines.mjx.world_constants import NEVER, Worlds
+from petmjx.engines.mjx.world_state import State
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Simulation
 from petmjx.world.approach_paths import (

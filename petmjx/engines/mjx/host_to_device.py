@@ -15,8 +15,8 @@ from petmjx.engines.mjx.frame_recorder import Recorder
 from petmjx.engines.mjx.outcomes import is_paused, started_states
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
-from petmjx.engines.mjx.world_constants import Worlds, device_array, padded_rows, upload_worlds
-from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, padded_rows, upload_worlds
+from petmjx.engines.mjx.world_state import State, Status, fresh_state
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.job import Job

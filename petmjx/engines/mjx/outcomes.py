@@ -94,10 +94,10 @@ def _outcomes(
 def _kept_state(job: Job, host: State, row: int) -> State | None:
     """The state that the outcome of a job must have. It is cut to the world's own boxes, and to placed ones if the
     placement paused, since a world that starts from this state may be in a table for fewer boxes."""
-    is_paused = host.status[row] == Status.PAUSED
-    if not (job.keep_state or is_paused):
+    pauses = host.status[row] == Status.PAUSED
+    if not (job.keep_state or pauses):
         return None
-    width = int(host.placed[row]) if is_paused else job.scene.n_boxes
+    width = int(host.placed[row]) if pauses else job.scene.n_boxes
     kept: State = jax.tree.map(lambda array: np.array(array[row]), narrow(host, width))
     return kept
 

@@ -18,8 +18,8 @@ from petmjx.engines.mjx import hand, jitter
 from petmjx.engines.mjx.padded_template import PARKING_HEIGHT_M, parked_positions
 from petmjx.engines.mjx.running_metrics import Sample
 from petmjx.engines.mjx.timetable import Timetable
-from petmjx.engines.mjx.world_constants import Worlds
-from petmjx.engines.mjx.world_state import NEVER, State, Status
+from petmjx.engines.mjx.world_constants import NEVER, Worlds
+from petmjx.engines.mjx.world_state import State, Status
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Schedule, Simulation
 from petmjx.world.history import CARRIER

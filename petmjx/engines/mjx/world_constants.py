@@ -23,6 +23,9 @@ from petmjx.engines.mjx.scene_rows import Rows, rows_of, with_spare_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 
+NEVER = np.iinfo(np.int32).max
+"""A step that no world reaches. The value also stands for an end that is not known yet."""
+
 
 class Worlds(NamedTuple):
     """Constants of worlds.
@@ -45,8 +48,8 @@ class Worlds(NamedTuple):
 
     Ends: ``settles``: the placement ends in a settled state, from which a drive starts or which is kept.
     ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``confirm_steps`` is the number of steps after
-    the first sign of failure after which a fall is confirmed (``petmjx.engines.metrics.CONFIRM_S``); the largest int32
-    if the world has more to show than a fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
+    the first sign of failure after which a fall is confirmed (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if
+    the world has more to show than a fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
     (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
@@ -168,7 +171,6 @@ def _with_spare_rows(worlds: Worlds, rows: int) -> Worlds:
     return extended_worlds
 
 
-_NO_STEP: Final = np.iinfo(np.int32).max
 _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
 
 
@@ -194,6 +196,6 @@ def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: flo
         "held": np.array([drive.excitation.kind == ACCELERATION for drive in drives]),
         "settles": np.array([job.settles for job in jobs]),
         "ends_when_lost": np.array([job.has_errors for job in jobs]),
-        "confirm_steps": np.array([confirm_steps if job.confirms else _NO_STEP for job in jobs], np.int32),
+        "confirm_steps": np.array([confirm_steps if job.confirms else NEVER for job in jobs], np.int32),
         "allowed_sway": np.array([drive.allowed_sway_m for drive in drives], np.float32),
     }

@@ -9,16 +9,12 @@ from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx.running_metrics import Metrics, no_metrics
-from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.options.simulation import SOFT_START_STEPS
 from petmjx.world.scene import IDENTITY_QUAT
-
-NEVER = np.iinfo(np.int32).max
-"""A step that no world reaches. The value also stands for an end that is not known yet."""
 
 SOFT_START_BEGIN = -2 * SOFT_START_STEPS
 """Step counter of a fresh world: the steps of the soft start come before step 0."""
@@ -133,11 +129,16 @@ def of_flat(arrays: Mapping[str, Array]) -> State:
 Record = TypeVar("Record", bound=tuple[Any, ...])
 
 
+def second_axes(record: type[Any]) -> dict[str, str]:
+    """Name of each field of a record → name of its second axis, read from the annotations; "" if it has none."""
+    shapes = {name: getattr(kind, "dim_str", "").split() for name, kind in get_type_hints(record).items()}
+    return {name: axes[1] if len(axes) > 1 else "" for name, axes in shapes.items()}
+
+
 @cache
 def per_box(record: type[Any]) -> tuple[str, ...]:
-    """Names of a record's fields whose second axis is ``box``, read from their annotations."""
-    shapes = {name: getattr(kind, "dim_str", "") for name, kind in get_type_hints(record).items()}
-    return tuple(name for name, shape in shapes.items() if shape.split()[1:2] == ["box"])
+    """Names of a record's fields whose second axis is ``box``."""
+    return tuple(name for name, axis in second_axes(record).items() if axis == "box")
 
 
 def narrow(state: State, capacity: int) -> State:

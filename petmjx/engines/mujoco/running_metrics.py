@@ -192,15 +192,10 @@ class OracleMetrics:
         self._rest_sum_n[:] = 0.0
         self._rest_steps = 0
 
-    def is_over(self, pos: FloatArray, quat: FloatArray) -> bool:
-        """Whether any box has dropped, or is beyond a threshold in these poses."""
+    def are_over(self, pos: FloatArray, quat: FloatArray) -> NDArray[np.bool_]:
+        """(k,) whether each of the k placed boxes has dropped, or is beyond a threshold in these poses."""
         _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[: len(pos)]))
-        return bool(crossed.any())
-
-    def is_box_over(self, box: int, pos: FloatArray, quat: FloatArray) -> bool:
-        """Whether one of the k placed boxes has dropped, or is beyond a threshold in these poses."""
-        _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[: len(pos)]))
-        return bool(crossed[box])
+        return crossed
 
     def is_lost(self, pos: FloatArray, quat: FloatArray, drive: Drive | None) -> bool:
         """Whether a box has dropped or is tilted too far in these poses. In a drive, a tilted box must also be beyond
@@ -221,7 +216,7 @@ class OracleMetrics:
         self._sway_origin = pos.copy()
         self.max_sway_m[:k] = 0.0
         self.restart_rest()
-        if not self.is_over(pos, quat):
+        if not self.are_over(pos, quat).any():
             self.culprit = -1
             self.first_sign_s = float("nan")
 

@@ -222,16 +222,21 @@ class WorldRun:
             self._flags |= Flag.EXPLOSION
             return False
         known = self._metrics.tells_all(self._job, pos, quat, culprit if looks else -1)
-        if self._job.confirms and sampled and culprit >= 0:
-            steps = seconds_to_steps(CONFIRM_S, self._sim.physics.timestep_s)
-            complete = live.n_placed == self._job.scene.n_boxes and live.hand is None
-            complete = complete and step - self._waits.last_placement >= steps
-            if step - self._sign_step >= steps and (complete or live.n_placed > self._n_at_sign + 1):
-                known = known or self._metrics.is_box_over(culprit, pos, quat)
+        if self._job.confirms and sampled and culprit >= 0 and self._may_confirm():
+            known = known or bool(self._metrics.are_over(pos, quat)[culprit])
         if self._sim.early_stop and step < self._end and known:
             self._flags |= Flag.EARLY_STOP
             return False
         return True
+
+    def _may_confirm(self) -> bool:
+        """Whether the first sign of failure is so long ago, and was followed by so many placements, that the fall is
+        confirmed if the culprit is still over a threshold (``CONFIRM_S``)."""
+        step, live = self._step, self._live
+        steps = seconds_to_steps(CONFIRM_S, self._sim.physics.timestep_s)
+        is_complete = live.n_placed == self._job.scene.n_boxes and live.hand is None
+        is_complete = is_complete and step - self._waits.last_placement >= steps
+        return step - self._sign_step >= steps and (is_complete or live.n_placed > self._n_at_sign + 1)
 
     def _transition(self) -> None:
         """After a step, place the next box or start the phase after the placement, if either is due."""

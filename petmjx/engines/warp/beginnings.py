@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, Final, get_type_hints
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.engines.mjx.host_to_device import round_up
 from petmjx.engines.mjx.scene_rows import rows_of
 from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_state import second_axes
 from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene
 
@@ -62,9 +63,9 @@ def _bytes_of(values: NDArray[Any]) -> NDArray[np.uint8]:
 @cache
 def _axis(axis: str) -> tuple[str, ...]:
     """Names of the compared fields of ``Worlds`` whose second axis is this one; "": fields of the whole world."""
-    names = []
-    for name, kind in get_type_hints(Worlds).items():
-        second = (kind.dim_str.split()[1:2] or [""])[0]
-        if name not in _NOT_COMPARED and axis == (second if second in ("box", "body", "shape") else ""):
-            names.append(name)
-    return tuple(names)
+    axis_of = {
+        name: second if second in ("box", "body", "shape") else ""
+        for name, second in second_axes(Worlds).items()
+        if name not in _NOT_COMPARED
+    }
+    return tuple(name for name, second in axis_of.items() if second == axis)

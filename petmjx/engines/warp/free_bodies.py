@@ -20,8 +20,8 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.free_body_states import let_go
 from petmjx.engines.mjx.host_to_device import round_up
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import Worlds, padded_rows
-from petmjx.engines.mjx.world_state import NEVER, State, Status, of_flat
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, padded_rows
+from petmjx.engines.mjx.world_state import State, Status, of_flat
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import FEW_BOXES, Launch
 from petmjx.engines.warp.frame_buffers import FRAMES_PER_BLOCK, MOST_BYTES, pick_frames

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import warp as wp
 
-from petmjx.engines.mjx.world_state import NEVER
+from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Call, Launch, kernel, launch_all, load_kernels
 from petmjx.engines.warp.world_arrays import (

@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
-from petmjx.engines.mjx.world_constants import Worlds
-from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state, of_flat, put_rows, take_rows
+from petmjx.engines.mjx.world_constants import NEVER, Worlds
+from petmjx.engines.mjx.world_state import State, Status, fresh_state, of_flat, put_rows, take_rows
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.kernel_launcher import (

@@ -16,8 +16,8 @@ from jaxtyping import Array, Int
 from petmjx.engines.mjx.padded_template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
-from petmjx.engines.mjx.world_constants import Worlds
-from petmjx.engines.mjx.world_state import NEVER, State, of_flat
+from petmjx.engines.mjx.world_constants import NEVER, Worlds
+from petmjx.engines.mjx.world_state import State, of_flat
 from petmjx.engines.protocol import Progress
 from petmjx.engines.subprocess.kernel_builds import KernelBuilds
 from petmjx.engines.warp.block_launch import USUAL, Launch, load_kernels

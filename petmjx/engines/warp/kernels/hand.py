@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.mjx import world_state as batch_state
+from petmjx.engines.mjx import world_constants
 from petmjx.engines.warp.kernels.block_threads import cross, difference, times
 from petmjx.engines.warp.kernels.motion import (
     angular_velocity,
@@ -25,7 +25,7 @@ from petmjx.engines.warp.kernels.samples import speed_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import approach_paths
 
-NEVER = wp.constant(int(batch_state.NEVER))
+NEVER = wp.constant(int(world_constants.NEVER))
 FREE = wp.constant(approach_paths.FREE_M)
 CLEARANCE = wp.constant(approach_paths.CLEARANCE_M)
 MISSED = wp.constant(approach_paths.MISSED_M)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from petmjx.engines.mjx import world_constants
 from petmjx.engines.mjx import world_state as batch_state
 from petmjx.engines.verdict import Flag
 from petmjx.engines.warp.kernels.block_threads import any_of_all, wait_for_all
@@ -27,7 +28,7 @@ from petmjx.engines.warp.kernels.samples import HALF, LAST_BOX, is_gone, length_
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import history, release_places
 
-NEVER = wp.constant(int(batch_state.NEVER))
+NEVER = wp.constant(int(world_constants.NEVER))
 RUNNING = wp.constant(batch_state.Status.RUNNING)
 SETTLED = wp.constant(batch_state.Status.SETTLED)
 PAUSED = wp.constant(batch_state.Status.PAUSED)
