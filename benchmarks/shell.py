@@ -76,7 +76,7 @@ def score(at: float) -> None:
         vars(run_engine)["make_engine"] = lambda *some, **more: run_engine.UserEngine(Instant(), None)
     else:
         _note_slices(stages)
-    stages.around(simulate, "usable_plans", after="plans read")
+    stages.around(simulate, "read_input", after="plans read")
     stages.around(run_engine, "resolve_engine", before="GPU started", after="engine there")
     stages.around(RunWriter, "__enter__", after="folder open")
     stages.around(RunWriter, "add", before="first world final")

@@ -88,7 +88,7 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     if options.asked_workers is not None and isinstance(options.engine, str):
         from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have no workers
 
-        ahead = WorkerStartup(options, worth_gpus=_bytes_of(plans) >= WORTH_A_GPU)
+        ahead = WorkerStartup(options, worth_gpus=bytes_of_plans(plans) >= WORTH_A_GPU)
         try:
             yield ahead
         except BaseException:
@@ -96,7 +96,7 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
             raise
         return
     thread = None
-    if _may_be_gpu(options, plans):
+    if may_use_gpu(options, plans):
         thread = threading.Thread(target=_start_if_gpu, args=(sim,), name="petmjx-start")
         thread.start()
     # if the caller raises an error here, such as one about plans, it is reported at once: the thread is not joined
@@ -105,11 +105,11 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
         thread.join()
 
 
-def _may_be_gpu(options: RunOptions, plans: object) -> bool:
+def may_use_gpu(options: RunOptions, plans: object) -> bool:
     """Whether the engine of this process will be ``mjx-warp`` if there is a GPU."""
     if not isinstance(options.engine, str) or options.engine not in (AUTO, "mjx-warp"):
         return False
-    return options.engine != AUTO or _bytes_of(plans) >= WORTH_A_GPU
+    return options.engine != AUTO or bytes_of_plans(plans) >= WORTH_A_GPU
 
 
 def _start_if_gpu(sim: Simulation) -> None:
@@ -120,8 +120,8 @@ def _start_if_gpu(sim: Simulation) -> None:
         threading.Thread(target=compile_ahead, args=(sim, builds), name="petmjx-kernels").start()
 
 
-def _bytes_of(plans: object) -> int:
-    """Total size of plan files, and of the files in folders, in bytes; 0 for anything else."""
+def bytes_of_plans(plans: object) -> int:
+    """Total size of plan files, and of the files in folders, in bytes; 0 for anything else than paths."""
     several = plans if isinstance(plans, list | tuple) else [plans]
     paths = [Path(source) for source in several if isinstance(source, str | PathLike)]
     with suppress(OSError, ValueError):

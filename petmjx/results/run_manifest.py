@@ -111,7 +111,9 @@ def _arrow_column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
     if None in values:
         return pa.array(values, kind)
     if kind != pa.string():
-        return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(np.array(values, kind.to_pandas_dtype()))])
+        # ``kind.to_pandas_dtype()`` would load pandas in some versions of pyarrow
+        dtype = np.dtype(f"{'f' if pa.types.is_floating(kind) else 'i'}{kind.byte_width}")
+        return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(np.array(values, dtype))])
     texts = [text.encode() for text in values]
     ends = np.cumsum([0, *(len(text) for text in texts)])
     if ends[-1] > np.iinfo(np.int32).max:

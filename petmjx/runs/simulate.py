@@ -28,15 +28,16 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.order_matching import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
-from petmjx.plans.plan_sources import PlanSource, are_files, usable_plans
+from petmjx.plans.plan_sources import PlanSource, are_files
 from petmjx.results.history_tables import Recording, recording_of
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.plan_table import placements_table
 from petmjx.results.resume import engine_of_run
-from petmjx.results.run_manifest import Manifest, PlanRecord, records_of
+from petmjx.results.run_manifest import Manifest, PlanRecord
 from petmjx.results.run_reader import RunResults
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.to_json import to_json
+from petmjx.runs.plan_input import read_input
 from petmjx.runs.study import FinishedWorld, Study
 from petmjx.world.option_lint import notes_about
 from petmjx.world.scene import Scene
@@ -102,7 +103,7 @@ def simulate(
     """
     plans = plans_in_place(plans, options.strict)
     with engine_warmup(options, plans, sim) as ahead:
-        plan_set = usable_plans(plans, sim, options)
+        plan_set, records = read_input(plans, sim, options)
         study = ask(plan_set.plans, options)
         orders = None
         if options.orders is not None:
@@ -122,7 +123,7 @@ def simulate(
         about = notes_about(sim, study.everything, axes=study.axes, errors=study.has_errors, driven=study.dynamic)
         notes = [*plan_set.notes, *about]
         plan_set = replace(plan_set, skipped=[*plan_set.skipped, *later_inputs], notes=notes)
-        records = records_of(study.everything, plan_set.numbers)
+        records = {plan.plan_id: records[plan.plan_id] for plan in study.everything}
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
     hands_over = not options.record_details  # only C MuJoCo records details, so C MuJoCo must simulate all worlds
     with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):

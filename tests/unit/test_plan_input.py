@@ -1,0 +1,96 @@
+"""Tests of reading in a process of its own: the same plans, records and warnings as in the process of the run."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.plans import make_plan, stack
+
+import petmjx
+from petmjx.common.errors import InputError, PlanWarning
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.runs import plan_input
+from petmjx.runs.plan_input import read_in_process, read_input
+from petmjx.runs.reading_process import Answer, PlanInput, read_here
+
+SIM, OPTIONS = Simulation(), RunOptions(engine="mjx-warp")
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> list[Answer | None]:
+    """A machine with a GPU, where files of any size are read in a process. The list gets the answers."""
+    answers: list[Answer | None] = []
+
+    def noted(*arguments: Any) -> Answer | None:
+        answers.append(read_in_process(*arguments))
+        return answers[-1]
+
+    monkeypatch.setattr(plan_input, "cuda_devices", lambda: ("a GPU",))
+    monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2)
+    monkeypatch.setattr(plan_input, "WORTH_A_PROCESS", 1)
+    monkeypatch.setattr(plan_input, "read_in_process", noted)
+    return answers
+
+
+def plan_file(folder: Path, plans: list[Plan], name: str = "plans.json") -> Path:
+    petmjx.save_plans(plans, folder / name)
+    return folder / name
+
+
+def facts(result: PlanInput) -> list[Any]:
+    plan_set = result.plan_set
+    arrays = [
+        (plan.plan_id, plan.articles, *(getattr(plan, name).tobytes() for name in ("size_mm", "corner_mm", "mass_kg")))
+        for plan in plan_set.plans
+    ]
+    return [arrays, result.records, plan_set.numbers, plan_set.notes, plan_set.skipped, plan_set.conventions]
+
+
+def test_a_process_reads_the_same(tmp_path: Path, in_process: list[Answer | None]) -> None:
+    file = plan_file(tmp_path, [make_plan(f"plan {n}", stack(n)) for n in (1, 3, 2)])
+    plans = json.loads(file.read_text())
+    file.write_text(json.dumps({"faulty": [{"item": 1}], **plans}))
+    result = read_input(file, SIM, OPTIONS)
+    assert len(in_process) == 1
+    assert in_process[0] is not None
+    assert facts(result) == facts(read_here(file, SIM, OPTIONS))
+    assert [skipped.plan_id for skipped in result.plan_set.skipped] == ["faulty"]
+    assert [record.number for record in result.records.values()] == [1, 2, 3]
+
+
+def test_warnings_of_the_process_are_issued_here(tmp_path: Path, in_process: list[Answer | None]) -> None:
+    centers = [(size, (x + size[0] / 2, y + size[1] / 2, z + size[2] / 2), kg) for size, (x, y, z), kg in stack(3)]
+    file = plan_file(tmp_path, [make_plan(f"plan {n}", centers) for n in range(3)])
+    with warnings.catch_warnings(record=True) as here:
+        warnings.simplefilter("always")
+        read_here(file, SIM, OPTIONS)
+    with pytest.warns(PlanWarning) as caught:
+        read_input(file, SIM, OPTIONS)
+    assert in_process[0] is not None
+    assert [str(warning.message) for warning in caught] == [str(warning.message) for warning in here] != []
+
+
+def test_errors_appear_in_the_process_of_the_run(tmp_path: Path, in_process: list[Answer | None]) -> None:
+    file = tmp_path / "plans.json"
+    file.write_text('{"plan": [')
+    with pytest.raises(InputError, match=r"plans\.json"):
+        read_input(file, SIM, OPTIONS)
+    assert in_process == [None]
+
+
+def test_small_files_and_plan_objects_need_no_process(
+    tmp_path: Path, in_process: list[Answer | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = make_plan("plan", stack(2))
+    read_input([plan], SIM, OPTIONS)
+    file = plan_file(tmp_path, [plan])
+    read_input(file, SIM, RunOptions(engine="mujoco"))
+    monkeypatch.setattr(plan_input, "WORTH_A_PROCESS", file.stat().st_size + 1)
+    read_input(file, SIM, OPTIONS)
+    assert in_process == []
