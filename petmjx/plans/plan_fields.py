@@ -39,9 +39,9 @@ LARGEST_DEG: Final = 360.0
 def vanishing_side(size_mm: FloatArray, size_reduction_mm: float) -> tuple[int, str] | None:
     """The first box that has no extent left after the size reduction, among n boxes with the sizes (n, 3), and a text
     about it. None if there is no such box."""
-    thin = np.flatnonzero((size_mm <= size_reduction_mm).any(axis=1))
-    if not len(thin):
+    if size_mm.min(initial=np.inf) > size_reduction_mm:
         return None
+    thin = np.flatnonzero((size_mm <= size_reduction_mm).any(axis=1))
     box, side = int(thin[0]), float(size_mm[thin[0]].min())
     return box, f"a side of {side:g} mm vanishes under the size reduction of {size_reduction_mm:g} mm"
 

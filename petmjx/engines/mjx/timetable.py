@@ -97,9 +97,8 @@ def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float
     """For each step, the first step that is at least ``wait_s`` later. A step beyond the end of the clock is replaced
     by the step after the clock's last step."""
     n = len(clock) - 1
-    # searchsorted compares a time with (start of the wait + wait_s). This sum rounds differently from the difference
-    # (time - start of the wait) in the rule, so the result is corrected with the rule's own comparison.
-    after = np.searchsorted(clock, clock + wait_s - timestep_s / 2).astype(np.int64)
+    # The clock is a sum of rounded timesteps, so the right step is at most one away from this one.
+    after = np.minimum(np.arange(n + 1) + seconds_to_steps(wait_s, timestep_s), n + 1)
     for _ in range(2):
         inside = np.minimum(after, n)
         after = np.where((clock[np.maximum(inside - 1, 0)] - clock >= wait_s) & (inside > 0), inside - 1, after)

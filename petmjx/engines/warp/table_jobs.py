@@ -29,9 +29,9 @@ MOST_FOLLOWING_ROWS: Final = 2048
 placement. (A drive is a motion of the carrier.) If the stream has fewer jobs in all, the table has only as many rows as
 jobs. A GPU has fewer thread blocks than half of this number."""
 
-MOST_JOINING: Final = 512
-"""Largest number of jobs that join a table between two time slices (calls of the kernels). Joining takes about 50 ms.
-Meanwhile the device works on slices that have already been started.
+MOST_JOINING: Final = 256
+"""Largest number of jobs that join a table between two time slices (calls of the kernels). Joining takes about 50 ms,
+less than a time slice. With 512 jobs, the CPU needed more time between two slices than the device needed for a slice.
 """
 
 REFILL_SHARE: Final = 2
