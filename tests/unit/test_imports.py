@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from petmjx.common.processes import no_collection
+
 LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"_version", "version", "common"}),
     frozenset({"options"}),
@@ -63,7 +65,11 @@ def imported_modules(path: Path, modules: Collection[str]) -> set[str]:
     """Those of ``modules`` that a file imports at any place, including imports in functions, imports only for types,
     and imports by a name in a string."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    # In CPython 3.11, a collection of garbage inside ``ast.parse`` may let another thread parse, and then one of the two
+    # raises SystemError ("AST constructor recursion depth mismatch").
+    with no_collection():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
