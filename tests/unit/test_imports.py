@@ -65,7 +65,7 @@ def imported_modules(path: Path, modules: Collection[str]) -> set[str]:
     """Those of ``modules`` that a file imports at any place, including imports in functions, imports only for types,
     and imports by a name in a string."""
     names = set()
-    # In CPython 3.11, a collection of garbage inside ``ast.parse`` may let another thread parse, and then one of the two
+    # In CPython 3.11, a collection of garbage inside ``ast.parse`` may let another thread parse. Then one of the two
     # raises SystemError ("AST constructor recursion depth mismatch").
     with no_collection():
         tree = ast.parse(path.read_text(encoding="utf-8"))
