@@ -154,7 +154,7 @@ class Physics(CheckedRecord):
 
         The carrier is enlarged by twice the length by which boxes are enlarged. So if a box stands flush with the
         carrier's edge, the box's face is inside the enlarged carrier, and collision detection finds contacts at the
-        box's corners (docs/validation.md).
+        box's corners (benchmarks/notebook/contacts.md).
         """
         return 2 * self.skin_m
 
@@ -209,7 +209,7 @@ PHYSICS["reference"] = Physics(
     falls_into_place=True,
 )
 """The presets, by name. ``reference`` has the values of the reference implementation (PET-Physics). With ``pallet``,
-simulated pallets come to rest instead of creeping (docs/validation.md). For this purpose, ``pallet`` has elliptic
-friction cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and stiff friction: a box that a sideways force
-pushes, but that friction holds, slips 250 times more slowly than with MuJoCo's defaults. ``pallet`` also has the
-friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
+simulated pallets come to rest instead of creeping (benchmarks/notebook/contacts.md). For this purpose, ``pallet`` has
+elliptic friction cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and stiff friction: a box that a
+sideways force pushes, but that friction holds, slips 250 times more slowly than with MuJoCo's defaults. ``pallet`` also
+has the friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""

@@ -264,7 +264,7 @@ def _add_shapes(
     edges cross. The collider chooses the point if its depth is at least 5 % smaller than the depth of the faces (MuJoCo
     3.17, ``engine_collision_box.c``). At the usual depth of a tenth of a millimetre, the collider's choice changes from
     step to step, and pallets tremble. With skins, both depths are larger by the same amount, so the difference is below
-    5 % (docs/validation.md).
+    5 % (benchmarks/notebook/contacts.md).
     """
     shapes = scene.shapes
     walls = range(scene.carrier.n_boards, len(scene.carrier.half_size))
