@@ -81,28 +81,25 @@ def rows(engine: str) -> list[dict[str, Any]]:
     for height_mm, most_mm in zip(HEIGHTS_MM, MOST_DEPTH_MM, strict=True):
         usual = landed(engine, height_mm, step_s, LANDING_S, RESTITUTION)
         made.append(
-            row(f"fall from {height_mm:g} mm, default physics: restitution", "T-RO 2023", *CARDBOARD, usual.restitution)
+            row(f"restitution in falls from {height_mm:g} mm, by default", "T-RO 2023", *CARDBOARD, usual.restitution)
         )
-        made.append(row(f"fall from {height_mm:g} mm, default physics: depth, mm", given, 0, most_mm, usual.depth_mm))
+        made.append(row(f"depth in falls from {height_mm:g} mm, by default, mm", given, 0, most_mm, usual.depth_mm))
         for restitution in ASKED:
             landing = landed(engine, height_mm, step_s, LANDING_S, restitution)
-            conditions = f"fall from {height_mm:g} mm, restitution set to {restitution:g}"
-            made.append(row(f"{conditions}: depth, mm", given, 0, most_mm, landing.depth_mm))
+            conditions = f"in falls from {height_mm:g} mm with restitution {restitution:g}"
+            made.append(row(f"depth {conditions}, mm", given, 0, most_mm, landing.depth_mm))
             low, high = restitution - NEAR, restitution + NEAR
-            made.append(row(f"{conditions}: simulated restitution", "set value", low, high, landing.restitution))
+            made.append(row(f"simulated restitution {conditions}", "set value", low, high, landing.restitution))
             bounces = [landed(engine, height_mm, s, LANDING_S, restitution).restitution for s in TIMESTEPS_S[1:]]
             worst = restitution + max((bounce - restitution for bounce in bounces), key=abs)
             made.append(
-                row(f"{conditions}: simulated restitution, worse of 1 and 0.5 ms steps", "set value", low, high, worst)
+                row(f"worse restitution of the timesteps 1 and 0.5 ms {conditions}", "set value", low, high, worst)
             )
-        for name, landing_s in (("default physics", LANDING_S), ("landing_s 0", 0.0)):
+        for name, landing_s in (("by default", LANDING_S), ("with `landing_s` 0", 0.0)):
             peaks = [landed(engine, height_mm, timestep_s, landing_s, RESTITUTION).peak_n for timestep_s in TIMESTEPS_S]
             spread = max(peaks) / min(peaks) - 1
-            made.append(
-                row(
-                    f"fall from {height_mm:g} mm, {name}: spread of force peaks over timesteps", "none", 0, 0.12, spread
-                )
-            )
+            quantity = f"spread of the force peaks of three timesteps in falls from {height_mm:g} mm, {name}"
+            made.append(row(quantity, "none", 0, 0.12, spread))
     return made
 
 

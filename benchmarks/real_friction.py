@@ -46,7 +46,7 @@ class Carton(NamedTuple):
 
     @property
     def name(self) -> str:
-        return f"carton of {self.mass_kg:g} kg"
+        return f"cartons of {self.mass_kg:g} kg"
 
 
 CARTONS: Final = (
@@ -74,7 +74,7 @@ def _row_of_friction(carton: Carton) -> Row:
     ours = Physics().box_friction[0]
     miss = _outside(ours, low, high)
     return Row(
-        f"friction of a {carton.name}", _TUE, f"{low:.2f} to {high:.2f}", f"{ours:.2f}", f"{miss:.2f}", "all",
+        f"friction of {carton.name}", _TUE, f"{low:.2f} to {high:.2f}", f"{ours:.2f}", f"{miss:.2f}", "all",
         "petmjx's default for boxes (CTU Code, cardboard on cardboard)", miss == 0.0,
     )  # fmt: skip
 
@@ -96,7 +96,7 @@ def _row_of_restitution(carton: Carton, engine: str) -> Row:
     ours = restitution(carton, engine)
     miss = _outside(ours, low, high)
     return Row(
-        f"restitution of a {carton.name}", _TUE, f"{low:.2f} to {high:.2f}", f"{ours:.3f}", f"{miss:.2f}", engine,
+        f"restitution of {carton.name}", _TUE, f"{low:.2f} to {high:.2f}", f"{ours:.3f}", f"{miss:.2f}", engine,
         f"dropped flat from {MM_PER_M * DROP_M:g} mm", miss == 0.0,
     )  # fmt: skip
 

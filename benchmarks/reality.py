@@ -9,8 +9,10 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,6 +36,9 @@ TOSSES: Final = "tosses"
 
 ALL_ENGINES: Final = "all"
 """The engine of rows that are equal on all engines."""
+
+CASE: Final = re.compile(r"\d+(?:\.\d+)?(?: × \d+(?:\.\d+)?)?")
+"""A number, or a size such as ``150 × 600``, in the name of a quantity."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,7 @@ def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None 
 
 def table(results: Sequence[Mapping[str, Any]]) -> str:
     """The rows of all results as Markdown, a table for each part; missed goals are marked. Equal values of all engines
-    share one row."""
+    share one row, and so do quantities that differ in one number (``merged``)."""
     words = {True: "holds", False: "**fails**", None: ""}
     parts: dict[str, dict[Row, None]] = {}
     for result in results:
@@ -116,13 +121,49 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
     for name, rows in parts.items():
         lines += [f"### {name}", "", "| quantity | measured | petmjx | misses by | engine | | source |"]
         lines += [f"| {' | '.join(['---'] * 7)} |"]
-        for row in rows:
+        for row in merged(list(rows)):
             note = ": ".join(filter(None, (words[row.holds], row.note)))
             engine = row.engine if row.engine == ALL_ENGINES else f"`{row.engine}`"
             cells = (row.quantity, row.measured, row.petmjx, row.miss, engine, note, row.source)
             lines.append(f"| {' | '.join(cells)} |")
         lines.append("")
     return "\n".join(lines)
+
+
+def merged(rows: Sequence[Row]) -> list[Row]:
+    """The rows, of which those whose quantities differ in one number (or size) become one row.
+
+    The merged row lists the numbers and, in the same order, the values. Rows are merged only if they have the same
+    source, engine and note, and all reach their goals or all miss them.
+    """
+
+    def family(row: Row, number: re.Match[str]) -> tuple[object, ...]:
+        """What rows that are merged have in common."""
+        others = row.quantity[: number.start()], row.quantity[number.end() :]
+        return *others, row.source, row.engine, row.note, row.holds
+
+    numbers = {row: list(CASE.finditer(row.quantity)) for row in rows}
+    sizes = Counter(family(row, number) for row in rows for number in numbers[row])
+    families: dict[object, list[tuple[Row, re.Match[str] | None]]] = {}
+    for row in rows:
+        number = max(numbers[row], key=lambda number: sizes[family(row, number)], default=None)
+        families.setdefault(row if number is None else family(row, number), []).append((row, number))
+    return [_joined(members) for members in families.values()]
+
+
+def _joined(members: Sequence[tuple[Row, re.Match[str] | None]]) -> Row:
+    """One row for rows whose quantities differ in the given number."""
+    first, number = members[0]
+    if len(members) == 1 or number is None:
+        return first
+
+    def values(column: str) -> str:
+        texts = [getattr(row, column) for row, _ in members]
+        return texts[0] if len(set(texts)) == 1 else "; ".join(texts)
+
+    numbers = ", ".join(case[0] for _, case in members if case is not None)
+    quantity = first.quantity[: number.start()] + numbers + first.quantity[number.end() :]
+    return replace(first, quantity=quantity, measured=values("measured"), petmjx=values("petmjx"), miss=values("miss"))
 
 
 def percent(share: float, digits: int = 1) -> str:
@@ -228,10 +269,10 @@ def _row_of_faces(measures: Mapping[str, Any], contacts: str, engine: str, note:
 
 
 def _rows_of_friction(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
-    for half in measures["halves"]:
+    for name, half in zip(("one half", "the other half"), measures["halves"], strict=True):
         other, miss = half["errors_of_other_half"], half["friction"] - measures["published"]
         yield Row(
-            "friction fitted to half of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
+            f"friction fitted to {name} of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
             f"{abs(miss):.3f}", engine,
             f"errors on the other half: {percent(other['right_face'])} right, {other['place_median_mm']:.1f} mm, "
             f"path {other['path_mean_mm']:.1f} mm",

@@ -309,7 +309,7 @@ def free_rocking(engine: EngineName) -> Iterator[Row]:
     for block in FREE_BLOCKS:
         level = _rocking_level_g(block)
         width, height = 1000 * block.width_m, 1000 * block.height_m
-        name = f"block {width:g} × {height:g} mm"
+        name = f"a block of {width:g} × {height:g} mm"
         axes = f'[axes]\nprofile = "eumos-40509"\nlevel = {level}\nfriction_factor = {ROUGH / BOX_FRICTION}\n'
         run = swept([block_plan("b", width, [height])], engine, axes, record="all", record_interval_s=0.002)
         assert run.histories is not None
@@ -317,11 +317,11 @@ def free_rocking(engine: EngineName) -> Iterator[Row]:
         peaks, crossings = _swings(time_s, tilt)
         kept = np.mean([block.energy_kept(*pair) for pair in pairwise(peaks)])
         yield Row(
-            f"{name}: share of energy that an impact leaves", "Housner 1963", block.speed_kept**2, float(kept), engine
+            f"share of energy that an impact leaves to {name}", "Housner 1963", block.speed_kept**2, float(kept), engine
         )
         swing_s = block.rock(lambda _: 0.0, 5.0, 0.0, start=(peaks[0], 0.0)).impacts_s
         yield Row(
-            f"{name}: time of a swing from {math.degrees(peaks[0]):.1f}°, s",
+            f"time of a swing of {name} from {math.degrees(peaks[0]):.1f}°, s",
             "Housner 1963",
             swing_s[1] - swing_s[0],
             crossings[1] - crossings[0],
@@ -332,7 +332,7 @@ def free_rocking(engine: EngineName) -> Iterator[Row]:
             ratio = math.sqrt(kept) / block.speed_kept
             source = "measured on concrete, ElGawady et al."
             yield Row(
-                f"{name}: angular speed after an impact / Housner's",
+                f"angular speed of {name} after an impact / Housner's angular speed",
                 source,
                 MEASURED_RESTITUTION[slender],
                 ratio,
@@ -405,8 +405,8 @@ def overturning(
         for (k, pulse_s), level in product(enumerate(PULSES_S), levels):
             lost = block.rock(half_sine(level, pulse_s), SETTLES_S, pulse_s).lost
             same += lost == (verdicts[f"p{k}", level] != "stable")
-        quantity = f"block {width:g} × {height:g} mm: number of 96 pulses with the same outcome{_contacts(physics)}"
-        yield Row(quantity, "Housner 1963, integrated", 96, same, engine)
+        quantity = f"number of 96 pulses whose outcome is Housner's, block of {width:g} × {height:g} mm"
+        yield Row(quantity + _contacts(physics), "Housner 1963, integrated", 96, same, engine)
 
 
 LIMITS_S: Final = (0.15, 0.2, 0.3, 0.4)
@@ -443,7 +443,9 @@ def overturning_limits(
         )
         summary = swept([block_plan("b", width, [height])], engine, tables).summary
         assert summary is not None
-        quantity = f"block {width:g} × {height:g} mm: largest survived pulse of {pulse_s:g} s, g{_contacts(physics)}"
+        quantity = (
+            f"largest pulse of {pulse_s:g} s that a block of {width:g} × {height:g} mm survives, g{_contacts(physics)}"
+        )
         yield Row(quantity, "Housner 1963, integrated", expected, float(summary.largest_level_g.iloc[0]), engine)
 
 
@@ -464,18 +466,18 @@ def tilting(
         for friction in frictions:
             angle = math.degrees(math.atan(friction))
             failed = _fail_angle_deg(block_plan("b", 500.0, [100.0]), profile, friction, engine)
-            name = f"{profile}: a box with friction {friction:g} slides"
-            yield Row(f"{name} at, °", "atan(friction)", angle, failed, engine)
+            name = f"a box with friction {friction:g} slides in `{profile}`"
+            yield Row(f"angle at which {name}, °", "atan(friction)", angle, failed, engine)
             late = slide_late_deg(math.radians(angle), rate)
-            yield Row(f"{name}: delay of the first sign, °", "Coulomb", late, failed - angle, engine)
+            yield Row(f"delay of the first sign when {name}, °", "Coulomb", late, failed - angle, engine)
         for block in blocks:
             width, height = 1000 * block.width_m, 1000 * block.height_m
             angle = math.degrees(block.slenderness_rad)
             failed = _fail_angle_deg(block_plan("b", width, [height]), profile, ROUGH, engine)
-            name = f"{profile}: a block of {width:g} × {height:g} mm topples"
-            yield Row(f"{name} at, °", "atan(width / height)", angle, failed, engine)
+            name = f"a block of {width:g} × {height:g} mm topples in `{profile}`"
+            yield Row(f"angle at which {name}, °", "atan(width / height)", angle, failed, engine)
             late = block.late_deg(rate, THRESHOLD_M)
-            yield Row(f"{name}: delay of the first sign, °", "Housner 1963, linear", late, failed - angle, engine)
+            yield Row(f"delay of the first sign when {name}, °", "Housner 1963, linear", late, failed - angle, engine)
 
 
 def slide_late_deg(angle_rad: float, rate_deg_s: float) -> float:
@@ -509,7 +511,7 @@ def eumos_levels(
     for answer in summary.to_dict("records"):
         n, friction = int(answer["plan_id"]), round(answer["friction_factor"] * BOX_FRICTION, 3)
         expected = largest_level_g(RockingBlock(SIDE_MM / 1000, 0.25 * n), friction)
-        quantity = f"stack of {n}, friction {friction:g}: largest survived level of EUMOS's test, g"
+        quantity = f"largest level of EUMOS's test that stacks of {n} boxes with friction {friction:g} survive, g"
         yield Row(quantity, "Coulomb, or Housner 1963, integrated", expected, answer["largest_level_g"], engine)
 
 
@@ -538,7 +540,7 @@ def wrapped_levels(engine: EngineName) -> Iterator[Row]:
         turns = answer["wrap_turns"]
         hold_n = FILM_FRICTION * 4 * 2 * turns * TURN_N * height_m / FILM_M
         expected = slide_level_g(BOX_FRICTION + hold_n / (mass_kg * GRAVITY))
-        quantity = f"box of 10 kg with {turns:g} turns of {TURN_N:g} N: largest survived level of EUMOS's test, g"
+        quantity = f"largest level of EUMOS's test that a box of 10 kg in {turns:g} turns of {TURN_N:g} N survives, g"
         yield Row(quantity, "Coulomb, with film as in Sensors 2025", expected, answer["largest_level_g"], engine)
 
 

@@ -291,14 +291,14 @@ def rows(engine: EngineName = "mujoco", count: int = 40, seed: int = 55) -> list
     fields = {"source": "bed of springs (Winkler 1867)", "engine": engine}
     return [
         {
-            "quantity": f"of {len(clear)} columns at least 5 % from buckling: number with the same outcome",
+            "quantity": f"number of the {len(clear)} columns at least 5 % from buckling that have the same outcome",
             "measured": str(len(clear)),
             "petmjx": str(len(clear) - other),
             "miss": other,
             **fields,
         },
         {
-            "quantity": f"lean of the {len(errors)} that stand, largest error",
+            "quantity": f"largest error of the lean of the {len(errors)} columns that stand",
             "measured": f"at most {MOST_MISS:.0%}",
             "petmjx": f"{largest:.1%}",
             "miss": round(max(largest - MOST_MISS, 0.0), 3),

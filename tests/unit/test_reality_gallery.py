@@ -146,6 +146,24 @@ def test_rows_that_fail_say_so() -> None:
     assert titles.count("|") == lines[0].count("|")
 
 
+def test_rows_that_differ_in_one_number_share_a_line() -> None:
+    def row(quantity: str, petmjx: str, *, holds: bool = True) -> reality.Row:
+        return reality.Row(quantity, "source", "1", petmjx, "0", "mujoco", "", holds)
+
+    rows = [
+        row("fall of 10 × 20 mm from 10 mm, worse of 1 and 2 ms", "a"),
+        row("fall of 10 × 20 mm from 30 mm, worse of 1 and 2 ms", "b"),
+        row("fall of 10 × 20 mm from 50 mm, worse of 1 and 2 ms", "c", holds=False),
+        row("no number", "d"),
+        row("fall of 30 × 20 mm from 50 mm, worse of 1 and 2 ms", "c", holds=False),
+    ]
+    assert reality.merged(rows) == [
+        row("fall of 10 × 20 mm from 10, 30 mm, worse of 1 and 2 ms", "a; b"),
+        row("fall of 10 × 20, 30 × 20 mm from 50 mm, worse of 1 and 2 ms", "c", holds=False),
+        row("no number", "d"),
+    ]
+
+
 def test_rows_of_numbers_alone_tell_their_difference() -> None:
     numbers = SimpleNamespace(quantity="angle, °", source="Housner", expected=12.5, value=12.25, engine="mujoco")
     row = reality.Row.of(numbers)
