@@ -13,15 +13,8 @@ from petmjx.cli.console import results_console
 from petmjx.common.text import printable
 from petmjx.options.stacking import Stacking
 
-_LOSSES = Stacking()
 
-
-def _loss(condition: str) -> Any:
-    """An option whose value is a share of a box's strength. typer names the option after the parameter of the
-    function."""
-    return typer.Option(metavar="SHARE", help=f"Share of the strength that is lost: {condition}.")
-
-
+@opt.takes(*Stacking.model_fields, more=((Stacking, "How boxes lose strength"),))
 def loads(
     run: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the run.")],
     plans: Annotated[
@@ -42,36 +35,13 @@ def loads(
             show_default=False,
         ),
     ] = None,
-    interlocked_loss: Annotated[
-        float, _loss("of a box on whose walls no wall of a box above stands")
-    ] = _LOSSES.interlocked_loss,
-    overhang_loss: Annotated[float, _loss("if all walls hung over nothing")] = _LOSSES.overhang_loss,
-    gap_loss: Annotated[float, _loss("of boxes over gaps between boards of the deck")] = _LOSSES.gap_loss,
-    soft_deck_loss: Annotated[float, _loss("of boxes on boards that bend, 0.21 to 0.27")] = _LOSSES.soft_deck_loss,
-    wall_tolerance_mm: Annotated[
-        float,
-        typer.Option("--wall-tolerance-mm", metavar="MM", help="Walls that are no further apart stand on each other."),
-    ] = _LOSSES.wall_tolerance_mm,
-    humidity_percent: Annotated[
-        float,
-        typer.Option("--humidity", metavar="PERCENT", help="Relative humidity: above 50 % it takes strength."),
-    ] = _LOSSES.humidity_percent,
-    storage_days: Annotated[
-        float,
-        typer.Option("--storage-days", metavar="DAYS", help="Days under the load at rest, which take strength."),
-    ] = _LOSSES.storage_days,
-    loss_spread: Annotated[
-        float,
-        typer.Option(
-            "--loss-spread", metavar="SHARE", help="How far losses may be off: what is surely and possibly crushed."
-        ),
-    ] = _LOSSES.loss_spread,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="DIR", help="Folder for the tables of loads, as Parquet and CSV."),
     ] = None,
     overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
+    **losses: float,
 ) -> None:
     """Find overloaded boxes: compare the force on the top of each box with the box's strength, at rest and at the peak.
 
@@ -88,17 +58,7 @@ def loads(
 
     if out is not None:
         check_loads_free(out, overwrite, source_files(run, plans, articles))
-    stacking = {
-        "interlocked_loss": interlocked_loss,
-        "overhang_loss": overhang_loss,
-        "gap_loss": gap_loss,
-        "soft_deck_loss": soft_deck_loss,
-        "wall_tolerance_mm": wall_tolerance_mm,
-        "humidity_percent": humidity_percent,
-        "storage_days": storage_days,
-        "loss_spread": loss_spread,
-    }
-    comparison = compare(run, articles, plans or None, stacking=stacking)
+    comparison = compare(run, articles, plans or None, stacking=losses)
     if out is not None:
         comparison.write(out, overwrite)
     if as_json:

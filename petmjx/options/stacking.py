@@ -12,7 +12,7 @@ from typing import Annotated, Final, Self
 import numpy as np
 from pydantic import Field
 
-from petmjx.common.checked_records import CheckedRecord, within
+from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 
 HUMIDITY_LOSS: Final = ((50, 0.0), (60, 0.10), (70, 0.20), (80, 0.32), (90, 0.52), (100, 0.85))
 """Relative humidity, % → share of its strength that a box of corrugated board loses. Source: a table of the Fibre Box
@@ -37,35 +37,35 @@ class Stacking(CheckedRecord):
     below it is assumed to bear no load, because no source states how much load such a part bears.
     """
 
-    interlocked_loss: Annotated[float, within(0, 1)] = Field(
+    interlocked_loss: Annotated[float, within(0, 1), CliFlag("--interlocked-loss", "SHARE")] = Field(
         0.5,
         description="share of its strength that a box loses if no wall of the boxes on it stands on its own walls; "
         "the loss is smaller if some walls do",
     )
-    overhang_loss: Annotated[float, within(0, 1)] = Field(
+    overhang_loss: Annotated[float, within(0, 1), CliFlag("--overhang-loss", "SHARE")] = Field(
         1.0,
         description="share of its strength that a box would lose if all of its walls hung over nothing; the actual "
         "loss is in proportion to the walls that do",
     )
-    gap_loss: Annotated[float, within(0, 1)] = Field(
+    gap_loss: Annotated[float, within(0, 1), CliFlag("--gap-loss", "SHARE")] = Field(
         0.26,
         description="share of its strength that a box on the deck loses if some of its walls cross gaps between boards",
     )
-    soft_deck_loss: Annotated[float, within(0, 1)] = Field(
+    soft_deck_loss: Annotated[float, within(0, 1), CliFlag("--soft-deck-loss", "SHARE")] = Field(
         0.0,
         description="share of their strength that boxes on the deck lose because boards bend: 0 for stiff boards, "
         "0.21 to 0.27 for soft boards",
     )
-    wall_tolerance_mm: Annotated[float, within(0, 1000)] = Field(
+    wall_tolerance_mm: Annotated[float, within(0, 1000), CliFlag("--wall-tolerance-mm", "MM")] = Field(
         10.0, description="a wall stands on another wall, or on an edge below it, if their distance is at most this, mm"
     )
-    humidity_percent: Annotated[float, within(0, 100)] = Field(
+    humidity_percent: Annotated[float, within(0, 100), CliFlag("--humidity", "PERCENT")] = Field(
         50.0, description="relative humidity of the air, %; above 50 %, boxes lose strength, at rest and at the peak"
     )
-    storage_days: Annotated[float, within(0, 180)] = Field(
+    storage_days: Annotated[float, within(0, 180), CliFlag("--storage-days", "DAYS")] = Field(
         0.0, description="days under load, which reduce strength at rest; 0: boxes are loaded as briefly as in a press"
     )
-    loss_spread: Annotated[float, within(0, 1)] = Field(
+    loss_spread: Annotated[float, within(0, 1), CliFlag("--loss-spread", "SHARE")] = Field(
         0.2,
         description="how far each loss may differ from its value, as a share of the value; used to tell surely from "
         "possibly overloaded boxes",
