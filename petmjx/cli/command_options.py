@@ -1,4 +1,5 @@
-"""The options of commands, generated from the fields of option records such as ``petmjx.Simulation``."""
+"""The options and arguments that several commands have. Most options are generated from the fields of option records
+such as ``petmjx.Simulation``."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from typer.models import OptionInfo
 
 from petmjx.common.checked_records import CheckedRecord, CliFlag
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable
+from petmjx.common.text import printable, printable_name
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 
@@ -68,6 +69,24 @@ Variant = Annotated[
 ]
 HOW_SURE = "How sure it is"
 HOW_IT_RUNS = "How it runs"
+
+
+def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
+    """Split texts of the form NAME=PATH. Returns name → path; an empty dictionary if no text has a name. A text that is
+    an existing path counts as a path without a name, even if it contains "=".
+
+    Raises:
+        InputError: only some texts have a name, or two texts have the same name.
+    """
+    name_parts = [text.partition("=") for text in texts if not Path(text).exists()]
+    pairs = [(name, path) for name, _, path in name_parts if name and path]
+    if pairs and len(pairs) < len(texts):
+        raise InputError(f"{option}: give each a name (NAME=PATH), or none")
+    names = [name for name, _ in pairs]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise InputError(f"{option} {printable_name(name)}: two entries have this name")
+    return dict(pairs)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import typer
 from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files
-from petmjx.cli.name_arguments import named_paths
 from petmjx.common.errors import InputError
 
 
@@ -97,7 +96,7 @@ def _compare_packers(
     from petmjx.show.packer_tables import packer_tables
     from petmjx.show.table_layout import line, print_renderables
 
-    paths = named_paths(runs, "compare --packers") or runs
+    paths = opt.named_paths(runs, "compare --packers") or runs
     if out is not None:
         check_comparison_free(out, overwrite, source_files(paths, orders))
     comparison = compare_packers(paths, orders=orders)

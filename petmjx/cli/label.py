@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -109,21 +108,19 @@ def label(
                 bar.update(n_made - n_before, earlier if n_made < count else "until the last orders end")
 
             card = write_labels(labeller, count, out, progress=report, **outputs)
-    except KeyboardInterrupt as stop:
+    except KeyboardInterrupt:
         n_kept = n_unfinished(out)
-        raise RunInterrupted(
-            "nothing was written"
-            if not n_kept
-            else f"{n_kept:,} of {count_text(count, 'label')} are in {out}; --resume continues",
-            getattr(stop, "number", signal.SIGINT),
-        ) from None
+        kept = f"{n_kept:,} of {count_text(count, 'label')} are in {out}; --resume continues"
+        raise RunInterrupted(kept if n_kept else "nothing was written") from None
     for split, numbers in card["splits"].items():
         print(
             f"{split}: {count_text(numbers['labels'], 'label')} of {count_text(numbers['orders'], 'order')}, "
             f"{numbers['stand']:,} stand, {numbers['fall']:,} fall"
         )
-    for name, found in card["baselines"].items():
-        print(f"{name}: finds {found['standing_found']:.1%} of what stands, {found['falling_found']:.1%} of what falls")
+    for name, shares in card["baselines"].items():
+        print(
+            f"{name}: finds {shares['standing_found']:.1%} of what stands, {shares['falling_found']:.1%} of what falls"
+        )
     if empty := [split for split, numbers in card["splits"].items() if not numbers["labels"]]:
         all_used = sum(numbers["orders"] for numbers in card["splits"].values()) >= source.count
         cure = "give more orders" if all_used else "give more labels (-n) or more orders"

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.name_arguments import named_paths
 from petmjx.common.text import printable_name
 
 if TYPE_CHECKING:
@@ -77,7 +76,7 @@ def leaderboard(
     from petmjx.show.leaderboard.leaderboard import board_line
     from petmjx.show.leaderboard.leaderboard import leaderboard as make
 
-    paths = named_paths(packers, "leaderboard") or packers
+    paths = opt.named_paths(packers, "leaderboard") or packers
     page = make(
         paths,
         out,

@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from enum import IntEnum
 from types import SimpleNamespace
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from petmjx.cli.command_options import as_typed
 from petmjx.cli.console import as_notes, asking, prepare_streams
-from petmjx.cli.help_layout import WIDTH, SectionedCommand
 from petmjx.cli.run_command import RunInterrupted, last_stop, stoppable
 from petmjx.common.checked_records import typed_options
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
@@ -75,6 +75,32 @@ _COMMANDS = {
 }
 """Name of a command → what the command does, as text for the list of commands. The command's module in this package and
 the function in this module have the same name as the command, with underscores."""
+
+
+WIDTH = 110
+"""Largest width of the help, in columns."""
+
+
+class SectionedCommand(TyperCommand):
+    """A command whose help lists options under headings. The attribute ``rich_help_panel`` of an option is its
+    heading."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments, then the options with headings, and finally the options without a heading. Headings have
+        the order in which their first options appear in the command."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            row = parameter.get_help_record(ctx)
+            if row is None:
+                continue
+            name, text = row
+            heading = getattr(parameter, "rich_help_panel", None) or "Options"
+            if parameter.param_type_name == "argument":
+                name, heading = name.partition(" <")[0], "Arguments"  # without the argument's Python type
+            sections.setdefault(heading, []).append((name, text))
+        for heading in sorted(sections, key=lambda name: name == "Options"):
+            with formatter.section(heading):
+                formatter.write_dl(sections[heading])
 
 
 def application(words: Sequence[str] = ()) -> typer.Typer:
@@ -157,13 +183,13 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
         with as_notes(), typed_options(), asking(), stoppable():
             result = make(command_words)(args=command_words or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns this code instead of raising KeyboardInterrupt
-            return _report("interrupted", _BY_SIGNAL[signal.Signals(last_stop() or signal.SIGINT)])
+            return _report("interrupted", _BY_SIGNAL[last_stop()])
         sys.stdout.flush()  # if the output cannot be written, this line raises the error
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:
-        return _report("interrupted", ExitCode.INTERRUPTED)
+        return _report("interrupted", _BY_SIGNAL[last_stop()])
     except RunInterrupted as interrupt:
-        return _report(f"interrupted: {interrupt}", _BY_SIGNAL[signal.Signals(interrupt.number)])
+        return _report(f"interrupted: {interrupt}", _BY_SIGNAL[last_stop()])
     except (InputError, EngineUnavailable) as error:
         return _report(str(error), ExitCode.UNUSABLE)
     except PetmjxError as error:

@@ -73,7 +73,7 @@ def repair(
     check_outputs(files, overwrite=overwrite, inputs=source_files(plans))
     for file in files:
         check_writable(file)
-    n_plans, signal_number = 0, None
+    n_plans, interrupted = 0, False
     try:
         with progress(None) as bar:
 
@@ -84,9 +84,9 @@ def repair(
 
             result = repaired(plans_in_place(plans, bool(options.get("strict"))), watch=count, **options)
     except RepairInterrupted as stop:
-        result, signal_number = stop.repairs, stop.number
+        result, interrupted = stop.repairs, True
         if not result.each:
-            raise RunInterrupted("no plan was searched to the end; nothing was written", signal_number) from None
+            raise RunInterrupted("no plan was searched to the end; nothing was written") from None
     for line in result.skipped:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if out is not None:
@@ -99,9 +99,9 @@ def repair(
         print(json.dumps({"plans": to_json(result.table), "changes": to_json(result.changes)}, indent=2))
     else:
         print_renderables([*repair_tables(result), *_written(result, out, html)], results_console())
-    if signal_number is not None:
+    if interrupted:
         how_far = f"{len(result.each):,} of {count_text(n_plans, 'plan')} were searched to the end"
-        raise RunInterrupted(f"{how_far}; the results contain only these", signal_number)
+        raise RunInterrupted(f"{how_far}; the results contain only these")
 
 
 def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:

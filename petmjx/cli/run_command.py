@@ -14,16 +14,16 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from types import FrameType, SimpleNamespace
+from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.cli.console import results_console
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
+from petmjx.options.run_options import RunOptions
 
 if TYPE_CHECKING:
     from petmjx.results.run_reader import RunResults
-    from petmjx.runs.simulate import Watcher
 
 
 BURST_S: Final = 2.0
@@ -37,63 +37,46 @@ AGAIN_S: Final = 0.05
 
 class RunInterrupted(Exception):
     """Ctrl-C or a signal has ended the run. The message tells how far the run has come. (The exception
-    KeyboardInterrupt cannot be used instead, because typer would swallow it and its message.)
-
-    Attributes:
-        number: number of the signal.
-    """
-
-    def __init__(self, how_far: str, number: int) -> None:
-        super().__init__(how_far)
-        self.number = number
+    KeyboardInterrupt cannot be used instead, because typer would swallow it and its message.)"""
 
 
-class _StopSignal(KeyboardInterrupt):
-    """The exception that a signal raises in the main thread to end a run."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
+_last_stop = signal.SIGINT
+"""The signal that ended the last block ``with stoppable()``; SIGINT if that block ended without a signal."""
 
 
-_STATE = SimpleNamespace(is_stoppable=False, number=None)
-"""``is_stoppable``: whether a block ``with stoppable()`` is running. ``number``: number of the signal that ended the
-last such block."""
-
-
-def last_stop() -> int | None:
-    """The number of the signal that ended the last block ``with stoppable()``; None if the block ended without a
-    signal."""
-    number: int | None = _STATE.number
-    return number
+def last_stop() -> signal.Signals:
+    """The signal that ended the last block ``with stoppable()``; SIGINT if that block ended without a signal."""
+    return _last_stop
 
 
 @contextmanager
 def stoppable() -> Iterator[None]:
     """Context in which SIGTERM and SIGHUP raise an exception, as Ctrl-C does, so that the code in the ``with`` block
     can clean up. Signals in quick succession raise only one exception. A signal that the process ignores, as under
-    nohup, remains ignored. Every command runs inside ``stoppable``; a second ``stoppable`` inside it does nothing.
+    nohup, remains ignored. Every command runs inside ``stoppable``.
 
     Python ignores exceptions that are raised while an object is finalised (in ``__del__``), and Ray's objects are
     finalised often. If a signal arrives during a finalisation, the process sends itself the same signal a little later.
     """
+    global _last_stop
     last_s = -math.inf
 
     def stop(number: int, frame: FrameType | None) -> None:
         nonlocal last_s
+        global _last_stop
         if any(caller.f_code.co_name == "__del__" for caller in _frames_of(frame)):
             threading.Timer(AGAIN_S, os.kill, (os.getpid(), number)).start()
             return
         now_s, before_s = time.monotonic(), last_s
         last_s = now_s
         if now_s - before_s >= BURST_S:
-            _STATE.number = number
-            raise _StopSignal(number)
+            _last_stop = signal.Signals(number)
+            raise KeyboardInterrupt
 
-    if _STATE.is_stoppable or threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    _STATE.is_stoppable, _STATE.number = True, None
+    _last_stop = signal.SIGINT
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         for number, handler in before.items():
@@ -101,7 +84,6 @@ def stoppable() -> Iterator[None]:
                 signal.signal(number, stop)
         yield
     finally:
-        _STATE.is_stoppable = False
         # after a signal, the handlers stay in place: the process is about to end, and further signals must not disturb
         # that
         if last_s == -math.inf:
@@ -116,18 +98,9 @@ def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
         frame = frame.f_back
 
 
-def run_and_show(
-    run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any], as_json: bool
-) -> None:
-    """Execute a run with a progress bar, and print the results as tables or as JSON.
-
-    Args:
-        run: function that executes the run. The arguments of ``run`` are a watcher (the object that is told about the
-            progress) and the options, including the folder.
-
-    Raises:
-        RunInterrupted: Ctrl-C, SIGTERM or SIGHUP ended the run.
-    """
+def run_and_show(run: Callable[..., RunResults], options: Mapping[str, Any], as_json: bool) -> None:
+    """Execute a run with a progress bar, and print the results as tables or as JSON. The arguments and errors are those
+    of :func:`run_watched`."""
     results = run_watched(run, options)
     if as_json:
         print(json.dumps(brief(results), indent=2))
@@ -138,33 +111,41 @@ def run_and_show(
     print_renderables(run_tables(results), results_console())
 
 
-def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any]) -> RunResults:
-    """Execute a run with a progress bar, as :func:`run_and_show` does, but print no results."""
+def run_watched(run: Callable[..., RunResults], options: Mapping[str, Any]) -> RunResults:
+    """Execute a run with a progress bar.
+
+    Args:
+        run: function that executes the run. Its keyword arguments are ``watcher`` (the object that is told about the
+            progress) and the options, including the folder ``out``.
+        options: the options that the user has typed.
+
+    Raises:
+        RunInterrupted: Ctrl-C, SIGTERM or SIGHUP ended the run.
+    """
     from petmjx.show.progress import BarWatcher
 
     watcher = BarWatcher()
-    with stoppable():
-        new_folder = None if "out" in options or options.get("resume") else default_folder()
-        if new_folder is not None:
-            options["out"] = new_folder
+    with folder_of_run(options) as out:
         try:
             with watcher:
-                return run(watcher, options)
-        except KeyboardInterrupt as stop:
-            raise RunInterrupted(
-                _how_far(Path(options["out"]), watcher), getattr(stop, "number", signal.SIGINT)
-            ) from None
-        finally:
-            if new_folder is not None:
-                remove_empty(new_folder)
+                return run(watcher=watcher, **{**options, "out": out})
+        except KeyboardInterrupt:
+            raise RunInterrupted(_how_far(out, watcher)) from None
 
 
-def default_folder() -> Path:
-    """Make a new folder for a run, named after the current time.
+@contextmanager
+def folder_of_run(options: Mapping[str, Any]) -> Iterator[Path]:
+    """Context with the folder of a run. If the user named no folder, a new folder is made, whose name is the current
+    time. If the run writes nothing, the new folder is deleted at the end, and then the parent folder if that is empty,
+    too.
 
     Raises:
-        InputError: the folder cannot be made.
+        InputError: the folder cannot be made, or a run is to be resumed and the user named no folder.
     """
+    named = RunOptions(**{name: options[name] for name in ("out", "resume") if name in options}).out
+    if named is not None:
+        yield Path(named)
+        return
     parent = Path("petmjx-results")
     name = datetime.now().strftime("%Y%m%d-%H%M%S")
     try:
@@ -176,14 +157,12 @@ def default_folder() -> Path:
                 break
     except OSError as error:
         raise InputError(f"{parent}: cannot write results there: {error.strerror or error}") from error
-    return folder
-
-
-def remove_empty(folder: Path) -> None:
-    """Delete a folder in which a run has written nothing, and then the parent folder if that is empty, too."""
-    with suppress(OSError):
-        folder.rmdir()
-        folder.parent.rmdir()
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):
+            folder.rmdir()
+            parent.rmdir()
 
 
 def _how_far(folder: Path, watcher: Any) -> str:

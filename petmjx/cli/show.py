@@ -86,8 +86,8 @@ def show(
     try:
         story = _cli_story(plan_id, source or [], variant, bool(look.get("arrows")), options)
         _show(story, list(files.values()), look, viewer)
-    except KeyboardInterrupt as stop:
-        raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
+    except KeyboardInterrupt:
+        raise RunInterrupted("unfinished files were not written") from None
 
 
 def _show_repair(
@@ -115,8 +115,8 @@ def _show_repair(
     repair_options = {name: value for name, value in options.items() if name not in OF_READING}
     try:
         result = repair(find_plan(plan_set, plan_id), **repair_options)
-    except KeyboardInterrupt as stop:
-        raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
+    except KeyboardInterrupt:
+        raise RunInterrupted("unfinished files were not written") from None
     write_repair_page(result, files["html"])
     print_renderables([*repair_tables(result), f"page {printable(str(files['html']))}"], results_console())
 

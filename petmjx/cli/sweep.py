@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,6 +39,4 @@ def sweep(
     """
     from petmjx import api
 
-    run_and_show(
-        lambda watcher, run_options: api.sweep(file, plans or None, watcher=watcher, **run_options), options, as_json
-    )
+    run_and_show(partial(api.sweep, file, plans or None), options, as_json)
