@@ -7,7 +7,7 @@ import functools
 import inspect
 import re
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from typer.models import OptionInfo
 
 from petmjx.common.checked_records import CheckedRecord, CliFlag
 from petmjx.common.errors import InputError
+from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import printable, printable_name
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
@@ -47,6 +48,12 @@ Target = Annotated[
         show_default=False,
     ),
 ]
+
+
+def file_option(flag: str, text: str, section: str) -> Any:
+    """An option that names a file to write, under the heading ``section`` of the help."""
+    return typer.Option(flag, metavar="FILE", help=text, show_default=False, rich_help_panel=section)
+
 
 SIMULATED = "What is simulated"
 PlansOrRun = Annotated[
@@ -87,6 +94,25 @@ def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
         if name in names[:number]:
             raise InputError(f"{option} {printable_name(name)}: two entries have this name")
     return dict(pairs)
+
+
+def files_by_kind(overwrite: bool, inputs: Iterable[Path], **paths: Path | None) -> dict[str, Path]:
+    """The files that the user has requested, after checks of their names: kind → path.
+
+    Args:
+        overwrite: whether existing files may be replaced.
+        inputs: files and folders that the command reads.
+        paths: kind of a file, which is also the suffix of its name → path; None if the user has not requested the file.
+
+    Raises:
+        InputError: a name has another suffix, or a file already exists or cannot be written.
+    """
+    files = {kind: path for kind, path in paths.items() if path is not None}
+    for kind, path in files.items():
+        if path.suffix.lower() != f".{kind}":
+            raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")
+    check_outputs(files.values(), overwrite=overwrite, inputs=inputs)
+    return files
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import io
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 PIPED_WIDTH = 120
 """Width of printed tables if standard output is a file or a pipe, in columns of characters."""
+
+SHOWN_SKIPPED = 10
+"""Largest number of skipped plans for which a line is printed."""
 
 _PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "×": "x", "°": "o", "²": "2"}
 """Characters that an old terminal cannot show → replacements. A character without an entry here becomes "?"."""
@@ -95,6 +98,15 @@ def _ask_reading(source: str, error: AmbiguousFile) -> Reading | None:
     print("Which one? (a number, or Enter for none) ", end="", file=sys.stderr, flush=True)
     text = sys.stdin.readline().strip()
     return error.readings[int(text) - 1] if text.isdecimal() and 1 <= int(text) <= len(error.readings) else None
+
+
+def print_skipped(skipped: Sequence[object], most: int | None = None) -> None:
+    """Print a line on standard error for each skipped plan or order. With ``most``, only the first ``most`` lines are
+    printed, and then the number of all further lines."""
+    for reason in skipped[:most]:
+        print(f"skipped: {printable(str(reason))}", file=sys.stderr)
+    if most is not None and len(skipped) > most:
+        print(f"skipped: {len(skipped) - most:,} more", file=sys.stderr)
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:

@@ -8,14 +8,12 @@ from typing import Annotated, Any
 import typer
 
 from petmjx.cli import command_options as opt
+from petmjx.cli.console import SHOWN_SKIPPED, print_skipped
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
 from petmjx.options.run_options import OF_ORDERS, READING
 from petmjx.plans.file_formats import is_csv, is_parquet_name
-
-SHOWN_SKIPPED = 10
-"""Largest number of skipped plans for which a line is printed."""
 
 
 @opt.takes(*READING, "limit", "strict")
@@ -63,7 +61,7 @@ def convert(
         plan_set = gather_plans(of_runs, Simulation(), RunOptions(**options))
     else:
         plan_set = load_plans(plans, **options)
-    print_skipped([str(skipped) for skipped in plan_set.skipped])
+    print_skipped(plan_set.skipped, SHOWN_SKIPPED)
     for note in plan_set.notes:
         typer.echo(f"note: {printable(note)}", err=True)
     if not plan_set.plans:
@@ -86,21 +84,12 @@ def _convert_orders(files: list[Path], out: Path, target: str | None, options: d
         raise InputError("--orders: name one file")
     if idle := next((name for name in options if name not in OF_ORDERS), None):
         raise InputError(f"{idle} is for plans, but --orders means that the file holds orders")
-    fault_lines: list[str] = []
+    errors: list[InputError] = []
     reading = OrderReading.of(RunOptions(**options), target)
-    read = list(read_orders(files[0], lambda error: fault_lines.append(str(error)), reading))
-    print_skipped(fault_lines)
+    read = list(read_orders(files[0], errors.append, reading))
+    print_skipped(errors, SHOWN_SKIPPED)
     if not read:
-        raise InputError(f"no usable order ({len(fault_lines):,} skipped)")
+        raise InputError(f"no usable order ({len(errors):,} skipped)")
     write_orders(out, read)
     boxes = count_text(sum(len(order.items) for _, order in read), "box", "boxes")
     print(f"{count_text(len(read), 'order')} ({boxes}) in {printable(str(out))}")
-
-
-def print_skipped(lines: list[str]) -> None:
-    """Print lines about skipped plans on standard error: the first ``SHOWN_SKIPPED`` lines, and the number of skipped
-    plans without a line."""
-    for line in lines[:SHOWN_SKIPPED]:
-        typer.echo(f"skipped: {printable(line)}", err=True)
-    if len(lines) > SHOWN_SKIPPED:
-        typer.echo(f"skipped: {len(lines) - SHOWN_SKIPPED:,} more", err=True)

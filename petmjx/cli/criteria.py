@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -75,20 +74,13 @@ def criteria(
     from petmjx.analysis.criteria_run import criteria as ask
     from petmjx.results.to_json import to_json
     from petmjx.show.criteria_tables import criteria_tables
-    from petmjx.show.progress import progress
+    from petmjx.show.progress import progress_when_called
     from petmjx.show.table_layout import line, print_renderables
 
     files = figure_files(pdf, svg, png, overwrite, plans, run)
     if files and run is None:
         raise InputError(f"{files[0]}: a figure needs --run DIR, because it compares criteria with a run")
-    bar = None
-    with ExitStack() as until_done:
-
-        def show(done: int, total: int) -> None:
-            nonlocal bar
-            bar = bar or until_done.enter_context(progress(total))
-            bar.update(done)
-
+    with progress_when_called() as show:
         results = ask(
             plans or None,
             run=run,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,19 +10,13 @@ import typer
 
 from petmjx.cli import command_options as opt
 from petmjx.common.errors import InputError
-from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import printable
 
-PANEL = "A figure for a paper"
+_file = partial(opt.file_option, section="A figure for a paper")
 
-
-def _file(kind: str, text: str) -> Any:
-    return typer.Option(f"--{kind}", metavar="FILE", help=text, show_default=False, rich_help_panel=PANEL)
-
-
-Pdf = Annotated[Path | None, _file("pdf", "Draw the results as a figure: vectors and text, as PDF.")]
-Svg = Annotated[Path | None, _file("svg", "The same as SVG.")]
-Png = Annotated[Path | None, _file("png", "The same as a picture.")]
+Pdf = Annotated[Path | None, _file("--pdf", "Draw the results as a figure: vectors and text, as PDF.")]
+Svg = Annotated[Path | None, _file("--svg", "The same as SVG.")]
+Png = Annotated[Path | None, _file("--png", "The same as a picture.")]
 
 
 def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite: bool, *read: Any) -> list[Path]:
@@ -37,13 +32,7 @@ def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite
     from petmjx.results.read_files import source_files
     from petmjx.show.figures.figure_files import check_figures
 
-    paths_by_kind = {"pdf": pdf, "svg": svg, "png": png}
-    files = {kind: path for kind, path in paths_by_kind.items() if path is not None}
-    for kind, path in files.items():
-        if path.suffix.lower() != f".{kind}":
-            raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")
-    paths = list(files.values())
-    check_outputs(paths, overwrite=overwrite, inputs=source_files(*read))
+    paths = list(opt.files_by_kind(overwrite, source_files(*read), pdf=pdf, svg=svg, png=png).values())
     if paths:
         check_figures(paths)
     return paths

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import results_console
+from petmjx.cli.console import SHOWN_SKIPPED, print_skipped, results_console
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import printable
 
@@ -62,7 +62,6 @@ def kpis(
     from petmjx.analysis.kpi_files import check_kpis_free, write_kpis
     from petmjx.analysis.kpi_submission import parse_name, write_submission
     from petmjx.analysis.kpis import kpis as rate
-    from petmjx.cli.convert import print_skipped
     from petmjx.common.errors import InputError
     from petmjx.results.read_files import source_files
     from petmjx.show.kpi_tables import kpi_tables
@@ -81,7 +80,7 @@ def kpis(
     if as_json:
         print(json.dumps({**rating.summary, "notes": rating.notes, "skipped": rating.skipped}, indent=2))
     else:
-        print_skipped(list(rating.skipped))
+        print_skipped(rating.skipped, SHOWN_SKIPPED)
         print_renderables(kpi_tables(rating, None if out is None else printable(str(out))), results_console())
     if leaderboard is not None:
         file = write_submission(leaderboard, out or Path(), rating.plans_by_id, rating.orders, len(rating.skipped))

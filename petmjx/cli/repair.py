@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import results_console
+from petmjx.cli.console import print_skipped, results_console
 from petmjx.cli.run_command import RunInterrupted
 from petmjx.common.atomic_write import check_writable
 from petmjx.common.errors import InputError
@@ -87,8 +87,7 @@ def repair(
         result, interrupted = stop.repairs, True
         if not result.each:
             raise RunInterrupted("no plan was searched to the end; nothing was written") from None
-    for line in result.skipped:
-        typer.echo(f"skipped: {printable(line)}", err=True)
+    print_skipped(result.skipped)
     if out is not None:
         result.save(out)
     if html is not None:

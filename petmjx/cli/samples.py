@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.physical import write_physical
+from petmjx.cli.console import print_skipped
 from petmjx.common.argument_checks import integer_of
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
-from petmjx.common.text import count_text, printable
+from petmjx.common.text import count_text, printable, printable_name
 from petmjx.options.run_options import OF_ORDERS, Confidence
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
@@ -20,9 +21,13 @@ from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.packer_registry import BASELINE
 from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
+if TYPE_CHECKING:
+    from petmjx.plans.item_orders import OrderReading
+
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Largest number of generated orders for which a separate line about left-out boxes is printed."""
+"""Largest number of random orders for which a separate line about left-out boxes is printed, and largest number of
+orders that a single line names."""
 
 
 @opt.takes(
@@ -136,7 +141,7 @@ def samples(
     n = DEFAULT_SAMPLES if n is None else n
     reading, options = reading_of(orders is not None, target, options)
     if packer == PHYSICAL:
-        write_physical(out, orders, n, seed, workers or cpu_threads(), options, reading)
+        _write_physical(out, orders, n, seed, workers or cpu_threads(), options, reading)
         return
     if options:
         raise InputError(f"{next(iter(options))} needs the packer {PHYSICAL}")
@@ -161,27 +166,80 @@ def samples(
             if orders is None:
                 write_samples(out, n, loose_share=loose_share, progress=count, **pack_options)
             else:
-                write_plans(
-                    out,
-                    pack_orders(orders, on_bad_order=errors.append, reading=reading, **pack_options),
-                    progress=count,
-                )
+                packed = pack_orders(orders, on_bad_order=errors.append, reading=reading, **pack_options)
+                write_plans(out, packed, progress=count)
     finally:  # the lines about skipped orders are printed even after an error, since they explain missing plans
-        for error in errors:
-            typer.echo(f"skipped: {printable(str(error))}", err=True)
-    shown = left_out if orders is not None else left_out[:MOST_SHOWN]
-    for order in shown:
-        print(order)
-    if len(left_out) > len(shown):
-        print(f"{count_text(len(left_out) - len(shown), 'more order')} with boxes left out")
-    print(f"{count_text(written, 'plan')} in {printable(str(out))}{_totals(left_out)}")
+        print_skipped(errors)
+    _print_left_out([str(order) for order in left_out], drawn=orders is None)
+    boxes = sum(len(order.numbers) for order in left_out)
+    print(f"{count_text(written, 'plan')} in {printable(str(out))}{_totals(boxes, len(left_out))}")
     share = loose_share_of(packer, loose_share)
     if orders is None and share > 0 and packer in (None, BASELINE):
         print(f"about {100 * share:.3g} % of them are packed loosely on purpose; to compare packers: --loose-share 0")
 
 
-def _totals(left_out: list[LeftOutItems]) -> str:
-    if not left_out:
-        return ""
-    boxes = count_text(sum(len(order.numbers) for order in left_out), "box", "boxes")
-    return f"; {boxes} of {count_text(len(left_out), 'order')} left out"
+def _print_left_out(lines: Sequence[str], *, drawn: bool) -> None:
+    """Print the lines about orders of which boxes were left out. For random orders (``drawn``), only the first
+    ``MOST_SHOWN`` lines are printed, and then the number of all further orders."""
+    shown = lines[:MOST_SHOWN] if drawn else lines
+    for line in shown:
+        print(line)
+    if len(lines) > len(shown):
+        print(f"{count_text(len(lines) - len(shown), 'more order')} with boxes left out")
+
+
+def _totals(boxes: int, orders: int) -> str:
+    """The end of a line: how many boxes of how many orders were left out."""
+    return f"; {count_text(boxes, 'box', 'boxes')} of {count_text(orders, 'order')} left out" if orders else ""
+
+
+def _write_physical(
+    out: Path,
+    orders: Path | None,
+    n: int,
+    seed: int,
+    workers: int,
+    options: Mapping[str, Any],
+    reading: OrderReading | None,
+) -> None:
+    """Pack orders with the packer ``physical`` (a search and simulations), write the plans, and print a summary."""
+    from petmjx.packers.pack import Packed, orders_of, pack_each
+    from petmjx.packers.packed_orders import PackedOrder
+    from petmjx.plans.json_writer import Placement, write_plans
+    from petmjx.show.progress import progress
+
+    errors: list[InputError] = []
+    packings: list[PackedOrder] = []
+
+    def plans() -> Iterator[tuple[str, list[Placement]]]:
+        orders_to_pack = orders_of(orders, n if orders is None else None, seed, errors.append, reading)
+        for packing in pack_each(orders_to_pack, workers=workers, **options):
+            packings.append(packing)
+            bar.update(len(packings))
+            if packing.taken is not None:
+                yield packing.order_id, packing.placements
+
+    try:
+        with progress(n if orders is None else None) as bar:
+            write_plans(out, plans())
+    finally:  # the lines are printed even after an error, since they explain missing plans
+        print_skipped(errors)
+    _print_left_out(
+        [f"{packing.left_out}: {packing.why}" for packing in packings if packing.left_out], drawn=orders is None
+    )
+    shaky = [
+        f"{printable_name(packing.order_id)} ({100 * packing.taken.share:.0f} %)"
+        for packing in packings
+        if packing.taken is not None and not packing.good
+    ]
+    if shaky:
+        verb = "has" if len(shaky) == 1 else "have"
+        names = ", ".join(shaky[:MOST_SHOWN]) + (", …" if len(shaky) > MOST_SHOWN else "")
+        print(f"{count_text(len(shaky), 'order')} {verb} no packing that stands as often as asked for: {names}")
+    table = Packed(tuple(packings)).orders
+    totals = _totals(int(table["left_out"].sum()), int((table["left_out"] > 0).sum()))
+    table = table[table["boxes"] > 0]
+    print(f"{count_text(len(table), 'plan')} in {printable(str(out))}{totals}")
+    standing = int((table["verdict"] == "stable").sum())
+    sure = f", {100 * table['share'].mean():.1f} % of worlds with errors" if table["n_worlds"].any() else ""
+    print(f"utilisation {table['utilisation'].mean():.3f}; {standing:,} stand placed exactly{sure}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,6 @@ from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.run_command import RunInterrupted
 from petmjx.common.errors import InputError
-from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import printable
 from petmjx.show.pictures.picture_options import PictureOptions
 
@@ -29,8 +28,7 @@ _OF_RUNS = (
 """Options of runs that this command does not have, because they have no meaning for a single simulation."""
 
 
-def _file(name: str, text: str) -> Any:
-    return typer.Option(name, metavar="FILE", help=text, show_default=False, rich_help_panel=DRAWN)
+_file = partial(opt.file_option, section=DRAWN)
 
 
 @opt.takes(without=_OF_RUNS, more=((PictureOptions, LOOK),))
@@ -67,12 +65,9 @@ def show(
     from petmjx.results.read_files import source_files
     from petmjx.show.pictures.picture_files import check_drawing
 
-    paths_by_kind = {"html": html, "png": png, "pdf": pdf, "svg": svg, "gif": gif, "mp4": mp4, "rrd": rrd}
-    files = {kind: path for kind, path in paths_by_kind.items() if path is not None}
-    for kind, path in files.items():
-        if path.suffix.lower() != f".{kind}":
-            raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")
-    check_outputs(files.values(), overwrite=overwrite, inputs=source_files(source))
+    files = opt.files_by_kind(
+        overwrite, source_files(source), html=html, png=png, pdf=pdf, svg=svg, gif=gif, mp4=mp4, rrd=rrd
+    )
     check_drawing(list(files.values()))
     look = {name: options.pop(name) for name in PictureOptions.model_fields if name in options}
     PictureOptions(**look)
@@ -152,20 +147,13 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
     """Draw each file, with a progress bar for films, and print the names of the written files."""
     from petmjx.analysis.story import headline, notes_in_words
     from petmjx.show.pictures.picture_files import draw
-    from petmjx.show.progress import ProgressSink, progress
+    from petmjx.show.progress import progress_when_called
 
     print(printable(f"plan {story.name}: {headline(story)}"))
     for note in notes_in_words(story):
         print(printable(f"note: {note}"))
     for file in files:
-        with ExitStack() as shown:
-            bars: list[ProgressSink] = []
-
-            def count(done: int, total: int, shown: ExitStack = shown, bars: list[ProgressSink] = bars) -> None:
-                if not bars:  # ``count`` is called only if a film is drawn
-                    bars.append(shown.enter_context(progress(total, "frame")))
-                bars[0].update(done)
-
+        with progress_when_called("frame") as count:  # ``draw`` calls ``count`` only for films
             draw(story, file, progress=count, **look)
         print(printable(f"{file}  {_size(file.stat().st_size)}"))
 

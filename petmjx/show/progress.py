@@ -58,6 +58,21 @@ def progress(total: int | None, what: str = "plan", console: Console | None = No
             lines.end()
 
 
+@contextmanager
+def progress_when_called(what: str = "plan") -> Iterator[Callable[[int, int], None]]:
+    """Context that yields a function of two numbers: how many worlds are finished, and how many there are. The progress
+    is shown from the first call of the function on."""
+    with ExitStack() as until_end:
+        shown: list[ProgressSink] = []
+
+        def show(done: int, total: int) -> None:
+            if not shown:
+                shown.append(until_end.enter_context(progress(total, what)))
+            shown[0].update(done)
+
+        yield show
+
+
 def _is_terminal() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 
