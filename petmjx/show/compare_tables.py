@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 import pandas as pd
@@ -12,7 +11,7 @@ from rich.console import RenderableType
 from petmjx.analysis.run_comparison import BOX_KEY, FORCE_FLOOR_N, Comparison
 from petmjx.common.text import count_text, three_digits
 from petmjx.engines.verdict import Verdict
-from petmjx.show.table_layout import FittedTable, TableColumn, line, number
+from petmjx.show.table_layout import Cell, FittedTable, Row, TableColumn, count_of, line, number, text_of
 
 
 def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
@@ -50,14 +49,16 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
 
 def _confusion_table(comparison: Comparison) -> FittedTable:
     share = number(comparison.agreement, ".2f", " %", 100.0)
-    table = FittedTable(
-        TableColumn("a ↓   b →", "left"),
-        *(TableColumn(str(name)) for name in comparison.confusion.columns),
+    return FittedTable(
+        comparison.confusion.to_dict("index").items(),
+        TableColumn("a ↓   b →", lambda row: str(row[0]), "left"),
+        *(TableColumn(str(name), _count_of_second(name)) for name in comparison.confusion.columns),
         title=f"verdicts: {comparison.n_agree:,} of {count_text(comparison.n_common, 'world')} agree ({share})",
     )
-    for row, counts in comparison.confusion.iterrows():
-        table.add(str(row), *(f"{count:,}" for count in counts))
-    return table
+
+
+def _count_of_second(name: Any) -> Cell:
+    return lambda row: f"{row[1][name]:,}"
 
 
 def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
@@ -69,58 +70,65 @@ def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
     margins = [("shift_margin_m", "shift\nmm", 1000.0), ("tilt_margin_deg", "tilt\n°", 1.0)]
     if (flips[["verdict_a", "verdict_b"]] == Verdict.INVALID.value).any(axis=None):
         margins += [("lin_acc_margin_m_s2", "m/s²", 1.0), ("ang_acc_margin_rad_s2", "rad/s²", 1.0)]
-    table = FittedTable(
-        TableColumn("plan", "left", least=20, middle=True),
-        TableColumn("variant"),
-        TableColumn("run", "left"),
-        *(TableColumn(header, "left") for header in ("verdict", "reason")),
-        TableColumn("box"),
-        *(TableColumn(header) for _, header, _ in margins),
+
+    def of_run(name: str) -> Cell:
+        return lambda row: "-" if pd.isna(row[f"{name}_{row['run']}"]) else str(row[f"{name}_{row['run']}"])
+
+    def of_world(name: str) -> Cell:
+        return lambda row: str(row[name]) if row["run"] == "a" else ""
+
+    def margin(name: str, factor: float) -> Cell:
+        return lambda row: number(row[f"{name}_{row['run']}"], factor=factor, sign=True)
+
+    return FittedTable(
+        ({**row, "run": run} for row in flips.head(max_rows).to_dict("records") for run in "ab"),
+        TableColumn("plan", of_world("plan_id"), "left", least=20, middle=True),
+        TableColumn("variant", of_world("variant")),
+        TableColumn("run", text_of("run"), "left"),
+        TableColumn("verdict", of_run("verdict"), "left"),
+        TableColumn("reason", of_run("reason"), "left"),
+        TableColumn("box", of_run("culprit")),
+        *(TableColumn(header, margin(name, factor)) for name, header, factor in margins),
         title=title,
     )
-    signed = partial(number, sign=True)
-    for row in flips.head(max_rows).to_dict("records"):
-        for side, world in (("a", (str(row["plan_id"]), str(row["variant"]))), ("b", ("", ""))):
-            culprit = row[f"culprit_{side}"]
-            table.add(
-                *world,
-                side,
-                str(row[f"verdict_{side}"]),
-                str(row[f"reason_{side}"]),
-                "-" if pd.isna(culprit) else str(culprit),
-                *(signed(row[f"{name}_{side}"], factor=factor) for name, _, factor in margins),
-            )
-    return table
 
 
 def _differences_tables(table_name: str, differences: pd.DataFrame) -> Iterator[FittedTable]:
     """A table of the differences of metrics, for each group of metrics that is not empty."""
     key = [column for column in BOX_KEY if column in differences]
+
+    def scaled(name: str) -> Cell:
+        return lambda row: number(row[name], factor=_name_and_factor(row)[1])
+
+    def largest_at(row: Row) -> str:
+        return "/".join(str(row[column]) for column in key) if row["largest"] > 0 else ""
+
+    def value(side: str) -> Cell:
+        return lambda row: number(row[side]) if row["largest"] > 0 else ""
+
     for group, rows in differences[differences["n"] > 0].groupby("group", sort=False):
-        table = FittedTable(
-            TableColumn("metric", "left"),
-            TableColumn("n"),
-            TableColumn("mean\nb - a", spare=1),
-            *(TableColumn(header) for header in ("median", "95 %", "largest")),
-            TableColumn("at " + "/".join(column.removesuffix("_id") for column in key), "left", least=8, middle=True),
-            *(TableColumn(header, spare=2) for header in "ab"),
+        yield FittedTable(
+            rows.to_dict("records"),
+            TableColumn("metric", lambda row: _name_and_factor(row)[0], "left"),
+            TableColumn("n", count_of("n")),
+            TableColumn(
+                "mean\nb - a",
+                lambda row: number(row["mean"], factor=_name_and_factor(row)[1], sign=bool(row["mean"])),
+                spare=1,
+            ),
+            TableColumn("median", scaled("median")),
+            TableColumn("95 %", scaled("p95")),
+            TableColumn("largest", scaled("largest")),
+            TableColumn(
+                "at " + "/".join(column.removesuffix("_id") for column in key), largest_at, "left", least=8, middle=True
+            ),
+            TableColumn("a", value("a"), spare=2),
+            TableColumn("b", value("b"), spare=2),
             title=f"differences |b - a| of {table_name}, {group}",
         )
-        for row in rows.to_dict("records"):
-            name, factor = _name_and_factor(row)
-            differs = row["largest"] > 0
-            table.add(
-                name,
-                f"{row['n']:,}",
-                number(row["mean"], factor=factor, sign=bool(row["mean"])),
-                *(number(row[column], factor=factor) for column in ("median", "p95", "largest")),
-                "/".join(str(row[column]) for column in key) if differs else "",
-                *(number(row[side]) if differs else "" for side in "ab"),
-            )
-        yield table
 
 
-def _name_and_factor(row: dict[str, Any]) -> tuple[str, float]:
+def _name_and_factor(row: Row) -> tuple[str, float]:
     """The name of a metric with its unit, and the factor that converts differences to this unit. Relative differences
     are in per cent."""
     metric, unit = row["metric"], row["unit"]

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pandas as pd
 from rich.console import RenderableType
 
+from petmjx.analysis.criteria import Criterion
 from petmjx.analysis.criteria_run import CriteriaResults
 from petmjx.analysis.criteria_vs_physics import ARRIVES
 from petmjx.common.text import count_text, printable_name, three_digits
 from petmjx.engines.metrics import DIMENSIONLESS
-from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
+from petmjx.show.table_layout import (
+    Cell,
+    FittedTable,
+    Row,
+    TableColumn,
+    count_of,
+    line,
+    number,
+    number_of,
+    percent,
+    text_of,
+)
 
 SHOWN_SKIPPED = 10
 """Largest number of skipped plans that are shown. ``criteria.json`` lists all skipped plans."""
@@ -49,32 +60,31 @@ def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterato
 def _says_table(results: CriteriaResults) -> FittedTable:
     """A table of the number of plans and boxes that each criterion accepts, and the plan with the smallest slack (how
     far a rule is from being broken)."""
-    table = FittedTable(
-        TableColumn("criterion", "left"),
-        TableColumn("plans\naccepted"),
-        TableColumn("%"),
-        TableColumn("boxes\naccepted", spare=2),
-        TableColumn("median\nslack", spare=3),
-        TableColumn("least\nslack"),
-        TableColumn("", "left"),
-        TableColumn("in plan", "left", least=12, middle=True, spare=1),
+    plans, boxes = results.plans, results.boxes
+
+    def slack(criterion: Criterion) -> pd.Series[float]:
+        return plans[f"{criterion.name}_slack"]
+
+    def worst(criterion: Criterion) -> str:
+        values = slack(criterion)
+        return "" if values.isna().all() else printable_name(str(plans["plan_id"][values.idxmin()]))
+
+    return FittedTable(
+        results.criteria,
+        TableColumn("criterion", lambda criterion: criterion.name, "left"),
+        TableColumn("plans\naccepted", lambda criterion: f"{int(plans[criterion.name].sum()):,}"),
+        TableColumn("%", lambda criterion: number(plans[criterion.name].mean(), ".1f", factor=100.0)),
+        TableColumn("boxes\naccepted", lambda criterion: percent(boxes[criterion.name].mean()), spare=2),
+        TableColumn("median\nslack", lambda criterion: number(slack(criterion).median()), spare=3),
+        TableColumn("least\nslack", lambda criterion: number(slack(criterion).min())),
+        TableColumn("", lambda criterion: _unit(criterion.unit), "left"),
+        TableColumn("in plan", worst, "left", least=12, middle=True, spare=1),
         title="answers of the criteria: a plan is accepted if all its boxes are stable at their placement",
     )
-    for criterion in results.criteria:
-        accepted = results.plans[criterion.name]
-        slack = results.plans[f"{criterion.name}_slack"]
-        worst = "" if slack.isna().all() else printable_name(str(results.plans["plan_id"][slack.idxmin()]))
-        table.add(
-            criterion.name,
-            f"{int(accepted.sum()):,}",
-            number(accepted.mean(), ".1f", "", 100.0),
-            percent(results.boxes[criterion.name].mean()),
-            number(slack.median()),
-            number(slack.min()),
-            "" if criterion.unit == DIMENSIONLESS else criterion.unit,
-            worst,
-        )
-    return table
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == DIMENSIONLESS else unit
 
 
 def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
@@ -84,61 +94,51 @@ def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
     alike = (
         "" if stand and fall else "; all stand, so there is no MCC" if stand else "; none stands, so there is no MCC"
     )
-    of_chain = ARRIVES[0] in judged
-    table = FittedTable(
-        TableColumn("criterion", "left"),
-        TableColumn("accepted\nstand", spare=1),
-        TableColumn("accepted\nfall"),
-        TableColumn("refused\nstand"),
-        TableColumn("refused\nfall", spare=2),
-        TableColumn("precision", "left", spare=5),
-        TableColumn("recall", "left", spare=4),
-        TableColumn("MCC", "left"),
-        TableColumn("same\nfirst box", spare=3),
-        *((TableColumn("P(arrives):\naccepted"), TableColumn("\nrefused")) if of_chain else ()),
+    accepted, refused = ARRIVES
+    chances = (
+        TableColumn("P(arrives):\naccepted", number_of(accepted, ".2f")),
+        TableColumn("\nrefused", number_of(refused, ".2f")),
+    )
+    return FittedTable(
+        judged.to_dict("records"),
+        TableColumn("criterion", text_of("criterion"), "left"),
+        TableColumn("accepted\nstand", count_of("accepted_stands"), spare=1),
+        TableColumn("accepted\nfall", count_of("accepted_falls")),
+        TableColumn("refused\nstand", count_of("refused_stands")),
+        TableColumn("refused\nfall", count_of("refused_falls"), spare=2),
+        TableColumn("precision", _with_interval("precision"), "left", spare=5),
+        TableColumn("recall", _with_interval("recall"), "left", spare=4),
+        TableColumn("MCC", _with_interval("mcc"), "left"),
+        TableColumn("same\nfirst box", count_of("same_first_box"), spare=3),
+        *(chances if accepted in judged else ()),
         title=f"judged by physics on {plan_count}{alike}",
         caption="precision: share of the accepted that stand; recall: share of the standing that are accepted; "
         "95 % intervals",
     )
-    for row in judged.to_dict("records"):
-        table.add(
-            row["criterion"],
-            *(f"{row[cell]:,}" for cell in ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")),
-            *(_with_interval(row, score) for score in ("precision", "recall", "mcc")),
-            f"{row['same_first_box']:,}",
-            *((number(row[name], ".2f") for name in ARRIVES) if of_chain else ()),
-        )
-    return table
 
 
 def _thresholds_table(thresholds: pd.DataFrame) -> FittedTable:
-    table = FittedTable(
-        TableColumn("criterion", "left"),
-        TableColumn("threshold"),
-        TableColumn("published"),
-        TableColumn("", "left"),
-        TableColumn("MCC there", "left"),
-        TableColumn("MCC as\npublished"),
-        TableColumn("precision", "left", spare=2),
-        TableColumn("recall", "left", spare=1),
+    return FittedTable(
+        thresholds.to_dict("records"),
+        TableColumn("criterion", text_of("criterion"), "left"),
+        TableColumn("threshold", number_of("threshold")),
+        TableColumn("published", number_of("published")),
+        TableColumn("", lambda row: _unit(row["unit"]), "left"),
+        TableColumn("MCC there", _with_interval("mcc"), "left"),
+        TableColumn("MCC as\npublished", number_of("mcc_published", ".2f")),
+        TableColumn("precision", _with_interval("precision"), "left", spare=2),
+        TableColumn("recall", _with_interval("recall"), "left", spare=1),
         title=f"thresholds found on {int(thresholds['n_found_on'].max()):,} of the plans, judged on the other "
         f"{int(thresholds['n_plans'].max()):,}",
     )
-    for row in thresholds.to_dict("records"):
-        table.add(
-            row["criterion"],
-            number(row["threshold"]),
-            number(row["published"]),
-            "" if row["unit"] == DIMENSIONLESS else row["unit"],
-            _with_interval(row, "mcc"),
-            number(row["mcc_published"], ".2f"),
-            *(_with_interval(row, score) for score in ("precision", "recall")),
-        )
-    return table
 
 
-def _with_interval(row: dict[str, Any], score: str) -> str:
-    """A score and its interval as text, such as "0.95 (0.91 … 0.99)"."""
-    if pd.isna(row[score]):
-        return "-"
-    return f"{row[score]:.2f} ({row[f'{score}_low']:.2f} … {row[f'{score}_high']:.2f})"
+def _with_interval(score: str) -> Cell:
+    """A cell with a score and its interval, such as "0.95 (0.91 … 0.99)"."""
+
+    def cell(row: Row) -> str:
+        if pd.isna(row[score]):
+            return "-"
+        return f"{row[score]:.2f} ({row[f'{score}_low']:.2f} … {row[f'{score}_high']:.2f})"
+
+    return cell

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import pandas as pd
 from rich.console import RenderableType
@@ -12,7 +11,17 @@ from petmjx.analysis.box_strength import Loads
 from petmjx.analysis.crushing import NOT, POSSIBLY, SURELY
 from petmjx.common.text import box_label, count_text
 from petmjx.show.sweep_tables import FEW_ROWS
-from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
+from petmjx.show.table_layout import (
+    FittedTable,
+    Row,
+    TableColumn,
+    count_of,
+    line,
+    name_column,
+    number_of,
+    percent_of,
+    text_of,
+)
 
 
 def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType]:
@@ -51,67 +60,52 @@ def _ways_table(ways: pd.DataFrame) -> FittedTable:
     """A table of the shares of worlds in which pallets arrive at the end of a chain, and arrive without overloaded
     boxes."""
     remedies = ways["remedy"].nunique() > 1
-    table = FittedTable(
-        TableColumn("plan", "left", least=12, middle=True),
-        *([TableColumn("remedy", "left", least=8)] if remedies else []),
-        TableColumn("worlds"),
-        TableColumn("arrive"),
-        TableColumn("possibly\nwhole"),
-        TableColumn("surely\nwhole"),
+    return FittedTable(
+        ways.head(FEW_ROWS).to_dict("records"),
+        name_column("plan", "plan_id", least=12),
+        *([TableColumn("remedy", text_of("remedy"), "left", least=8)] if remedies else []),
+        TableColumn("worlds", count_of("n_worlds")),
+        TableColumn("arrive", percent_of("share")),
+        TableColumn("possibly\nwhole", percent_of("share_possibly_whole")),
+        TableColumn("surely\nwhole", percent_of("share_whole")),
         title="worlds that arrive, and in which no box is surely, or even possibly, overloaded",
         caption=f"{len(ways) - FEW_ROWS:,} more in way_loads" if len(ways) > FEW_ROWS else "",
     )
-    for row in ways.head(FEW_ROWS).to_dict("records"):
-        shares = (percent(row[name]) for name in ("share", "share_possibly_whole", "share_whole"))
-        table.add(row["plan_id"], *([row["remedy"]] if remedies else []), f"{row['n_worlds']:,}", *shares)
-    return table
 
 
 def _table(loads: Loads) -> FittedTable:
     with_variants = (loads.plans["variant"] > 0).any()
     ranked = loads.plans.sort_values(["max_load_share", "plan_id"], ascending=[False, True], na_position="last")
-    title = f"the {FEW_ROWS} with the largest loads" if len(ranked) > FEW_ROWS else ""
-    table = FittedTable(
-        TableColumn("plan", "left", least=12, middle=True),
-        *([TableColumn("variant")] if with_variants else []),
-        TableColumn("verdict", "left"),
-        TableColumn("overloaded", "left"),
-        TableColumn("boxes"),
-        TableColumn("over"),
-        TableColumn("not\nknown", spare=2),
-        TableColumn("largest\nload"),
-        TableColumn("at\npeak", spare=3),
-        TableColumn("of box", "left", least=8, spare=1),
-        TableColumn("rest\nforce N", spare=3),
-        TableColumn("strength\nN", spare=4),
-        title=title,
+    forces = loads.boxes[["plan_id", "variant", "box", "rest_top_force_n", "strength_n"]]
+    rows = ranked.head(FEW_ROWS).merge(forces, how="left", on=["plan_id", "variant", "box"])
+    return FittedTable(
+        rows.to_dict("records"),
+        name_column("plan", "plan_id", least=12),
+        *([TableColumn("variant", text_of("variant"))] if with_variants else []),
+        TableColumn("verdict", text_of("verdict"), "left"),
+        TableColumn("overloaded", _overload_text, "left"),
+        TableColumn("boxes", count_of("n_boxes")),
+        TableColumn("over", count_of("n_overloaded")),
+        TableColumn("not\nknown", count_of("n_unknown"), spare=2),
+        TableColumn("largest\nload", percent_of("max_load_share")),
+        TableColumn("at\npeak", percent_of("max_peak_share"), spare=3),
+        TableColumn(
+            "of box",
+            lambda row: "-" if pd.isna(row["box"]) else box_label(row["box"], row["article"]),
+            "left",
+            least=8,
+            spare=1,
+        ),
+        TableColumn("rest\nforce N", number_of("rest_top_force_n", "z.0f"), spare=3),
+        TableColumn("strength\nN", number_of("strength_n", ".0f"), spare=4),
+        title=f"the {FEW_ROWS} with the largest loads" if len(ranked) > FEW_ROWS else "",
     )
-    forces = loads.boxes.set_index(["plan_id", "variant", "box"])[["rest_top_force_n", "strength_n"]]
-    for row in ranked.head(FEW_ROWS).to_dict("records"):
-        has_box = not pd.isna(row["box"])
-        force = forces.loc[(row["plan_id"], row["variant"], row["box"])] if has_box else None
-        table.add(
-            row["plan_id"],
-            *([str(row["variant"])] if with_variants else []),
-            row["verdict"],
-            _overload_text(row),
-            f"{row['n_boxes']:,}",
-            f"{row['n_overloaded']:,}",
-            f"{row['n_unknown']:,}",
-            percent(row["max_load_share"]),
-            percent(row["max_peak_share"]),
-            box_label(row["box"], row["article"]) if has_box else "-",
-            "-" if force is None else number(force["rest_top_force_n"], "z.0f"),
-            "-" if force is None else number(force["strength_n"], ".0f"),
-        )
-    return table
 
 
-def _overload_text(row: Mapping[str, Any]) -> str:
-    """Text that states whether a box of a world is overloaded and, if forces are given as intervals, whether the
-    overload is certain."""
-    overloaded: Any = row["overloaded"]
-    answer = "-" if pd.isna(overloaded) else "yes" if overloaded else "no"
+def _overload_text(row: Row) -> str:
+    """Whether a box of a world is overloaded and, if forces are given as intervals, whether the overload is certain."""
     if row.get("surely_overloaded") is True:
         return "surely"
-    return "possibly" if row.get("possibly_overloaded") is True else answer
+    if row.get("possibly_overloaded") is True:
+        return "possibly"
+    return "-" if pd.isna(row["overloaded"]) else "yes" if row["overloaded"] else "no"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Final
 
 import pandas as pd
 from rich.console import RenderableType
@@ -13,7 +13,20 @@ from petmjx.analysis.packer_comparison import ALL_SIZES, LEAST_P, PackerComparis
 from petmjx.analysis.packer_kpis import KPIS
 from petmjx.analysis.packer_runs import ARRIVES, MISSING
 from petmjx.common.text import count_text, printable_name
-from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
+from petmjx.show.table_layout import (
+    Cell,
+    FittedTable,
+    Row,
+    TableColumn,
+    count_of,
+    line,
+    name_column,
+    number,
+    number_of,
+    percent,
+    percent_of,
+    text_of,
+)
 
 
 def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
@@ -50,145 +63,117 @@ def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[
         yield from _decided_lines(comparison.decided, max_rows)
 
 
+def _all_sizes(table: pd.DataFrame) -> list[Row]:
+    """The rows about orders of all sizes together."""
+    rows: list[Row] = table[table["size"] == ALL_SIZES].to_dict("records")
+    return rows
+
+
 def _not_compared(comparison: PackerComparison) -> Iterator[RenderableType]:
-    all_sizes = comparison.packers[comparison.packers["size"] == ALL_SIZES]
-    first = all_sizes.iloc[0]
-    left = int(first["n_orders"] - first["n"])
+    packers = _all_sizes(comparison.packers)
+    left = int(packers[0]["n_orders"] - packers[0]["n"])
     if not left:
         return
     parts = [
         f"{printable_name(row['packer'])} {row[column]:,} {status}"
-        for row in all_sizes.to_dict("records")
+        for row in packers
         for column, status in (("n_invalid", "invalid"), ("n_missing", MISSING))
         if row[column]
     ]
-    of = count_text(int(first["n_orders"]), "order")
+    of = count_text(int(packers[0]["n_orders"]), "order")
     yield line(f"{left:,} of {of} {'is' if left == 1 else 'are'} not compared: {', '.join(parts)}", style="yellow")
-    worst = ", ".join(
-        f"{printable_name(row['packer'])} {percent(row['share_at_worst'])}" for row in all_sizes.to_dict("records")
-    )
+    worst = ", ".join(f"{printable_name(row['packer'])} {percent(row['share_at_worst'])}" for row in packers)
     yield line(f"share that stands if these plans count as unstable: {worst}")
 
 
+_PACKER: Final = name_column("packer", "packer", least=8)
+_PAIR: Final = (name_column("a", "a", least=8), name_column("b", "b", least=8))
+
+
 def _packers_table(comparison: PackerComparison) -> FittedTable:
-    all_sizes = comparison.packers[comparison.packers["size"] == ALL_SIZES]
-    left_out = _left_out(comparison)
-    table = FittedTable(
-        TableColumn("packer", "left", least=8, middle=True),
-        TableColumn("stand"),
-        TableColumn("share"),
-        TableColumn(_interval_header(comparison)),
-        TableColumn("boxes\nplaced", spare=2),
-        *left_out,
-        TableColumn("volume\nm³", spare=1),
-        TableColumn("height\nm"),
-        TableColumn("kpi_2"),
-        title=f"{count_text(int(all_sizes['n'].iloc[0]), 'order')} compared; boxes, volume, height and kpi_2 are means",
+    packers = _all_sizes(comparison.packers)
+    return FittedTable(
+        packers,
+        _PACKER,
+        TableColumn("stand", count_of("n_stable")),
+        TableColumn("share", percent_of("share")),
+        _interval_column(comparison, ".1f"),
+        TableColumn("boxes\nplaced", number_of("boxes", ".1f"), spare=2),
+        *_left_out(comparison),
+        TableColumn("volume\nm³", number_of("volume_m3", ".3f"), spare=1),
+        TableColumn("height\nm", number_of("height_m", ".3f")),
+        TableColumn("kpi_2", number_of("kpi_2", ".3f")),
+        title=f"{count_text(int(packers[0]['n']), 'order')} compared; boxes, volume, height and kpi_2 are means",
     )
-    for row in all_sizes.to_dict("records"):
-        table.add(
-            row["packer"],
-            f"{row['n_stable']:,}",
-            percent(row["share"]),
-            _interval(row, ".1f"),
-            number(row["boxes"], ".1f"),
-            *(number(row["left_out"], ".2f") for _ in left_out),
-            *(number(row[name], ".3f") for name in ("volume_m3", "height_m", "kpi_2")),
-        )
-    return table
 
 
 def _kpis_table(comparison: PackerComparison) -> FittedTable:
-    all_sizes = comparison.packers[comparison.packers["size"] == ALL_SIZES]
-    columns = [TableColumn(name.replace("_2m", "\nbelow 2 m")) for name in KPIS]
-    table = FittedTable(TableColumn("packer", "left", least=8, middle=True), *columns, title="KPIs of BED-BPP, means")
-    for row in all_sizes.to_dict("records"):
-        table.add(row["packer"], *(number(row[name], ".4f") for name in KPIS))
-    return table
+    columns = [TableColumn(name.replace("_2m", "\nbelow 2 m"), number_of(name, ".4f")) for name in KPIS]
+    return FittedTable(_all_sizes(comparison.packers), _PACKER, *columns, title="KPIs of BED-BPP, means")
 
 
 def _pairs_table(comparison: PackerComparison) -> FittedTable:
-    all_sizes = comparison.pairs[comparison.pairs["size"] == ALL_SIZES]
-    several = len(all_sizes) > 1
-    test = "p\nHolm" if several else "p\nMcNemar"
-    table = FittedTable(
-        TableColumn("a", "left", least=8, middle=True),
-        TableColumn("b", "left", least=8, middle=True),
-        TableColumn("both\nstand", spare=2),
-        TableColumn("only\na"),
-        TableColumn("only\nb"),
-        TableColumn("neither", spare=1),
-        TableColumn("b - a\npoints"),
-        TableColumn(_interval_header(comparison)),
-        TableColumn(test),
-        title="differences, in percentage points" + (f"; p corrected for {len(all_sizes)} pairs" if several else ""),
+    pairs = _all_sizes(comparison.pairs)
+    several = len(pairs) > 1
+    return FittedTable(
+        pairs,
+        *_PAIR,
+        TableColumn("both\nstand", count_of("both"), spare=2),
+        TableColumn("only\na", count_of("only_a")),
+        TableColumn("only\nb", count_of("only_b")),
+        TableColumn("neither", count_of("neither"), spare=1),
+        TableColumn("b - a\npoints", number_of("difference", "+.2f", factor=100.0)),
+        _interval_column(comparison, "+.2f"),
+        TableColumn("p\nHolm" if several else "p\nMcNemar", lambda row: _p(row["p_holm"])),
+        title="differences, in percentage points" + (f"; p corrected for {len(pairs)} pairs" if several else ""),
     )
-    for row in all_sizes.to_dict("records"):
-        counts = [f"{row[name]:,}" for name in ("both", "only_a", "only_b", "neither")]
-        difference = number(row["difference"], "+.2f", factor=100.0)
-        table.add(row["a"], row["b"], *counts, difference, _interval(row, "+.2f"), _p(row["p_holm"]))
-    return table
 
 
 def _arrival_tables(comparison: PackerComparison) -> Iterator[RenderableType]:
     """Tables for runs of chains (a pallet's whole journey): for each packer the share of worlds in which plans arrive,
     and for each pair of packers the difference of this share."""
-    table = FittedTable(
-        TableColumn("packer", "left", least=8, middle=True),
-        TableColumn("P"),
-        TableColumn(_interval_header(comparison)),
+    header = _interval_header(comparison)
+    yield FittedTable(
+        _all_sizes(comparison.packers),
+        _PACKER,
+        TableColumn("P", percent_of(ARRIVES)),
+        TableColumn(header, lambda row: f"{percent(row['p_low'])} to {percent(row['p_high'])}"),
         title="share of worlds that arrive, mean over orders",
     )
-    for row in comparison.packers[comparison.packers["size"] == ALL_SIZES].to_dict("records"):
-        table.add(row["packer"], percent(row[ARRIVES]), f"{percent(row['p_low'])} to {percent(row['p_high'])}")
-    yield table
-    pairs = FittedTable(
-        TableColumn("a", "left", least=8, middle=True),
-        TableColumn("b", "left", least=8, middle=True),
-        TableColumn("b - a\npoints"),
-        TableColumn(_interval_header(comparison)),
+    yield FittedTable(
+        _all_sizes(comparison.pairs),
+        *_PAIR,
+        TableColumn("b - a\npoints", number_of("p_gain", "+.1f", factor=100.0)),
+        TableColumn(header, _points_to_points("p_gain_low", "p_gain_high", "+.1f")),
     )
-    for row in comparison.pairs[comparison.pairs["size"] == ALL_SIZES].to_dict("records"):
-        points = [number(row[name], "+.1f", factor=100.0) for name in ("p_gain", "p_gain_low", "p_gain_high")]
-        pairs.add(row["a"], row["b"], points[0], f"{points[1]} to {points[2]}")
-    yield pairs
 
 
 def _sizes_table(comparison: PackerComparison, sized: pd.DataFrame) -> FittedTable:
-    left_out = _left_out(comparison)
-    table = FittedTable(
-        TableColumn("boxes of\nthe order", "left"),
-        TableColumn("packer", "left", least=8, middle=True),
-        TableColumn("orders"),
-        TableColumn("stand"),
-        TableColumn("share"),
-        TableColumn(_interval_header(comparison)),
-        *left_out,
-        TableColumn("kpi_2"),
+    repeated = sized["size"] == sized["size"].shift()
+    return FittedTable(
+        sized.assign(size=sized["size"].mask(repeated, "")).to_dict("records"),
+        TableColumn("boxes of\nthe order", text_of("size"), "left"),
+        _PACKER,
+        TableColumn("orders", count_of("n")),
+        TableColumn("stand", count_of("n_stable")),
+        TableColumn("share", percent_of("share")),
+        _interval_column(comparison, ".1f"),
+        *_left_out(comparison),
+        TableColumn("kpi_2", number_of("kpi_2", ".3f")),
         title="by size of the order",
     )
-    last = None
-    for row in sized.to_dict("records"):
-        size, last = ("" if row["size"] == last else row["size"]), row["size"]
-        shares = (percent(row["share"]), _interval(row, ".1f"))
-        means = (*(number(row["left_out"], ".2f") for _ in left_out), number(row["kpi_2"], ".3f"))
-        table.add(size, row["packer"], f"{row['n']:,}", f"{row['n_stable']:,}", *shares, *means)
-    return table
 
 
 def _reasons_table(reasons: pd.DataFrame) -> FittedTable:
     several = len(reasons[["a", "b"]].drop_duplicates()) > 1
-    table = FittedTable(
-        TableColumn("lost by", "left", least=8, middle=True),
-        TableColumn("won by", "left", least=8, middle=True),
-        TableColumn("reason", "left"),
-        TableColumn("orders"),
+    return FittedTable(
+        reasons.assign(won_by=reasons["a"].where(reasons["lost_by"] == reasons["b"], reasons["b"])).to_dict("records"),
+        name_column("lost by", "lost_by", least=8),
+        name_column("won by", "won_by", least=8),
+        TableColumn("reason", text_of("reason"), "left"),
+        TableColumn("orders", count_of("n")),
         title="orders that stand with only one packer" + (", for each two" if several else ""),
     )
-    for row in reasons.to_dict("records"):
-        winner = row["a"] if row["lost_by"] == row["b"] else row["b"]
-        table.add(row["lost_by"], winner, row["reason"], f"{row['n']:,}")
-    return table
 
 
 def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableType]:
@@ -200,16 +185,22 @@ def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableT
 
 def _left_out(comparison: PackerComparison) -> list[TableColumn]:
     """A list with the column of the number of boxes left out. The list is empty if no run was compared with orders."""
-    return [TableColumn("left\nout", spare=3)] if comparison.packers["left_out"].notna().any() else []
+    if comparison.packers["left_out"].isna().all():
+        return []
+    return [TableColumn("left\nout", number_of("left_out", ".2f"), spare=3)]
 
 
 def _interval_header(comparison: PackerComparison) -> str:
     return f"{100 * comparison.confidence:g} %\ninterval"
 
 
-def _interval(row: dict[str, Any], form: str) -> str:
-    """The interval of a row as text, such as "57.1 to 79.4", in per cent or percentage points."""
-    return f"{number(row['low'], form, factor=100.0)} to {number(row['high'], form, factor=100.0)}"
+def _interval_column(comparison: PackerComparison, form: str) -> TableColumn:
+    return TableColumn(_interval_header(comparison), _points_to_points("low", "high", form))
+
+
+def _points_to_points(low: str, high: str, form: str) -> Cell:
+    """A cell with an interval, such as "57.1 to 79.4", in per cent or percentage points."""
+    return lambda row: f"{number(row[low], form, factor=100.0)} to {number(row[high], form, factor=100.0)}"
 
 
 def _p(value: float) -> str:

@@ -11,16 +11,25 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from petmjx.common.text import box_label, count_text, printable_name, three_digits
-from petmjx.engines.knife_edges import kept_edges, nearest_edge
+from petmjx.common.text import box_label, count_text, first_names, three_digits
+from petmjx.engines.knife_edges import KnifeEdge, kept_edges, nearest_edge
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.results.run_reader import RunResults, split_warnings
 from petmjx.runs.chain_summary import is_chain
 from petmjx.runs.confidence import contradiction_mask
 from petmjx.runs.level_search import MODES
-from petmjx.show.order_lines import order_lines
 from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
-from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
+from petmjx.show.table_layout import (
+    FittedTable,
+    Row,
+    TableColumn,
+    line,
+    name_column,
+    number,
+    number_of,
+    percent,
+    text_of,
+)
 
 SHOWN_PLANS: Final = 10
 """Largest number of plans that a line names."""
@@ -107,8 +116,7 @@ def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
 
 def _plan_id_list(plan_ids: list[str]) -> str:
     """Text with the ids of the first ``SHOWN_PLANS`` plans, and the number of further plans."""
-    more_text = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
-    return ", ".join(map(printable_name, plan_ids[:SHOWN_PLANS])) + more_text
+    return first_names(plan_ids, SHOWN_PLANS) + (", in summary" if len(plan_ids) > SHOWN_PLANS else "")
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
@@ -126,7 +134,53 @@ def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
     for warning in warnings:
         yield line(f"note: {warning}", style="yellow")
     if info.get("orders"):
-        yield from order_lines(info, SHOWN_SKIPPED)
+        yield from order_lines(info)
+
+
+def order_lines(info: Mapping[str, Any]) -> Iterator[RenderableType]:
+    """Lines about orders that were not compared; then lines about boxes that plans leave out, and about orders without
+    a plan.
+
+    Args:
+        info: content of ``run.json`` of a run that was compared with orders.
+    """
+    counts = info["counts"]["orders"]
+    for error in info["orders"]["unusable"][:SHOWN_SKIPPED]:
+        yield line(f"not compared: {error}", style="yellow")
+    if counts["unusable_orders"] > SHOWN_SKIPPED:
+        yield line(f"not compared: {counts['unusable_orders'] - SHOWN_SKIPPED:,} more, in run.json", style="yellow")
+    ordered = count_text(counts["ordered_boxes"], "ordered box", "ordered boxes")
+    odd = []
+    if counts["left_out"]:
+        verb = _verb(counts["plans_leaving_out"], "leaves", "leave")
+        odd.append(f"{count_text(counts['plans_leaving_out'], 'plan')} {verb} out {counts['left_out']:,} of {ordered}")
+    if counts["orders_without_plan"]:
+        boxes = count_text(counts["boxes_without_plan"], "box", "boxes")
+        verb = _verb(counts["orders_without_plan"])
+        odd.append(f"{count_text(counts['orders_without_plan'], 'order')} ({boxes}) {verb} no usable plan")
+    if counts["not_ordered"]:
+        verb = _verb(counts["not_ordered"], "was", "were")
+        odd.append(f"{count_text(counts['not_ordered'], 'box', 'boxes')} in plans {verb} not ordered")
+    if resized := counts.get("resized", 0):  # runs of petmjx 0.2 do not have this count
+        differ = "has another size, mass or property" if resized == 1 else "have other sizes, masses or properties"
+        odd.append(f"{count_text(resized, 'box', 'boxes')} {differ} than ordered")
+    if counts["plans_without_order"]:
+        odd.append(
+            f"{count_text(counts['plans_without_order'], 'plan')} {_verb(counts['plans_without_order'])} no order"
+        )
+    if odd:
+        yield line(f"{'; '.join(odd)}, in run.json", style="yellow")
+    else:
+        yield line(f"plans leave out none of {ordered}")
+    if unnamed := counts.get("matched_by_size", 0):
+        boxes = count_text(unnamed, "box", "boxes")
+        yield line(f"{boxes} without id and article {_verb(unnamed, 'is', 'are')} matched by size and mass")
+    if counts["orders_without_plan"] is None:
+        yield line("orders without a plan are not counted with --limit: not all plans were read")
+
+
+def _verb(number: int, one: str = "has", many: str = "have") -> str:
+    return one if number == 1 else many
 
 
 def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
@@ -238,9 +292,9 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
         table.add_row(f"{what}/s", three_digits(done / seconds), f"{seconds:,.1f} s")
 
 
-def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[str, str]:
-    """Two cells about one world: the distance of a box's load from the edge of the box's supports, mm, and the number
-    of this box. The load is the one that set the flag ``knife-edge``; without this flag, the load nearest to an edge.
+def _critical_edge(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> KnifeEdge | None:
+    """The load of a box in one world that set the flag ``knife-edge``; without this flag, the load nearest to an edge
+    of the box's supports.
 
     Args:
         row: the world's row of the table ``worlds``.
@@ -252,15 +306,10 @@ def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[
         else of_boxes.sort_values("box")[name].to_numpy(float, na_value=np.nan)
         for name in ("plan_edge_m", "rest_edge_m")
     )  # fmt: skip
-    table_edges = kept_edges(row, plan_edge_m, rest_edge_m)
-    edge = (
-        nearest_edge(table_edges, Verdict(row["verdict"]))
-        if flagged
-        else min(table_edges, key=lambda edge: edge.edge_m, default=None)
-    )
-    if edge is None:
-        return "", ""
-    return number(edge.edge_m, "z.1f", factor=1000.0), "" if edge.box < 0 else str(edge.box)
+    edges = kept_edges(row, plan_edge_m, rest_edge_m)
+    if flagged:
+        return nearest_edge(edges, Verdict(row["verdict"]))
+    return min(edges, key=lambda edge: edge.edge_m, default=None)
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
@@ -273,42 +322,40 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
         orders: the run's table ``plans``, if it has the number of boxes left out. The number of boxes left out then
             becomes a column of the printed table.
     """
-    on_edge = any(int(flags) & Flag.KNIFE_EDGE for flags in worlds["flags"])
-    edges = (TableColumn("edge\nmm", spare=6), TableColumn("of\nbox", spare=6)) if on_edge else ()
-    table = FittedTable(
-        TableColumn("plan", "left", least=20, middle=True),
-        TableColumn("boxes", spare=3),
-        *([] if orders is None else [TableColumn("left\nout")]),
-        TableColumn("verdict", "left"),
-        TableColumn("reason", "left"),
-        TableColumn("margin", spare=1),
-        TableColumn("first box", "left", least=8, spare=2),
-        TableColumn("at\ns", spare=4),
-        TableColumn("shift\nmm"),
-        TableColumn("tilt\n°"),
-        *edges,
-        TableColumn("rest\nforce N", spare=5),
-    )
     left_out = {} if orders is None else orders.set_index("plan_id")["left_out"].to_dict()
     articles = boxes.set_index(["plan_id", "box"])["article"].to_dict()
-    by_plan = dict(iter(boxes.groupby("plan_id"))) if on_edge and len(boxes) else {}
-    for row in worlds.to_dict("records"):
-        culprit = row["culprit"]
-        first = "" if pd.isna(culprit) else box_label(culprit, articles.get((row["plan_id"], culprit), ""))
-        verdict = str(row["verdict"])
-        placed = "" if row["n_placed"] == row["n_boxes"] else f"{row['n_placed']} of "
-        table.add(
-            str(row["plan_id"]),
-            f"{placed}{row['n_boxes']}",
-            *([] if orders is None else [number(left_out[row["plan_id"]])]),
-            Text(verdict, style=_STYLES.get(verdict, "")),
-            str(row["reason"]),
-            number(row.get("margin"), ".2f"),
-            first,
-            number(row["first_sign_s"], ".2f"),
-            number(row["max_shift_m"], ".1f", factor=1000.0),
-            number(row["max_tilt_deg"], ".1f"),
-            *(_edge_cells(row, by_plan.get(row["plan_id"])) if on_edge else ()),
-            number(row["rest_top_force_n"], "z.1f"),
-        )
-    return table
+    rows = worlds.to_dict("records")
+    on_edge = any(int(flags) & Flag.KNIFE_EDGE for flags in worlds["flags"])
+    if on_edge:
+        by_plan = dict(iter(boxes.groupby("plan_id"))) if len(boxes) else {}
+        rows = [row | {"edge": _critical_edge(row, by_plan.get(row["plan_id"]))} for row in rows]
+
+    def placed(row: Row) -> str:
+        return str(row["n_boxes"]) if row["n_placed"] == row["n_boxes"] else f"{row['n_placed']} of {row['n_boxes']}"
+
+    def first_box(row: Row) -> str:
+        box = row["culprit"]
+        return "" if pd.isna(box) else box_label(box, articles.get((row["plan_id"], box), ""))
+
+    def edge_mm(row: Row) -> str:
+        return "" if row["edge"] is None else number(row["edge"].edge_m, "z.1f", factor=1000.0)
+
+    def edge_box(row: Row) -> str:
+        return "" if row["edge"] is None or row["edge"].box < 0 else str(row["edge"].box)
+
+    edges = (TableColumn("edge\nmm", edge_mm, spare=6), TableColumn("of\nbox", edge_box, spare=6)) if on_edge else ()
+    return FittedTable(
+        rows,
+        name_column("plan", "plan_id", least=20),
+        TableColumn("boxes", placed, spare=3),
+        *([] if orders is None else [TableColumn("left\nout", lambda row: number(left_out[row["plan_id"]]))]),
+        TableColumn("verdict", lambda row: Text(row["verdict"], style=_STYLES.get(row["verdict"], "")), "left"),
+        TableColumn("reason", text_of("reason"), "left"),
+        TableColumn("margin", lambda row: number(row.get("margin"), ".2f"), spare=1),
+        TableColumn("first box", first_box, "left", least=8, spare=2),
+        TableColumn("at\ns", number_of("first_sign_s", ".2f"), spare=4),
+        TableColumn("shift\nmm", number_of("max_shift_m", ".1f", factor=1000.0)),
+        TableColumn("tilt\n°", number_of("max_tilt_deg", ".1f")),
+        *edges,
+        TableColumn("rest\nforce N", number_of("rest_top_force_n", "z.1f"), spare=5),
+    )

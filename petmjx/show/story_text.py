@@ -53,34 +53,21 @@ def _events_table(story: Story) -> Table:
 
 def _boxes_table(story: Story) -> FittedTable:
     """A table of the first box to fail and the boxes with the largest forces on top, with their numbers."""
-    boxes, plan = story.outcome.boxes, story.plan
-    table = FittedTable(
-        TableColumn("box"),
-        TableColumn("article", "left", least=10, middle=True),
-        TableColumn("", "left", spare=2),
-        TableColumn("mass\nkg", spare=4),
-        TableColumn("shift\nmm"),
-        TableColumn("tilt\n°"),
-        TableColumn("force on top\nlargest, N"),
-        TableColumn("at rest\nN"),
-        TableColumn("dropped\nat s", spare=1),
-    )
+    boxes, plan, culprit = story.outcome.boxes, story.plan, story.outcome.culprit
     forces = np.nan_to_num(boxes.max_top_force_n[: story.outcome.n_placed])
-    pressed = [int(box) for box in np.argsort(-forces, kind="stable")[:MOST_PRESSED]]
-    first = [story.outcome.culprit] if story.outcome.culprit >= 0 else []
-    for box in [*first, *(box for box in pressed if box not in first)]:
-        table.add(
-            str(box),
-            plan.articles[box] or "-",
-            "first to fail" if box in first else "most pressed",
-            f"{plan.mass_kg[box]:.2f}",
-            number(np.abs(boxes.shift_m[box]).max(), ".1f", factor=1000.0),
-            number(boxes.max_tilt_deg[box], ".1f"),
-            number(boxes.max_top_force_n[box], "z.1f"),
-            number(boxes.rest_top_force_n[box], "z.1f"),
-            number(boxes.drop_s[box], ".2f"),
-        )
-    return table
+    pressed = np.argsort(-forces, kind="stable")[:MOST_PRESSED].tolist()
+    return FittedTable(
+        dict.fromkeys([*([culprit] if culprit >= 0 else []), *pressed]),
+        TableColumn("box", str),
+        TableColumn("article", lambda box: plan.articles[box] or "-", "left", least=10, middle=True),
+        TableColumn("", lambda box: "first to fail" if box == culprit else "most pressed", "left", spare=2),
+        TableColumn("mass\nkg", lambda box: f"{plan.mass_kg[box]:.2f}", spare=4),
+        TableColumn("shift\nmm", lambda box: number(np.abs(boxes.shift_m[box]).max(), ".1f", factor=1000.0)),
+        TableColumn("tilt\n°", lambda box: number(boxes.max_tilt_deg[box], ".1f")),
+        TableColumn("force on top\nlargest, N", lambda box: number(boxes.max_top_force_n[box], "z.1f")),
+        TableColumn("at rest\nN", lambda box: number(boxes.rest_top_force_n[box], "z.1f")),
+        TableColumn("dropped\nat s", lambda box: number(boxes.drop_s[box], ".2f"), spare=1),
+    )
 
 
 def how_to_draw() -> Text:

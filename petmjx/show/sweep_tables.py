@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Iterator, Sequence
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,21 @@ from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN
 from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
 from petmjx.runs.sweep_axes import AXIS_KINDS
-from petmjx.show.table_layout import FittedTable, TableColumn, number, percent
+from petmjx.show.table_layout import (
+    Cell,
+    FittedTable,
+    Row,
+    TableColumn,
+    count_of,
+    interval,
+    interval_of,
+    name_column,
+    number,
+    number_of,
+    percent,
+    percent_of,
+    text_of,
+)
 
 FEW_ROWS: Final = 40
 """Largest number of worlds or searches for which a table with one row for each is shown."""
@@ -37,7 +51,15 @@ _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
 """Columns of axes: those that every table of a search shows, and those whose largest survived value is the answer of
 the search."""
 
-_PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
+_PLAN: Final = name_column("plan", "plan_id", least=20)
+_PROFILE: Final = name_column("profile", "profile", least=11)
+_DIRECTION: Final = TableColumn("direction\n°", number_of("direction_deg", "g"))
+_DEFORMATIONS: Final = (
+    TableColumn("elastic\n≤ 10 %", percent_of("eumos_elastic_share")),
+    TableColumn("permanent\n≤ 5 %", percent_of("eumos_permanent_share")),
+    TableColumn("foot, cm\n≤ 4", number_of("eumos_foot_permanent_m", ".1f", factor=100.0)),
+)
+"""The elastic and the permanent deformation of a load as shares, and the deformation of the load's foot."""
 
 
 def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
@@ -74,8 +96,12 @@ def _varied_columns(summary: pd.DataFrame) -> list[str]:
     ]
 
 
-def _headers(names: Sequence[str]) -> list[TableColumn]:
-    return [TableColumn(name.replace("_", "\n", 1), spare=0) for name in names]
+def _axis_columns(names: Sequence[str]) -> list[TableColumn]:
+    return [TableColumn(name.replace("_", "\n", 1), _axis_value(name)) for name in names]
+
+
+def _axis_value(name: str) -> Cell:
+    return lambda row: f"{row[name]:g}" if isinstance(row[name], int | float) else str(row[name])
 
 
 def shares_table(summary: pd.DataFrame) -> FittedTable:
@@ -89,32 +115,31 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
     shown = overall[several | (overall["axis"] == "")]
     eumos, angle = "eumos_share" in shown, "smallest_fail_angle_deg" in shown
     drawn = bool(shown["low"].notna().any())
-    table = FittedTable(
-        TableColumn("axis", "left", least=13, middle=True),
-        TableColumn("value", least=11, middle=True),
-        TableColumn("worlds\njudged"),
-        TableColumn("stand", spare=1),
-        TableColumn("share"),
-        *([TableColumn("draws", spare=2), TableColumn("95 %")] if drawn else []),
-        *([TableColumn("worlds\ntested"), TableColumn("pass\nEUMOS")] if eumos else []),
-        *([TableColumn("fails\nfrom")] if angle else []),
-        caption=f"{len(shown) - MAX_VALUES:,} more in summary" if len(shown) > MAX_VALUES else "",
+
+    def draws(row: Row) -> str:
+        return f"{row['n_draws']:,}" if row["n_draws"] else ""
+
+    def interval_of_draws(row: Row) -> str:
+        return interval(row["low"], row["high"]) if row["n_draws"] else ""
+
+    return FittedTable(
+        shown.head(MAX_VALUES).to_dict("records"),
+        TableColumn("axis", lambda row: str(row["axis"]) or "all", "left", least=13, middle=True),
+        TableColumn("value", text_of("value"), least=11, middle=True),
+        TableColumn("worlds\njudged", _judged),
+        TableColumn("stand", count_of("n_standing"), spare=1),
+        TableColumn("share", percent_of("share")),
+        *([TableColumn("draws", draws, spare=2), TableColumn("95 %", interval_of_draws)] if drawn else []),
+        *([TableColumn("worlds\ntested", count_of("n_eumos"))] if eumos else []),
+        *([TableColumn("pass\nEUMOS", percent_of("eumos_share"))] if eumos else []),
+        *([TableColumn("fails\nfrom", number_of("smallest_fail_angle_deg", ".1f", " °"))] if angle else []),
+        caption=_more(len(shown)),
     )
-    for row in shown.head(MAX_VALUES).to_dict("records"):
-        cells = [
-            str(row["axis"]) or "all",
-            str(row["value"]),
-            f"{row['n_worlds'] - row['n_invalid']:,}",
-            f"{row['n_standing']:,}",
-            percent(row["share"]),
-        ]
-        if drawn:
-            interval = f"{row['n_draws']:,}", f"{percent(row['low'])} to {percent(row['high'])}"
-            cells += interval if row["n_draws"] else ("", "")
-        cells += [f"{row['n_eumos']:,}", percent(row["eumos_share"])] if eumos else []
-        cells += [number(row["smallest_fail_angle_deg"], ".1f", " °")] if angle else []
-        table.add(*cells)
-    return table
+
+
+def _judged(row: Row) -> str:
+    """A cell with the number of worlds that have a valid verdict."""
+    return f"{row['n_worlds'] - row['n_invalid']:,}"
 
 
 def confidence_table(summary: pd.DataFrame) -> FittedTable:
@@ -126,36 +151,35 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
     """
     tosses = bool(summary["coin_toss"].any())
     fails, has_exact = bool(summary[["n_not_placed", "n_fell"]].any(axis=None)), "share_exact" in summary
-    table = FittedTable(
-        TableColumn("plan", "left", least=20, middle=True),
-        TableColumn("nominal", "left"),
-        TableColumn("margin", spare=2),
-        TableColumn("stand"),
-        TableColumn("share", spare=1),
-        TableColumn("95 %"),
-        *([TableColumn("could not\nbe placed"), TableColumn("fell")] if fails else []),
-        *([TableColumn("share,\nexact")] if has_exact else []),
-        *([TableColumn("", "left")] if tosses else []),
+
+    def stand(row: Row) -> str:
+        return f"{row['n_standing']} of {row['n_worlds'] - row['n_invalid']}"
+
+    def share_exact(row: Row) -> str:
+        return percent(row["share_exact"]) + (" *" if row["placing_matters"] else "")
+
+    def count_if_any(name: str) -> Cell:
+        return lambda row: f"{row[name] or ''}"
+
+    return FittedTable(
+        summary.to_dict("records"),
+        _PLAN,
+        TableColumn("nominal", text_of("verdict"), "left"),
+        TableColumn("margin", number_of("margin", ".2f"), spare=2),
+        TableColumn("stand", stand),
+        TableColumn("share", percent_of("share"), spare=1),
+        TableColumn(
+            "95 %", lambda row: interval(row["low"], row["high"]) if row["n_worlds"] > row["n_invalid"] else ""
+        ),
+        *([TableColumn("could not\nbe placed", count_if_any("n_not_placed"))] if fails else []),
+        *([TableColumn("fell", count_if_any("n_fell"))] if fails else []),
+        *([TableColumn("share,\nexact", share_exact)] if has_exact else []),
+        *([TableColumn("", lambda row: "coin toss" if row["coin_toss"] else "", "left")] if tosses else []),
         title="worlds with errors",
         caption="* differs beyond chance from boxes that are carried"
         if has_exact and summary["placing_matters"].any()
         else "",
     )
-    for row in summary.to_dict("records"):
-        judged = row["n_worlds"] - row["n_invalid"]
-        is_judged = judged > 0
-        table.add(
-            str(row["plan_id"]),
-            str(row["verdict"]),
-            number(row["margin"], ".2f"),
-            f"{row['n_standing']} of {judged}",
-            percent(row["share"]),
-            f"{percent(row['low'])} to {percent(row['high'])}" if is_judged else "",
-            *([f"{row[name] or ''}" for name in ("n_not_placed", "n_fell")] if fails else []),
-            *([percent(row["share_exact"]) + (" *" if row["placing_matters"] else "")] if has_exact else []),
-            *(["coin toss" if row["coin_toss"] else ""] if tosses else []),
-        )
-    return table
 
 
 def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
@@ -177,72 +201,56 @@ def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable
     after this leg, of the worlds that reached it; and the leg with the most failures."""
     shares = shares_by_leg(summary)
     drawn = bool(of_plans["low"].notna().any())
-    table = FittedTable(
-        TableColumn("plan", "left", least=20, middle=True),
-        TableColumn("arrive"),
-        TableColumn("P"),
-        *([TableColumn("95 %")] if drawn else []),
-        *(TableColumn(leg, spare=2) for leg in shares),
-        TableColumn("weakest", "left", least=8),
-        TableColumn("box", spare=1),
+
+    def share_after(leg: str) -> Cell:
+        return lambda row: percent(shares.loc[row["plan_id"], leg])
+
+    return FittedTable(
+        of_plans.to_dict("records"),
+        _PLAN,
+        TableColumn("arrive", lambda row: f"{row['n_standing']:,} of {_judged(row)}"),
+        TableColumn("P", percent_of("share")),
+        *([TableColumn("95 %", interval_of())] if drawn else []),
+        *(TableColumn(leg, share_after(leg), spare=2) for leg in shares),
+        TableColumn("weakest", text_of("weakest_leg"), "left", least=8),
+        TableColumn("box", lambda row: "" if pd.isna(row["box"]) else str(int(row["box"])), spare=1),
         title="worlds that arrive; by leg: that stand after it, of those that reached it",
     )
-    for row in of_plans.to_dict("records"):
-        table.add(
-            str(row["plan_id"]),
-            f"{row['n_standing']:,} of {row['n_worlds'] - row['n_invalid']:,}",
-            percent(row["share"]),
-            *([_interval(row, "low", "high")] if drawn else []),
-            *map(percent, shares.loc[row["plan_id"]]),
-            str(row["weakest_leg"]),
-            "" if pd.isna(row["box"]) else str(int(row["box"])),
-        )
-    return table
-
-
-def _interval(row: Mapping[Any, Any], low: str, high: str) -> str:
-    return "" if pd.isna(row[low]) else f"{percent(row[low])} to {percent(row[high])}"
 
 
 def legs_table(legs: pd.DataFrame) -> FittedTable:
     """A table with one row per leg, over all plans."""
-    table = FittedTable(
-        TableColumn("leg", "left", least=10),
-        TableColumn("worlds\nreach it"),
-        TableColumn("stand\nafter it"),
-        TableColumn("invalid", spare=2),
-        TableColumn("share"),
-        TableColumn("95 %", spare=1),
+    return FittedTable(
+        legs.to_dict("records"),
+        TableColumn("leg", lambda row: row["leg"] or "whole way", "left", least=10),
+        TableColumn("worlds\nreach it", count_of("n_worlds")),
+        TableColumn("stand\nafter it", count_of("n_standing")),
+        TableColumn("invalid", count_of("n_invalid"), spare=2),
+        TableColumn("share", percent_of("share")),
+        TableColumn("95 %", interval_of(), spare=1),
         title="all plans",
     )
-    for row in legs.to_dict("records"):
-        counts = (f"{row[name]:,}" for name in ("n_worlds", "n_standing", "n_invalid"))
-        table.add(str(row["leg"]) or "whole way", *counts, percent(row["share"]), _interval(row, "low", "high"))
-    return table
 
 
 def remedies_table(remedies: pd.DataFrame) -> FittedTable:
     """A table with one row per remedy, over all plans. The remedy with the largest gain comes first."""
-    table = FittedTable(
-        TableColumn("remedy", "left", least=16),
-        TableColumn("P"),
-        TableColumn("gain,\npoints"),
-        TableColumn("95 %", spare=1),
-        TableColumn("arrive only\nwith it", spare=2),
-        TableColumn("only\nwithout", spare=2),
+
+    def points(name: str) -> Cell:
+        return number_of(name, "+.1f", factor=100.0)
+
+    def span(row: Row) -> str:
+        return "" if pd.isna(row["gain_low"]) else f"{points('gain_low')(row)} to {points('gain_high')(row)}"
+
+    return FittedTable(
+        remedies.sort_values("gain", ascending=False, kind="stable").to_dict("records"),
+        TableColumn("remedy", text_of("remedy"), "left", least=16),
+        TableColumn("P", percent_of("share")),
+        TableColumn("gain,\npoints", points("gain")),
+        TableColumn("95 %", span, spare=1),
+        TableColumn("arrive only\nwith it", count_of("only_with"), spare=2),
+        TableColumn("only\nwithout", count_of("only_without"), spare=2),
         title="what would help: the same worlds with a remedy",
     )
-    for row in remedies.sort_values("gain", ascending=False, kind="stable").to_dict("records"):
-        bounds = [number(row[name], "+.1f", factor=100.0) for name in ("gain", "gain_low", "gain_high")]
-        span = "" if pd.isna(row["gain_low"]) else f"{bounds[1]} to {bounds[2]}"
-        table.add(
-            str(row["remedy"]),
-            percent(row["share"]),
-            bounds[0],
-            span,
-            *(f"{int(row[name]):,}" for name in ("only_with", "only_without")),
-        )
-    return table
 
 
 def levels_table(summary: pd.DataFrame) -> FittedTable:
@@ -254,32 +262,29 @@ def levels_table(summary: pd.DataFrame) -> FittedTable:
     """
     column, name = _largest(summary)
     varied = _varied_columns(summary)
-    table = FittedTable(
-        _PROFILE,
-        TableColumn("direction\n°"),
-        *_headers(varied),
-        TableColumn("searches"),
-        TableColumn("stand\nat rest"),
-        TableColumn("survive\nnone"),
-        *(TableColumn(header, spare=int(q in (0.25, 0.75))) for header, q in _QUANTILES.items()),
-        title=f"largest {name} survived, where placements stand at rest",
-        caption=_more(summary.groupby(["profile", "direction_deg", *varied]).ngroups),
-    )
     groups = summary.groupby(["profile", "direction_deg", *varied], sort=True)
-    for (profile, direction, *values), part in itertools.islice(groups, MAX_VALUES):
-        levels = part.loc[part["stands_at_rest"], column].sort_values(na_position="first")
-        counts = len(part), len(levels), int((~(levels > 0)).sum())
-        cells = [str(profile), f"{direction:g}", *map(_cell, values), *(f"{count:,}" for count in counts)]
-        table.add(*cells, *(_quantile(levels.to_numpy(float), q) for q in _QUANTILES.values()))
-    return table
+    rows = []
+    for key, part in itertools.islice(groups, MAX_VALUES):
+        levels = part.loc[part["stands_at_rest"], column].sort_values(na_position="first").to_numpy(float)
+        row = dict(zip(("profile", "direction_deg", *varied), key, strict=True))
+        row |= {"n": len(part), "n_at_rest": len(levels), "n_none": int((~(levels > 0)).sum())}
+        rows.append(row | {quantile: _quantile(levels, q) for quantile, q in _QUANTILES.items()})
+    return FittedTable(
+        rows,
+        _PROFILE,
+        _DIRECTION,
+        *_axis_columns(varied),
+        TableColumn("searches", count_of("n")),
+        TableColumn("stand\nat rest", count_of("n_at_rest")),
+        TableColumn("survive\nnone", count_of("n_none")),
+        *(TableColumn(quantile, text_of(quantile), spare=int(q in (0.25, 0.75))) for quantile, q in _QUANTILES.items()),
+        title=f"largest {name} survived, where placements stand at rest",
+        caption=_more(groups.ngroups),
+    )
 
 
 def _more(rows: int) -> str:
     return f"{rows - MAX_VALUES:,} more in summary" if rows > MAX_VALUES else ""
-
-
-def _cell(value: object) -> str:
-    return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
 def _quantile(levels: FloatArray, q: float) -> str:
@@ -295,55 +300,39 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
     """A table with one row per search: the largest level survived, and the box that fails first at higher levels."""
     column, name = _largest(summary)
     varied = _varied_columns(summary)
-    table = FittedTable(
-        TableColumn("plan", "left", least=20, middle=True),
+    doubts = {text: _doubts(summary, doubt) for doubt, text in _DOUBTS.items()}
+    marks = ["".join(f" {text[0]}" for text in doubts if doubts[text].iloc[at]) for at in range(len(summary))]
+
+    def first_box(row: Row) -> str:
+        return "" if pd.isna(row["box"]) else box_label(int(row["box"]), row["article"])
+
+    return FittedTable(
+        summary.assign(marks=marks).to_dict("records"),
+        _PLAN,
         _PROFILE,
-        TableColumn("direction\n°"),
-        *_headers(varied),
-        TableColumn(f"largest\n{name}"),
-        TableColumn("fails", "left"),
-        TableColumn("first box", "left", least=8),
-        caption="; ".join(text for column, text in _DOUBTS.items() if _doubts(summary, column).any()),
+        _DIRECTION,
+        *_axis_columns(varied),
+        TableColumn(f"largest\n{name}", lambda row: number(row[column]) + row["marks"]),
+        TableColumn("fails", lambda row: ("" if row["stands_at_rest"] else "at rest: ") + str(row["mode"]), "left"),
+        TableColumn("first box", first_box, "left", least=8),
+        caption="; ".join(text for text in doubts if doubts[text].any()),
     )
-    marks = {column: _doubts(summary, column).tolist() for column in _DOUBTS}
-    for place, row in enumerate(summary.to_dict("records")):
-        table.add(
-            str(row["plan_id"]),
-            str(row["profile"]),
-            f"{row['direction_deg']:g}",
-            *(_cell(row[name]) for name in varied),
-            number(row[column]) + "".join(f" {text[0]}" for mark, text in _DOUBTS.items() if marks[mark][place]),
-            str(row["mode"]) if row["stands_at_rest"] else f"at rest: {row['mode']}",
-            "" if pd.isna(row["box"]) else box_label(int(row["box"]), row["article"]),
-        )
-    return table
 
 
 def laboratory_table(summary: pd.DataFrame) -> FittedTable:
     """A table with one row per search with EUMOS's test: the values that a laboratory reports, at the largest level
     survived."""
     varied = _varied_columns(summary)
-    table = FittedTable(
-        TableColumn("plan", "left", least=20, middle=True),
-        TableColumn("direction\n°"),
-        *_headers(varied),
-        TableColumn("level\ng"),
-        TableColumn("elastic\n≤ 10 %"),
-        TableColumn("permanent\n≤ 5 %"),
-        TableColumn("foot, cm\n≤ 4"),
-        TableColumn("EUMOS\n40509", "left"),
+    return FittedTable(
+        summary[summary["eumos_passed"].notna()].to_dict("records"),
+        _PLAN,
+        _DIRECTION,
+        *_axis_columns(varied),
+        TableColumn("level\ng", number_of("largest_level_g")),
+        *_DEFORMATIONS,
+        TableColumn("EUMOS\n40509", lambda row: "passed" if row["eumos_passed"] else "failed", "left"),
         title="EUMOS 40509 at the largest level survived: deformations as shares of the load's height",
     )
-    for row in summary[summary["eumos_passed"].notna()].to_dict("records"):
-        table.add(
-            str(row["plan_id"]),
-            f"{row['direction_deg']:g}",
-            *(_cell(row[name]) for name in varied),
-            number(row["largest_level_g"]),
-            *_deformations(row),
-            "passed" if row["eumos_passed"] else "failed",
-        )
-    return table
 
 
 def levels_passed_table(levels: pd.DataFrame) -> FittedTable:
@@ -357,35 +346,21 @@ def levels_passed_table(levels: pd.DataFrame) -> FittedTable:
     """
     usual = np.isclose(levels["level_g"].to_numpy()[:, None], LABORATORY_LEVELS_G).any(axis=1)
     shown = levels[usual] if usual.any() else levels
-    table = FittedTable(
-        TableColumn("plan", "left", least=20, middle=True),
-        TableColumn("level\ng"),
-        TableColumn("worlds\ntested"),
-        TableColumn("elastic\n≤ 10 %"),
-        TableColumn("permanent\n≤ 5 %"),
-        TableColumn("foot, cm\n≤ 4"),
-        TableColumn("EUMOS\n40509", "left"),
+
+    def passed(row: Row) -> str:
+        tested, failed = int(row["n_eumos"]), int(row["n_eumos"] - row["n_eumos_passed"])
+        return "-" if not tested else "passed" if not failed else "failed" if failed == tested else f"{failed} failed"
+
+    return FittedTable(
+        shown.head(MAX_VALUES).to_dict("records"),
+        _PLAN,
+        TableColumn("level\ng", number_of("level_g", "g")),
+        TableColumn("worlds\ntested", count_of("n_eumos")),
+        *_DEFORMATIONS,
+        TableColumn("EUMOS\n40509", passed, "left"),
         title="EUMOS 40509 at each level: the largest deformations, as shares of the load's height",
         caption=_more(len(shown)),
     )
-    for row in shown.head(MAX_VALUES).to_dict("records"):
-        tested, failed = int(row["n_eumos"]), int(row["n_eumos"] - row["n_eumos_passed"])
-        table.add(
-            str(row["plan_id"]),
-            f"{row['level_g']:g}",
-            f"{tested:,}",
-            *_deformations(row),
-            "-" if not tested else "passed" if not failed else "failed" if failed == tested else f"{failed} failed",
-        )
-    return table
-
-
-def _deformations(row: Mapping[Any, Any]) -> Iterator[str]:
-    """Yield three cells: the elastic and the permanent deformation as shares, and the deformation of the load's foot,
-    cm."""
-    yield percent(row["eumos_elastic_share"])
-    yield percent(row["eumos_permanent_share"])
-    yield number(row["eumos_foot_permanent_m"], ".1f", factor=100.0)
 
 
 LABORATORY_LEVELS_G: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
@@ -400,16 +375,21 @@ def turns_table(summary: pd.DataFrame) -> FittedTable:
     survived = least.min().unstack("wrap_turns")
     tested = np.fmax(summary["largest_level_g"].max(), summary["first_failed_level_g"].max())
     levels = [level for level in LABORATORY_LEVELS_G if level <= tested]
-    table = FittedTable(
-        TableColumn("plan", "left", least=20, middle=True),
-        *(TableColumn(f"{level:g} g") for level in levels),
+
+    def enough(level: float) -> Cell:
+        def cell(row: Row) -> str:
+            turns = [turns for turns in survived if row[turns] >= level - _SAME_LEVEL_G]
+            return f"{min(turns):g}" if turns else "none"
+
+        return cell
+
+    return FittedTable(
+        survived.head(MAX_VALUES).reset_index().to_dict("records"),
+        _PLAN,
+        *(TableColumn(f"{level:g} g", enough(level)) for level in levels),
         title="turns of film with which plans survive a level in every direction tried",
         caption=_more(len(survived)),
     )
-    for plan_id, row in survived.head(MAX_VALUES).iterrows():
-        enough = (row.index[row >= level - _SAME_LEVEL_G] for level in levels)
-        table.add(str(plan_id), *(f"{turns.min():g}" if len(turns) else "none" for turns in enough))
-    return table
 
 
 _SAME_LEVEL_G: Final = 1e-9

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any, Literal
@@ -15,6 +15,12 @@ from rich.text import Text
 
 from petmjx.common.text import printable, three_digits
 
+Row = Mapping[Any, Any]
+"""A row of a data frame: name of a column → value."""
+
+Cell = Callable[[Any], str | Text]
+"""A function that makes a cell of a table from a row."""
+
 
 @dataclass(frozen=True)
 class TableColumn:
@@ -22,6 +28,8 @@ class TableColumn:
 
     Attributes:
         header: heading, which may have several lines.
+        cell: function that makes the column's cell in a row. Characters of strings that cannot be printed are replaced.
+            A ``Text`` keeps its style.
         justify: alignment of the column's cells.
         least: number of characters to which texts may be shortened. If ``least`` is None, texts are never shortened.
         middle: whether texts are shortened in the middle, which suits names that differ at their ends. If ``middle`` is
@@ -31,10 +39,16 @@ class TableColumn:
     """
 
     header: str
+    cell: Cell
     justify: Literal["left", "right"] = "right"
     least: int | None = None
     middle: bool = False
     spare: int = 0
+
+
+def name_column(header: str, column: str, least: int | None = None, spare: int = 0) -> TableColumn:
+    """A table column with the names in a column of rows. Names that are too long are shortened in the middle."""
+    return TableColumn(header, text_of(column), "left", least, middle=True, spare=spare)
 
 
 class FittedTable:
@@ -43,17 +57,19 @@ class FittedTable:
     If the terminal is too narrow, texts are shortened first. If the table is then still too wide, columns are left out
     (see ``TableColumn.spare``), and a line below the table names them. Numbers are shortened only if even the remaining
     columns do not fit.
+
+    Args:
+        rows: the rows, which ``TableColumn.cell`` accepts.
+        columns: the columns.
+        title: line above the table.
+        caption: line below the table.
     """
 
-    def __init__(self, *columns: TableColumn, title: str = "", caption: str = "") -> None:
+    def __init__(self, rows: Iterable[Any], *columns: TableColumn, title: str = "", caption: str = "") -> None:
         self.columns = columns
         self.title = title
         self.caption = caption
-        self._rows: list[Sequence[str | Text]] = []
-
-    def add(self, *cells: str | Text) -> None:
-        """Add a row. Characters of strings that cannot be printed are replaced. A ``Text`` keeps its style."""
-        self._rows.append([cell if isinstance(cell, Text) else printable(cell) for cell in cells])
+        self._rows = [[_printable_cell(column.cell(row)) for column in columns] for row in rows]
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         widths = _column_widths(
@@ -80,6 +96,10 @@ class FittedTable:
         """The width that a column needs to show all its cells in full."""
         texts = [*self.columns[number].header.split("\n"), *(str(row[number]) for row in self._rows)]
         return max(cell_len(text) for text in texts)
+
+
+def _printable_cell(cell: str | Text) -> str | Text:
+    return cell if isinstance(cell, Text) else printable(cell)
 
 
 def _column_widths(columns: Sequence[TableColumn], natural: Sequence[int], width: int) -> dict[int, int]:
@@ -150,3 +170,33 @@ def number(value: Any, form: str | None = None, unit: str = "", factor: float = 
 def percent(share: Any) -> str:
     """A share as text, such as "12.3 %"; "-" if there is no share."""
     return number(share, ".1f", " %", 100.0)
+
+
+def interval(low: Any, high: Any) -> str:
+    """An interval of shares as text, such as "25.6 % to 61.1 %"; "" if there is no interval."""
+    return "" if pd.isna(low) else f"{percent(low)} to {percent(high)}"
+
+
+def text_of(column: str) -> Cell:
+    """A cell with the value in a column of rows, as text."""
+    return lambda row: str(row[column])
+
+
+def count_of(column: str) -> Cell:
+    """A cell with the whole number in a column of rows."""
+    return lambda row: f"{int(row[column]):,}"
+
+
+def number_of(column: str, form: str | None = None, unit: str = "", factor: float = 1.0) -> Cell:
+    """A cell with the number in a column of rows, as :func:`number` formats it."""
+    return lambda row: number(row[column], form, unit, factor)
+
+
+def percent_of(column: str) -> Cell:
+    """A cell with the share in a column of rows, in per cent."""
+    return lambda row: percent(row[column])
+
+
+def interval_of(low: str = "low", high: str = "high") -> Cell:
+    """A cell with the interval of shares whose ends are in two columns of rows."""
+    return lambda row: interval(row[low], row[high])

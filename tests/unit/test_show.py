@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -109,17 +110,19 @@ def test_values_in_cells() -> None:
 
 
 def example() -> FittedTable:
-    table = FittedTable(
-        TableColumn("plan", "left", least=8, middle=True),
-        TableColumn("note", "left", least=4),
-        TableColumn("rest\nN", spare=2),
-        TableColumn("at s", spare=1),
-        TableColumn("shift mm"),
+    rows = [
+        (LONG, "a note of some length", "111.1", "0.40", "1,234,567.8"),
+        ("[red]m[/red]", "a\x1b[2Jb", "-", "-", "0.0"),
+        (CHINESE, "", "-", "-", "0.0"),
+    ]
+    return FittedTable(
+        rows,
+        TableColumn("plan", itemgetter(0), "left", least=8, middle=True),
+        TableColumn("note", itemgetter(1), "left", least=4),
+        TableColumn("rest\nN", itemgetter(2), spare=2),
+        TableColumn("at s", itemgetter(3), spare=1),
+        TableColumn("shift mm", itemgetter(4)),
     )
-    table.add(LONG, "a note of some length", "111.1", "0.40", "1,234,567.8")
-    table.add("[red]m[/red]", "a\x1b[2Jb", "-", "-", "0.0")
-    table.add(CHINESE, "", "-", "-", "0.0")
-    return table
 
 
 @pytest.mark.parametrize("width", [30, 40, 60, 80, 120, 200])
