@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from petmjx.runs.merge import merge_runs
     from petmjx.show.figures.figure_files import figure
     from petmjx.show.leaderboard.leaderboard import leaderboard
-    from petmjx.show.pages.story_display import tell
+    from petmjx.show.pages.story_page import tell
     from petmjx.show.pictures.picture_files import draw
     from petmjx.show.report.report_page import report
     from petmjx.world.history import History
@@ -78,7 +78,7 @@ _HOME = {
     "compare_packers": "petmjx.analysis.packer_comparison",
     "compare_runs": "petmjx.analysis.run_comparison",
     "Story": "petmjx.analysis.story",
-    "tell": "petmjx.show.pages.story_display",
+    "tell": "petmjx.show.pages.story_page",
     "save_plans": "petmjx.plans.plan_writer",
     "kpis": "petmjx.analysis.kpis",
     "leaderboard": "petmjx.show.leaderboard.leaderboard",

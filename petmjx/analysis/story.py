@@ -175,7 +175,7 @@ class Story:
     note: str = ""
 
     page: ClassVar[Callable[[Story], str] | None] = None
-    """Function that makes the HTML page of a story for notebooks. The module ``petmjx.show.pages.story_display`` sets
+    """Function that makes the HTML page of a story for notebooks. The module ``petmjx.show.pages.story_page`` sets
     this attribute, because it imports the present module, which therefore cannot import it."""
 
     def __repr__(self) -> str:

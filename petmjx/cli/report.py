@@ -54,7 +54,7 @@ def _write_pdf(runs: Sequence[Path], pdf: Path, plans: Sequence[Path], *, overwr
     from petmjx.common.text import count_text
     from petmjx.results.run_reader import load_run
     from petmjx.show.figures.load_unit_page import write_load_unit_pages
-    from petmjx.show.report.report_plans import find_report_plans
+    from petmjx.show.report.report_runs import find_report_plans
 
     if len(runs) != 1:
         raise InputError(f"--pdf: takes exactly one run, got {len(runs)}")

@@ -26,9 +26,8 @@ from petmjx.analysis.story import (
     reason_in_words,
 )
 from petmjx.engines.verdict import Flag, Reason, Verdict
-from petmjx.show.pages.page import escaped_html, page
+from petmjx.show.pages.page import escaped_html, joined_modules, page, static_text
 from petmjx.show.pages.page_arrays import PackedArray, block, integer_column, quantised_column
-from petmjx.show.pages.page_scripts import joined_modules, static_text
 from petmjx.show.pages.palette import OKABE_ITO, article_colours, category, ramp, rgb_of
 from petmjx.show.pages.still_svg import drawing_order, still_svg
 from petmjx.show.pages.story_data import framed_corners, placed_s, story_blocks, story_info
@@ -164,7 +163,7 @@ def test_modules_are_joined_in_the_order_of_their_imports() -> None:
     ],
 )
 def test_what_cannot_be_joined_is_refused(text: str, complaint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.show.pages.page_scripts.static_text", lambda name: text)
+    monkeypatch.setattr("petmjx.show.pages.page.static_text", lambda name: text)
     with pytest.raises(ValueError, match=complaint):
         joined_modules("it.js")
 

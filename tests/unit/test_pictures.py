@@ -19,13 +19,13 @@ from support.pictures import falling_story, needs_pictures, standing_story
 import petmjx
 from petmjx.analysis.story import Story
 from petmjx.common.errors import InputError
+from petmjx.show.pictures.animation import h264_encoder
 from petmjx.show.pictures.camera import VIEWS, framing, view_of
 from petmjx.show.pictures.colours import FIRST, colouring
 from petmjx.show.pictures.draw_story import framed_points
 from petmjx.show.pictures.overlay import Overlay
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.pictures.story_poses import poses_of_frame
-from petmjx.show.pictures.video_encoder import h264_encoder
 from petmjx.world.history import History
 
 STORY = falling_story()

@@ -25,7 +25,6 @@ from petmjx.results.run_reader import load_run
 from petmjx.results.share_intervals import PairedCounts, newcombe_interval, wilson_interval
 from petmjx.show.pages.page_arrays import block
 from petmjx.show.report import plan_rows
-from petmjx.show.report.box_blocks import WORLDS_PER_BLOCK, box_blocks
 from petmjx.show.report.comparison_section import common_verdicts, comparison_section
 from petmjx.show.report.plan_rows import table_rows
 from petmjx.show.report.report_page import report, report_page
@@ -33,6 +32,7 @@ from petmjx.show.report.report_runs import Kind, distinct_path_ends, open_runs
 from petmjx.show.report.run_settings import _options, changed_options
 from petmjx.show.report.sweep_answers import correlation_ratio, largest_survived
 from petmjx.show.report.verdict_shares import verdict_table
+from petmjx.show.report.world_blocks import WORLDS_PER_BLOCK, box_blocks
 
 NASTY = "<img src=x onerror=alert(1)>\"'&</script><!-- 🧀 é"
 """A plan id that becomes markup if it is not escaped."""

@@ -15,9 +15,8 @@ from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
 from petmjx.results.run_reader import RunResults
-from petmjx.show.figures.criteria_figure import draw_criteria
+from petmjx.show.figures.comparison_figures import draw_criteria, draw_packers
 from petmjx.show.figures.figure_style import paper_style, write
-from petmjx.show.figures.packer_figure import draw_packers
 from petmjx.show.figures.sweep_figures import draw_answers
 
 KINDS: Final = ("pdf", "svg", "png")

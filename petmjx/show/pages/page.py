@@ -1,26 +1,39 @@
 """Makes one offline HTML page from its parts.
 
-The page contains its styles, scripts and data. The page's content security policy forbids the page to request anything
-else. Texts from plans never become markup: :func:`escaped_html` escapes them in HTML, :func:`page` escapes them in
-data, and scripts write them as text.
+The page contains its styles, scripts and data. Styles and scripts are files in ``petmjx/show/pages/static``. Script
+files are ES modules, so that editors, linters and Node understand them.
+
+The page's content security policy forbids the page to request anything else. Texts from plans never become markup:
+:func:`escaped_html` escapes them in HTML, :func:`page` escapes them in data, and scripts write them as text.
 """
 
 from __future__ import annotations
 
 import base64
+import functools
 import hashlib
 import html
 import json
 import re
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from string import Template
 from typing import Any, Final
 
 from petmjx.common.text import printable
 from petmjx.results.to_json import to_json
-from petmjx.show.pages.page_scripts import joined_modules, joined_styles, static_text
+
+_IMPORT: Final = re.compile(r'^import (\{[^}]*\}|\* as \w+) from "\./(\w+)\.js";$', flags=re.MULTILINE)
+_EXPORT: Final = re.compile(r"^export (?=(?:async function|function|const|class) )", flags=re.MULTILINE)
+_EXPORTED: Final = re.compile(r"^export (?:async function|function|const|class) (\w+)", flags=re.MULTILINE)
 
 _BLOCK_NAME: Final = re.compile(r"[a-z][a-z0-9-]*")
+
+
+@functools.cache
+def static_text(name: str) -> str:
+    """The text of a file in ``petmjx/show/pages/static``."""
+    return files("petmjx.show.pages").joinpath("static", name).read_text(encoding="utf-8")
 
 
 def escaped_html(value: object) -> str:
@@ -62,7 +75,7 @@ def page(
     Raises:
         ValueError: the name of a block has characters other than lower-case letters, digits and hyphens.
     """
-    code, look = joined_modules(script) if script else "", joined_styles(("base.css", *styles))
+    code, look = joined_modules(script) if script else "", "\n".join(map(static_text, ("base.css", *styles)))
     policy = (
         f"default-src 'none'; script-src {_source(code)}; style-src {_source(look)}; img-src data:; "
         "base-uri 'none'; form-action 'none'"
@@ -90,3 +103,39 @@ def _json(info: Mapping[str, Any]) -> str:
 
 def _data_block(name: str, kind: str, text: str) -> str:
     return f'<script type="{kind}" id="{name}">{text}</script>'
+
+
+def joined_modules(entry: str) -> str:
+    """The text of one module that contains a module and all modules that it imports.
+
+    Modules within one file cannot import each other. So each module becomes a function that is called once and returns
+    the module's exports: those of ``viewer.js``, for example, are then in the object ``viewer_js``.
+
+    Raises:
+        ValueError: modules import each other; or an import or export has a form other than ``import {a, b} from
+            "./c.js";``, ``import * as c from "./c.js";`` and ``export function``, ``async function``, ``class`` or
+            ``const``.
+    """
+    texts: dict[str, str] = {}
+    _gather(entry.removesuffix(".js"), texts, ())
+    return "\n".join(texts.values())
+
+
+def _gather(name: str, texts: dict[str, str], trail: tuple[str, ...]) -> None:
+    """Add a module to ``texts``, after the modules that it imports."""
+    if name in trail:
+        raise ValueError(f"modules import each other: {' → '.join((*trail, name))}")
+    if name in texts:
+        return
+    text = static_text(f"{name}.js")
+    for _, imported in _IMPORT.findall(text):
+        _gather(imported, texts, (*trail, name))
+    body = _EXPORT.sub("", _IMPORT.sub(_object_import, text))
+    if left := re.search(r"^(?:import|export)\b.*", body, flags=re.MULTILINE):
+        raise ValueError(f"{name}.js: {left[0]!r} cannot be joined")
+    texts[name] = f"const {name}_js = (() => {{\n{body}return {{ {', '.join(_EXPORTED.findall(text))} }};\n}})();\n"
+
+
+def _object_import(imported: re.Match[str]) -> str:
+    """The statement that replaces an import: it reads names from the object with the module's exports."""
+    return f"const {imported[1].removeprefix('* as ')} = {imported[2]}_js;"

@@ -1,18 +1,24 @@
 """The page of one story (the simulation of one plan): the pallet in 3D over time, the first box to fail, and a table of
-all boxes."""
+all boxes.
+
+Notebooks show stories (results of ``petmjx.tell``) as such pages, so ``petmjx.tell`` comes from this module.
+"""
 
 from __future__ import annotations
 
+import html
 from typing import Any
 
 import numpy as np
 
-from petmjx.analysis.story import Story, first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
+from petmjx.analysis.story import Story, first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words, tell
 from petmjx.common.text import count_text, shortened_text
 from petmjx.show.pages.page import escaped_html, filled_template, page
 from petmjx.show.pages.still_svg import still_svg
 from petmjx.show.pages.story_data import story_blocks, story_info
 from petmjx.version import __version__
+
+__all__ = ["story_as_html", "story_page", "tell"]
 
 
 def story_page(story: Story) -> str:
@@ -47,6 +53,19 @@ def story_page(story: Story) -> str:
         info=info,
         blocks=story_blocks(story),
     )
+
+
+FRAME_HEIGHT_PX = 760
+
+
+def story_as_html(story: Story) -> str:
+    """The page of a story inside an HTML frame, so that its styles do not mix with those of a notebook."""
+    text, title = html.escape(story_page(story)), html.escape(repr(story))
+    style = f"width: 100%; height: {FRAME_HEIGHT_PX}px; border: 0"
+    return f'<iframe title="{title}" srcdoc="{text}" style="{style}"></iframe>'
+
+
+Story.page = story_as_html
 
 
 def _notes(story: Story) -> list[str]:

@@ -1,8 +1,9 @@
 """Charts of shift, tilt, force and the time of the first sign (when a box first crosses a threshold): histograms, and
-charts against the size of plans."""
+charts against the size of plans. Also charts about the boxes that fail first."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
@@ -11,15 +12,25 @@ import numpy as np
 import pandas as pd
 
 from petmjx.analysis.run_comparison import thresholds_of
+from petmjx.common.text import count_text
 from petmjx.common.units import MM_PER_M
 from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import Thresholds
 from petmjx.results.share_intervals import wilson_interval
-from petmjx.show.report.charts import MOST_POINTS, equal_groups, histogram, points, quantile_bands, share_curve
+from petmjx.show.report.charts import (
+    MOST_POINTS,
+    Bar,
+    bars,
+    equal_groups,
+    histogram,
+    points,
+    quantile_bands,
+    share_curve,
+)
 from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup
 from petmjx.show.report.report_runs import ReportRun
-from petmjx.show.report.svg_charts import Frame, Scale, figure
-from petmjx.show.report.verdict_shares import ORDER
+from petmjx.show.report.svg_charts import WIDTH, Frame, Scale, figure
+from petmjx.show.report.verdict_shares import ORDER, link
 
 
 @dataclass(frozen=True)
@@ -159,3 +170,63 @@ def _grouped_values(x: np.ndarray, stands: np.ndarray) -> Iterator[tuple[float, 
     for rows in equal_groups(x):
         low, high = wilson_interval(int(stands[rows].sum()), len(rows))
         yield float(np.median(x[rows])), float(stands[rows].mean()), float(low), float(high)
+
+
+MOST_FAILING_ARTICLES: Final = 12
+
+
+def first_boxes(run: ReportRun) -> Markup:
+    """Charts about the boxes that were the first in their world to cross a threshold."""
+    falls = run.worlds[run.worlds["culprit"].notna()]
+    if falls.empty:
+        unknown = (run.worlds["verdict"] == Verdict.INVALID.value).all()
+        return NOTHING if unknown else element("p", "No box crossed a threshold.", class_="hint")
+    place = 100 * falls["culprit"].astype("float64") / (falls["n_boxes"] - 1).clip(lower=1)
+    along = Frame(
+        "Place in the packing order of the box that fails first",
+        Scale(0, 100),
+        Scale(0, 1),
+        "place in the order: 0 first, 100 last box",
+        f"{run.what}s",
+    )
+    histogram(along, place, falls["verdict"], ORDER)
+    numbers = Scale(-0.5, float(falls["culprit"].max()) + 0.5, counts=True)
+    title = "Number of the box that fails first"
+    number = Frame(title, numbers, Scale(0, 1), "number in the order, from 0", f"{run.what}s")
+    histogram(number, falls["culprit"].astype("float64"), falls["verdict"], ORDER)
+    return joined_markup(
+        element("p", f"In {count_text(len(falls), run.what)} a box crossed a threshold first."),
+        element(
+            "div",
+            figure(
+                "Articles that fail first",
+                _articles(run, falls),
+                "Of all boxes of that article: how many failed first.",
+            ),
+            figure(along.title, along.svg()),
+            figure(number.title, number.svg()),
+            class_="charts",
+        ),
+    )
+
+
+def _articles(run: ReportRun, falls: pd.DataFrame) -> Markup:
+    """A chart with two counts for each article: the number of its boxes that fail first, and the number of all its
+    boxes in the run. Articles with the most failures come first."""
+    first = falls.loc[falls["first_article"] != "", "first_article"].value_counts()
+    of_article: Counter[str] = Counter()
+    worlds = run.worlds["plan_id"].value_counts()
+    for plan_id, articles in run.articles(set(worlds.index)).items():
+        for article in articles:
+            of_article[article] += int(worlds[plan_id])
+    rows = [
+        Bar(
+            str(article),
+            float(count),
+            f"{count:,} of {of_article[str(article)]:,}",
+            "unstable",
+            link(run, q=str(article)),
+        )
+        for article, count in first.head(MOST_FAILING_ARTICLES).items()
+    ]
+    return bars("Articles that fail first", rows, width=WIDTH, names=140)

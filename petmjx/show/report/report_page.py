@@ -18,17 +18,15 @@ from petmjx.results.run_reader import RunResults
 from petmjx.show.pages.page import page
 from petmjx.show.pages.page_arrays import block, integer_column
 from petmjx.show.pages.palette import category, ramp
-from petmjx.show.report.box_blocks import WORLDS_PER_BLOCK, box_blocks, simulation_of
 from petmjx.show.report.comparison_section import comparison_section
-from petmjx.show.report.distributions import distributions
-from petmjx.show.report.first_failures import first_boxes
+from petmjx.show.report.distributions import distributions, first_boxes
 from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_markup
 from petmjx.show.report.plan_rows import table_rows
-from petmjx.show.report.replays import replays
 from petmjx.show.report.report_runs import Kind, ReportRun, open_runs
 from petmjx.show.report.run_settings import about
 from petmjx.show.report.sweep_answers import sweep_answers
 from petmjx.show.report.verdict_shares import headline, verdict_table
+from petmjx.show.report.world_blocks import WORLDS_PER_BLOCK, box_blocks, replays, simulation_of
 from petmjx.world.carrier_boards import floor_z_m
 
 N_CATEGORIES: Final = 21

@@ -1,13 +1,13 @@
-"""The runs of a report: their tables, with additional columns that are computed from the plans."""
+"""The runs of a report: their plans, and their tables with additional columns that are computed from the plans."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -15,14 +15,55 @@ from numpy.typing import NDArray
 
 from petmjx.analysis.run_comparison import KEY
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable
+from petmjx.common.text import count_text, first_names, printable
 from petmjx.common.units import MM_PER_M
 from petmjx.plans.plan import Plan
+from petmjx.results.plan_lookup import PlanLookup, find_plans
+from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, load_run, rows_of_worlds
 from petmjx.results.share_intervals import ALL_PLANS, share_standing
 from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import is_chain
-from petmjx.show.report.report_plans import ReportPlans, find_report_plans
+
+MOST_FILES_NAMED: Final = 2
+
+
+@dataclass(frozen=True, eq=False)
+class ReportPlans:
+    """The plans of a run by their ids, and a note about plans that were not found; "" if all plans were found."""
+
+    plans: Mapping[str, Plan]
+    note: str = ""
+
+
+def find_report_plans(run: RunResults, paths: Sequence[Path] = ()) -> ReportPlans:
+    """Find the plans of a run. A report can also be made without plans.
+
+    Args:
+        run: the run.
+        paths: files or folders with the plans. If none are given, the files that the run names are read.
+
+    Raises:
+        InputError: one of ``paths`` is unusable.
+    """
+    try:
+        records = Manifest.read(run.parts, run.info).plans
+    except InputError as error:
+        return ReportPlans({}, str(error))
+    plan_ids = set(run.worlds["plan_id"].unique())
+    plans_again = find_plans(run, records, plan_ids, list(paths) or None)
+    return ReportPlans(plans_again.plans, _note(plans_again, len(plan_ids)))
+
+
+def _note(plans_again: PlanLookup, n_plans: int) -> str:
+    not_found = len(plans_again.missing) + len(plans_again.changed)
+    if not not_found:
+        return ""
+    why = [f"{count_text(len(plans_again.changed), 'plan')} changed since"] if plans_again.changed else []
+    if plans_again.gone:
+        why.append(f"gone: {first_names(plans_again.gone, MOST_FILES_NAMED)}")
+    reasons = f" ({'; '.join(why)})" if why else ""
+    return f"{count_text(not_found, 'plan')} of {n_plans:,} not found again{reasons}"
 
 
 class Kind(StrEnum):

@@ -1,4 +1,4 @@
-// The final boxes of one world, from the blocks that petmjx/show/report/box_blocks.py packs.
+// The final boxes of one world, from the blocks that petmjx/show/report/world_blocks.py packs.
 
 import { readBlock } from "./blocks.js";
 import { corners } from "./carrier.js";

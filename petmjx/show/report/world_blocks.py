@@ -1,5 +1,5 @@
-"""The final poses of the boxes in worlds, stored in blocks (compact arrays). The page unpacks a block when the user
-opens a world in this block."""
+"""The worlds that a report shows in 3D, stored in blocks (compact arrays): the final poses of the boxes, and the
+histories of recorded worlds, which the page can play. The page unpacks a block when the user opens a world in it."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
+from petmjx.results.history_tables import read_history
 from petmjx.results.run_reader import rows_of_worlds
 from petmjx.show.pages.page_arrays import PackedArray, block, integer_column, quantised_column
 from petmjx.show.report.report_runs import ReportRun
 from petmjx.world.body_shapes import Body
+from petmjx.world.history import History
 from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 600_000
@@ -82,15 +84,25 @@ def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tu
     out because there are too many boxes."""
     has_plan = np.zeros(len(table), dtype=bool)
     for at, run in enumerate(runs):
-        if not run.results.keeps_boxes:
-            continue
-        has_plan |= (table["run"] == at).to_numpy() & table["plan_id"].isin(run.plan_files.plans.keys()).to_numpy()
-    rows = np.flatnonzero(has_plan)
+        if run.results.keeps_boxes:
+            has_plan |= ((table["run"] == at) & table["plan_id"].isin(run.plan_files.plans.keys())).to_numpy()
+    return _fitting_rows(table, np.flatnonzero(has_plan), table["n_boxes"].to_numpy(np.int64), most)
+
+
+def _fitting_rows(
+    table: pd.DataFrame, rows: NDArray[np.int64], sizes: NDArray[np.int64], most: int
+) -> tuple[NDArray[np.int64], int]:
+    """Those of some rows of the table that are kept if the sum of their sizes may be ``most``, and the number of the
+    other rows. Worlds that stand are left out first.
+
+    Args:
+        rows: numbers of the rows from which the kept rows are chosen.
+        sizes: (rows of the table,) size of each row.
+    """
     stands = (table["verdict"].iloc[rows] == Verdict.STABLE.value).to_numpy()
     rows = rows[np.argsort(stands, kind="stable")]
-    boxes = table["n_boxes"].iloc[rows].to_numpy(np.int64)
-    fits = int(np.searchsorted(np.cumsum(boxes), most, side="right"))
-    return np.sort(rows[:fits]), len(rows) - fits
+    n_kept = int(np.searchsorted(np.cumsum(sizes[rows]), most, side="right"))
+    return np.sort(rows[:n_kept]), len(rows) - n_kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,4 +184,73 @@ def _block_columns_of_boxes(worlds: Sequence[_World]) -> dict[str, NDArray[Any] 
         "force": quantised_column(np.log1p(force)),
         "rest": quantised_column(np.log1p(rest_force)),
         "drop": quantised_column(drop),
+    }
+
+
+MOST_POSES: Final = 500_000
+"""Largest number of poses (boxes × frames) on a page. A pose takes about 7 bytes. If there are more poses, worlds that
+stand are left out first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replays:
+    """The histories on a page.
+
+    Attributes:
+        blocks: name → block (compact arrays), one block per history: "replay-0", "replay-1", …
+        number: (rows of the table,) number of the block with the history of each row's world; −1 if there is no block.
+        left_out: number of recorded worlds that were left out because the page would be too large.
+    """
+
+    blocks: dict[str, str]
+    number: NDArray[np.int64]
+    left_out: int
+
+
+def replays(
+    runs: Sequence[ReportRun], table: pd.DataFrame, drawn: NDArray[np.int64], most: int = MOST_POSES
+) -> Replays:
+    """Store the histories of the worlds in a table in blocks. Worlds without a 3D picture are left out.
+
+    Args:
+        runs: the runs of the report.
+        table: data frame with the rows of the table, from :func:`petmjx.show.report.plan_rows.table_rows`.
+        drawn: (rows of the table,) negative if the row's world has no 3D picture; see ``BoxBlocks.drawn``.
+        most: largest number of poses.
+    """
+    poses = _poses(runs, table)
+    recorded, left_out = _fitting_rows(table, np.flatnonzero((poses > 0) & (drawn >= 0)), poses, most)
+    number = np.full(len(table), -1)
+    blocks: dict[str, str] = {}
+    for row in recorded:
+        world = table.iloc[row]
+        run = runs[int(world["run"])].results
+        history = read_history(run, world["plan_id"], int(world["variant"]), int(world["n_boxes"]))
+        if history is not None:
+            number[row] = len(blocks)
+            blocks[f"replay-{len(blocks)}"] = block(_frames(history))
+    return Replays(blocks, number, left_out)
+
+
+def _poses(runs: Sequence[ReportRun], table: pd.DataFrame) -> NDArray[np.int64]:
+    """(rows of the table,) number of recorded poses of each row's world."""
+    counts = np.zeros(len(table), dtype=np.int64)
+    for at, run in enumerate(runs):
+        if not run.results.parts.files("frames"):
+            continue
+        frames = run.results.frames.groupby(KEY)["n_placed"].sum().rename("poses")
+        rows = np.flatnonzero(table["run"] == at)
+        counts[rows] = table.iloc[rows][KEY].merge(frames, on=KEY, how="left")["poses"].fillna(0).to_numpy(np.int64)
+    return counts
+
+
+def _frames(history: History) -> dict[str, NDArray[Any] | PackedArray]:
+    """The arrays of a history, which the script ``static/frames.js`` plays."""
+    return {
+        "time": history.time_s.astype(np.float64),
+        "placed": integer_column(history.n_placed, steps=True),
+        "pos": quantised_column(history.pos, steps=True),
+        "quat": quantised_column(history.quat, steps=True),
+        "carrier_pos": quantised_column(history.carrier_pos, steps=True),
+        "carrier_quat": quantised_column(history.carrier_quat, steps=True),
     }

@@ -1,13 +1,17 @@
-"""A figure that compares packers: the share of each packer's plans that stand, and the difference of this share for
-each pair of packers, with intervals."""
+"""Figures of comparisons, with intervals. One figure compares packers: the share of each packer's plans that stand, and
+the difference of this share for each pair of packers. The other figure compares criteria with simulations: precision,
+recall and correlation of each criterion."""
 
 from __future__ import annotations
 
 from typing import Any, Final
 
+from petmjx.analysis.criteria_run import CriteriaResults
 from petmjx.analysis.packer_comparison import ALL_SIZES, PackerComparison
+from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name, shortened_text
+from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 from petmjx.show.figures.figure_style import POINTS, WIDTH_IN, wrapped_sentences
 from petmjx.show.pages.palette import OKABE_ITO
 
@@ -66,3 +70,43 @@ def _intervals(axes: Any, rows: list[tuple[str, float, float, float]]) -> None:
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="x", color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
+
+
+CRITERION_IN: Final = 0.19
+"""Height of the row for a criterion, inches."""
+
+PANELS: Final = (
+    ("precision", "precision"),
+    ("recall", "recall"),
+    ("mcc", "Matthews' correlation"),
+)
+"""(column of ``CriteriaResults.judged``, label of the panel) for each panel."""
+
+
+def draw_criteria(results: CriteriaResults) -> Any:
+    """The figure, made with matplotlib, with a row for each criterion.
+
+    Raises:
+        InputError: the criteria were not compared with a run.
+    """
+    from matplotlib.figure import Figure
+
+    if results.judged is None or not len(results.judged):
+        raise InputError(f"no figure of these criteria: they were not compared with a run ({option('--run')})")
+    judged = results.judged
+    figure = Figure(figsize=(WIDTH_IN, CRITERION_IN * len(judged) + 1.0), facecolor="white", layout="constrained")
+    for number, (axes, (name, label)) in enumerate(zip(figure.subplots(1, 3, sharey=True), PANELS, strict=True)):
+        for place, row in enumerate(judged.to_dict("records")):
+            axes.plot([row[f"{name}_low"], row[f"{name}_high"]], [place, place], color=_COLOUR, linewidth=1.4)
+            axes.plot(row[name], place, "o", color=_COLOUR, markersize=3.5)
+        axes.set_xlabel(label)
+        axes.set_xlim(min(0.0, float(judged[f"{name}_low"].min()) - 0.02), 1.02)
+        axes.grid(axis="x", color="0.9", linewidth=0.6)
+        axes.set_axisbelow(True)
+        axes.tick_params(axis="y", length=0)
+        if not number:
+            axes.set_yticks(range(len(judged)), judged["criterion"])
+            axes.set_ylim(len(judged) - 0.4, -0.6)
+    plans = count_text(int(judged["n_plans"].max()), "plan")
+    figure.suptitle(f"{plans}; lines: {100 * DEFAULT_CONFIDENCE:g} % bootstrap intervals", size=POINTS)
+    return figure
