@@ -43,8 +43,9 @@ def held_folder_lock(folder: Path) -> Iterator[bool]:
     descriptor = _lock_descriptor(folder)
     try:
         _check_ours(descriptor, folder)
+        has_locks = True
         try:
-            has_locks = _take(descriptor, folder)
+            _take(descriptor, folder)
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise
@@ -85,7 +86,7 @@ def _not_ours(folder: Path) -> InputError:
     )
 
 
-def _take(descriptor: int, folder: Path) -> bool:
+def _take(descriptor: int, folder: Path) -> None:
     """Lock the lock file. If another process deleted this file in the meantime, make and lock a new file."""
     while True:
         try:
@@ -93,7 +94,7 @@ def _take(descriptor: int, folder: Path) -> bool:
         except BlockingIOError:
             raise _in_use(descriptor, folder) from None
         if _is_in(descriptor, folder):
-            return True
+            return
         second_descriptor = _lock_descriptor(folder)
         os.dup2(second_descriptor, descriptor, inheritable=False)
         os.close(second_descriptor)

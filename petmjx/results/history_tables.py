@@ -6,7 +6,7 @@ histories it keeps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -96,17 +96,16 @@ def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Rec
     if choice in (ALL, FAILED):
         return Recording(record, failed_only=choice == FAILED)
     plan_ids = {plan.plan_id for plan in plans}
-    ids = frozenset(choice if not isinstance(choice, str) else [choice] if choice in plan_ids else _split(choice))
+    names: Iterable[str] = choice
+    if isinstance(choice, str):
+        names = [choice] if choice in plan_ids else filter(None, map(str.strip, choice.split(",")))
+    ids = frozenset(names)
     unknown = sorted(ids - plan_ids)
     if unknown:
         raise InputError(
             f"record: {first_names(unknown)}: not among the {count_text(len(plan_ids), 'plan')} of the run"
         )
     return Recording(record, ids)
-
-
-def _split(text: str) -> list[str]:
-    return [name for name in (part.strip() for part in text.split(",")) if name]
 
 
 _DRIVES: Final = ((FORCE, "drive_force", "_n"), (ACCELERATION, "drive_acc", ""))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from petmjx.results.run_tables import Parts
 
 
 def orders_block(check: OrderCheck) -> dict[str, Any]:
-    """The block ``orders`` of ``run.json``, without the counts of boxes and orders, which ``counts_block`` makes."""
+    """The block ``orders`` of ``run.json``. The counts of boxes and orders are in the block ``counts``."""
     return {
         "file": check.file,
         "digest": check.digest,
@@ -21,11 +21,6 @@ def orders_block(check: OrderCheck) -> dict[str, Any]:
         "without_plan": check.without_plan,
         "unusable": check.unusable,
     }
-
-
-def counts_block(check: OrderCheck) -> dict[str, Any]:
-    """The block ``orders`` within the block ``counts`` of ``run.json``."""
-    return asdict(check.counts)
 
 
 def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
@@ -37,18 +32,14 @@ def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
     block = info.get("orders")
     if block is None:
         return None
-    of_plan: dict[str, PlanOrderCounts] = {}
     parts = Parts.of(folder, info)
-    columns = {name for file in parts.files("plans") for name in parts.read(file).column_names}
-    needed = (
+    columns = {name for file in parts.files("plans") for name in parts.columns(file)}
+    # runs of petmjx 0.2 lack the fields that have a default
+    needed = [
         name for name in PlanOrderCounts._fields if name in columns or name not in PlanOrderCounts._field_defaults
-    )
-    for part in parts.table("plans", ("plan_id", *needed)):
-        rows = part.to_pylist()
-        values = {row.pop("plan_id"): row for row in rows}
-        of_plan |= {
-            plan_id: PlanOrderCounts(**row) for plan_id, row in values.items() if row["ordered_boxes"] is not None
-        }
+    ]
+    rows = [row for part in parts.table("plans", ("plan_id", *needed)) for row in part.to_pylist()]
+    of_plan = {row.pop("plan_id"): PlanOrderCounts(**row) for row in rows if row["ordered_boxes"] is not None}
     return OrderCheck(
         block["file"],
         block["digest"],

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
@@ -59,7 +58,7 @@ class WorldRanks:
         if place >= 0:
             table = table.remove_column(place)
         table = table.add_column(table.schema.get_field_index("variant") + 1, RANK_COLUMN, pa.array(ranks))
-        return table if is_sorted(ranks) else table.take(np.argsort(ranks, kind="stable"))
+        return _sorted_by(ranks, table)
 
 
 def is_ranked(parts: Parts, plan_ids: Sequence[str]) -> bool:
@@ -86,8 +85,7 @@ def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None
     if not all(RANK in parts.columns(file) for file in files):
         return PlanOrder.of(parts).ordered(_joined(parts.table(table, columns)))
     rows = _joined(parts.table(table, None if columns is None else [*dict.fromkeys((*columns, RANK))]))
-    ranks = np.asarray(rows[RANK])
-    return rows if is_sorted(ranks) else rows.take(np.argsort(ranks, kind="stable"))
+    return _sorted_by(np.asarray(rows[RANK]), rows)
 
 
 def _joined(tables: Sequence[pa.Table]) -> pa.Table:
@@ -120,26 +118,14 @@ class PlanOrder:
             numbers += part["number"].to_pylist()
         return cls(plan_ids, [at if number is None else number for at, number in enumerate(numbers)])
 
-    @cached_property
-    def _ids(self) -> pa.Array:
-        return pa.array(self.plan_ids, pa.string())
-
-    def places(self, plan_ids: pa.ChunkedArray) -> NDArray[np.int64]:
-        """(n,) the position of each plan in the order of the input. Plans that the input lacks come last."""
-        places = pc.index_in(plan_ids, value_set=self._ids)
-        return np.asarray(pc.fill_null(places, len(self.plan_ids)), dtype=np.int64)
-
-    def keys(self, table: pa.Table) -> NDArray[np.int64]:
-        """(n,) for each row, a number by which the rows are sorted into the order of the run. Rows of different worlds
-        have different numbers."""
-        return self.places(table["plan_id"]) * _MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64)
-
     def ordered(self, table: pa.Table) -> pa.Table:
-        """The rows of the table, sorted by the order of the run's worlds. Rows of the same world keep their order."""
+        """The rows of the table, sorted by the order of the run's worlds. Rows of the same world keep their order, and
+        rows of plans that the input lacks come last."""
         if not self.plan_ids or not len(table):
             return table
-        keys = self.keys(table)
-        return table if is_sorted(keys) else table.take(np.argsort(keys, kind="stable"))
+        places = pc.index_in(table["plan_id"], value_set=pa.array(self.plan_ids, pa.string()))
+        places = np.asarray(pc.fill_null(places, len(self.plan_ids)), dtype=np.int64)
+        return _sorted_by(places * _MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64), table)
 
     def index(self, plan_ids: pd.Series) -> pd.Index:
         """The positions of plans in the input, as the index of a data frame with one row per plan."""
@@ -151,6 +137,7 @@ class PlanOrder:
         return pd.RangeIndex(len(plan_ids)) if plain else pd.Index(numbers, dtype="int64")
 
 
-def is_sorted(keys: NDArray[np.int64]) -> bool:
-    """Whether the numbers never decrease."""
-    return bool((keys[1:] >= keys[:-1]).all())
+def _sorted_by(keys: NDArray[np.int64], table: pa.Table) -> pa.Table:
+    """The rows of a table, sorted by ``keys``, a number for each row. Rows with the same number keep their order."""
+    is_sorted = bool((keys[1:] >= keys[:-1]).all())
+    return table if is_sorted else table.take(np.argsort(keys, kind="stable"))

@@ -94,13 +94,9 @@ class CompletedWorlds:
         """The numbers of completed worlds with each verdict and reason."""
         return WorldCounts() if self._table is None else WorldCounts.of(self._table)
 
-    def _column(self, name: str) -> list[Any]:
-        values: list[Any] = self._table.column(name).to_pylist() if self._table is not None else []
-        return values
-
     @cached_property
     def _values(self) -> dict[str, list[Any]]:
-        return {name: self._column(name) for name in self._table.column_names} if self._table is not None else {}
+        return {} if self._table is None else self._table.to_pydict()
 
 
 def engine_of_run(folder: Path) -> str | None:

@@ -101,55 +101,56 @@ def text(content: str) -> Write:
     return lambda file: file.write(content.encode(errors="backslashreplace"))
 
 
-def write_together(files: Mapping[Path, Write]) -> None:
-    """Write several files. All files are first written under hidden names. When all files are complete, they are
-    renamed. The folders of the files must exist.
+def write_together(files: Mapping[Path, Write]) -> dict[Path, str]:
+    """Write several files, and return the digest of each file. All files are first written under hidden names. When all
+    files are complete, they are renamed. The folders of the files must exist.
 
     Raises:
         OSError: a file cannot be written. If an error is raised, existing files are unchanged.
     """
     hidden: dict[Path, Path] = {}
+    digests: dict[Path, str] = {}
     try:
         for path, write in files.items():
-            hidden[path] = _hidden_path(path)
-            _write(hidden[path], write)
-        appear(hidden)
+            hidden[path] = path.with_name(f".{path.name}.{secrets.token_hex(16)}.tmp")
+            digests[path] = _write(hidden[path], write)
+        for path, temporary in hidden.items():
+            os.replace(temporary, path)
+        for folder in {path.parent for path in hidden}:
+            _flush_folder(folder)
     except BaseException:
         for temporary in hidden.values():
             temporary.unlink(missing_ok=True)
         raise
+    return digests
 
 
-def appear(hidden: Mapping[Path, Path]) -> None:
-    """Rename files that have been written under hidden names to their final paths. ``hidden``: final path → path of the
-    hidden file."""
-    for path, temporary in hidden.items():
-        os.replace(temporary, path)
-    for folder in {path.parent for path in hidden}:
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+def _flush_folder(folder: Path) -> None:
+    """Flush the names of a folder's files to disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def write_table(table: pa.Table, path: Path) -> str:
     """Write one Parquet file and return its digest. The file never appears half-written. If the run's folder was
     deleted, it is not created again."""
     path.parent.mkdir(exist_ok=True)
-    return _write_whole(path, parquet(table))
+    return write_together({path: parquet(table)})[path]
 
 
 def write_text(content: str, path: Path) -> None:
     """Write one text file in the encoding of :func:`text`. The file never appears half-written."""
-    _write_whole(path, text(content))
+    write_together({path: text(content)})
 
 
 def copy_file(source: Path, path: Path) -> str:
     """Copy one file and return its digest. The copy never appears half-written."""
     path.parent.mkdir(exist_ok=True)
     with source.open("rb") as original:
-        return _write_whole(path, lambda file: shutil.copyfileobj(original, file))
+        return write_together({path: lambda file: shutil.copyfileobj(original, file)})[path]
 
 
 def digest_of(stream: BinaryIO) -> str:
@@ -262,11 +263,6 @@ def _own_files(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
     return [file for file in folder.iterdir() if pattern.fullmatch(file.name)] if folder.is_dir() else []
 
 
-def _hidden_path(path: Path) -> Path:
-    """Temporary path under which a file is written before it is renamed to ``path``."""
-    return path.with_name(f".{path.name}.{secrets.token_hex(16)}.tmp")
-
-
 def _write(path: Path, write: Write) -> str:
     """Write a new file and flush it to disk. Returns the digest of the file."""
     # No other program can have put a file or a link at this path: its name is random, and existing files are not
@@ -278,14 +274,3 @@ def _write(path: Path, write: Write) -> str:
         os.fsync(file.fileno())
         file.seek(0)
         return digest_of(file)
-
-
-def _write_whole(path: Path, write: Write) -> str:
-    temporary = _hidden_path(path)
-    try:
-        digest = _write(temporary, write)
-        appear({path: temporary})
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    return digest

@@ -6,12 +6,13 @@ import platform
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any, Final
 
 from petmjx.plans.order_matching import OrderCheck
 from petmjx.plans.plan_set import Skipped
-from petmjx.results.order_columns import counts_block, orders_block
+from petmjx.results.order_columns import orders_block
 from petmjx.results.schema import SCHEMA_VERSION, Param
 from petmjx.results.world_counts import WorldCounts
 
@@ -88,7 +89,7 @@ class RunInfo:
                 **counts.as_json(),
                 "skipped_plans": len(self.skipped),
                 "odd_plans": len(self.odd_plans),
-                **({"orders": counts_block(self.orders)} if self.orders else {}),
+                **({"orders": asdict(self.orders.counts)} if self.orders else {}),
             },
             "timings": dict(seconds),
             "skipped": [_as_json(skipped) for skipped in self.skipped],

@@ -169,15 +169,14 @@ class Manifest:
         Raises:
             InputError: the run has no manifest, or the manifest is damaged.
         """
-        folder, files = parts.folder, parts.files("plans")
-        if "identity" not in info or not files:
-            raise InputError(f"{folder}: the run does not list its plans")
-        check_whole(info, folder / RUN_FILE)
+        if "identity" not in info or not parts.files("plans"):
+            raise InputError(f"{parts.folder}: the run does not list its plans")
+        check_whole(info, parts.folder / RUN_FILE)
         plans: dict[str, PlanRecord] = {}
-        for file in files:
-            table = parts.read(file, ("plan_id", *PlanRecord._fields)).to_pydict()
-            records = zip(*(table[name] for name in PlanRecord._fields), strict=True)
-            plans |= zip(table["plan_id"], map(PlanRecord._make, records), strict=True)
+        for table in parts.table("plans", ("plan_id", *PlanRecord._fields)):
+            columns = table.to_pydict()
+            records = zip(*(columns[name] for name in PlanRecord._fields), strict=True)
+            plans |= zip(columns["plan_id"], map(PlanRecord._make, records), strict=True)
         return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
 
     def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
@@ -186,12 +185,13 @@ class Manifest:
         Args:
             without: names of the settings that are not compared.
         """
-        settings = {name: value for name, value in _settings_of_command(self.settings).items() if name not in without}
+        was, now = _settings_of_command(earlier.settings), _settings_of_command(self.settings)
         differences = [
-            *_setting_differences(_settings_of_command(earlier.settings), settings),
-            *self._plan_differences(earlier),
+            f"{path} is {_setting_text(after)}, was {_setting_text(before)}"
+            for path, before, after in differing_settings(was, now)
+            if path not in without
         ]
-        differences = [difference for difference in differences if difference.partition(" ")[0] not in without]
+        differences += self._plan_differences(earlier)
         more_words = [f"{len(differences) - MOST_NAMED} more"] if len(differences) > MOST_NAMED else []
         return "; ".join([*differences[:MOST_NAMED], *more_words])
 
@@ -236,12 +236,6 @@ def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
     if _are_tables(pairs):
         later["friction_pairs"] = [{"kinetic": None, **pair} for pair in pairs]
     return later
-
-
-def _setting_differences(was: Any, now: Any) -> Iterator[str]:
-    """Yield a line such as "simulation.schedule is fixed, was adaptive" for every value that differs."""
-    for path, before, after in differing_settings(was, now):
-        yield f"{path} is {_setting_text(after)}, was {_setting_text(before)}"
 
 
 def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:

@@ -14,7 +14,7 @@ import pyarrow as pa
 from petmjx.common.errors import InputError
 from petmjx.results.plan_order import WorldRanks
 from petmjx.results.run_folder import OF_WORLDS, copy_file, drop_parts, part_name, part_number, write_table
-from petmjx.results.run_tables import Parts, with_columns
+from petmjx.results.run_tables import Parts, check_columns
 
 
 class Tables:
@@ -100,7 +100,8 @@ class MemoryParts(Parts):
 
     def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
         """One part of a table, or some of its columns."""
-        return with_columns(self.tables[file], file, columns)
+        check_columns(file, self.columns(file), columns)
+        return self.tables[file] if columns is None else self.tables[file].select(list(columns))
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
         """Return this object unchanged, because a table in memory belongs to the run as soon as it is written, and has

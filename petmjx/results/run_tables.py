@@ -129,18 +129,10 @@ class Parts:
         """A copy of this list of files for a run in which the user has deleted a file of ``worlds``, to have its worlds
         simulated again. The copy lacks the deleted file, and the files of the other tables with the same number.
         """
-        missing_names = {file.name for file in self.files("worlds") if not file.exists()}
+        missing = [part_number(file) for file in self.files("worlds") if not file.exists()]
         # If the run has histories, no file is left out, because it is unknown which histories belong to the deleted
         # worlds.
-        if not missing_names or self.files("frames"):
-            return self
-        remaining = {
-            table: {
-                name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in missing_names
-            }
-            for table, files in self.digests.items()
-        }
-        return Parts(self.folder, remaining)
+        return self if self.files("frames") else self.without_numbers(missing)
 
     def lacking_boxes(self) -> list[int]:
         """The numbers for which the run lists a file of ``worlds`` but no file of ``boxes``."""
@@ -193,9 +185,7 @@ def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
     with open_part(file) as parquet:
         schema = parquet.schema_arrow
         check_version(file, schema_version_of(schema.metadata))
-        for name in columns or ():
-            if name not in schema.names:
-                raise InputError(f"{file}: damaged part, it has no column {name}")
+        check_columns(file, schema.names, columns)
     try:
         with open_for_arrow(file) as stream:
             return read_within(stream, columns, free=FREE_BYTES, most=MOST_TABLE_BYTES)
@@ -205,16 +195,15 @@ def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
         raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from error
 
 
-def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> pa.Table:
-    """The named columns of a table; all columns if ``columns`` is None.
+def check_columns(file: Path, names: Collection[str], columns: Sequence[str] | None) -> None:
+    """Check that a part of a table, which has the columns ``names``, has the columns that are to be read.
 
     Raises:
         InputError: the part lacks a column.
     """
     for name in columns or ():
-        if name not in table.column_names:
+        if name not in names:
             raise InputError(f"{file}: damaged part, it has no column {name}")
-    return table if columns is None else table.select(list(columns))
 
 
 @contextlib.contextmanager

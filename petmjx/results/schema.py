@@ -256,20 +256,6 @@ def placements_schema() -> pa.Schema:
     return _schema("placements", _PLACEMENT_COLUMNS)
 
 
-def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: Mapping[str, str]) -> pa.Schema:
-    """Schema of the table ``summary``, from the schema ``inferred`` of a data frame. Every numeric column gets a unit.
-
-    Raises:
-        ValueError: a numeric column has no unit.
-    """
-    for field in inferred:
-        numeric = pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
-        if numeric and field.name not in units:
-            raise ValueError(f"summary column {field.name!r} needs a unit")
-    columns = [_column(c.name, c.type, units.get(c.name, TEXT), descriptions.get(c.name, "")) for c in inferred]
-    return _schema("summary", columns)
-
-
 def summary_table(
     frame: pd.DataFrame, units: Mapping[str, str], descriptions: Mapping[str, str] | None = None
 ) -> pa.Table:
@@ -283,7 +269,13 @@ def summary_table(
         ValueError: a numeric column has no unit.
     """
     table = pa.Table.from_pandas(frame, preserve_index=False)
-    return pa.Table.from_arrays(table.columns, schema=summary_schema(table.schema, units, descriptions or {}))
+    for field in table.schema:
+        numeric = pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
+        if numeric and field.name not in units:
+            raise ValueError(f"summary column {field.name!r} needs a unit")
+    texts = descriptions or {}
+    columns = [_column(c.name, c.type, units.get(c.name, TEXT), texts.get(c.name, "")) for c in table.schema]
+    return pa.Table.from_arrays(table.columns, schema=_schema("summary", columns))
 
 
 _NUMBERS: Final = tuple(metric.name for metric in metrics.world_metrics() if metric.numbers)

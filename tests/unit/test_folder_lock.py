@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 from support.outcomes import make_outcome, make_plan
 from support.waiting import wait_for
 
-from petmjx.cli.run_command import default_folder
+from petmjx.cli.run_command import folder_of_run
 from petmjx.common.errors import InputError, PetmjxError
 from petmjx.results import folder_lock, run_folder
 from petmjx.results.folder_lock import LOCK_FILE, held_folder_lock
@@ -117,11 +118,16 @@ def test_a_file_system_without_locks_is_noted(tmp_path: Path, monkeypatch: pytes
     assert "has no locks" in load_run(tmp_path).info["warnings"][0]
 
 
-def test_default_folders_of_one_second_differ(tmp_path: Path) -> None:
-    with ThreadPoolExecutor(8) as pool:
-        folders = list(pool.map(lambda _: default_folder(), range(20)))
-    assert len(set(folders)) == 20
-    assert all(folder.is_dir() for folder in folders)
+def test_new_folders_of_one_second_differ_and_go_if_they_stay_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with ExitStack() as runs:
+        with ThreadPoolExecutor(8) as pool:
+            folders = list(pool.map(lambda _: runs.enter_context(folder_of_run({})), range(20)))
+        assert len(set(folders)) == 20
+        assert all(folder.is_dir() for folder in folders)
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize("name", ["worlds", "boxes", "worlds/part-00000.parquet", "run.json", "summary"])
