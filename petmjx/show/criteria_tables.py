@@ -34,7 +34,6 @@ def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterato
     verdicts.
 
     Args:
-        results: the answers of the criteria.
         out: folder of the written files; None if no files were written.
     """
     skipped = results.info["skipped"]

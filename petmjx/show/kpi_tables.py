@@ -17,7 +17,6 @@ def kpi_tables(kpis: Kpis, out: str | None = None) -> Iterator[RenderableType]:
     """A table of the plans if there are few; then notes, and a table of mean values and ratings.
 
     Args:
-        kpis: the KPIs of plans.
         out: folder of the written files; None if no files were written.
     """
     if len(kpis.plans) <= FEW_ROWS:

@@ -28,7 +28,6 @@ def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType
     """A table of the worlds in which a box has the largest load relative to its strength, and lines with counts.
 
     Args:
-        loads: the loads of a run's boxes.
         out: folder of the written files; None if no files were written.
     """
     yield _table(loads)

@@ -60,7 +60,6 @@ class FittedTable:
 
     Args:
         rows: the rows, which ``TableColumn.cell`` accepts.
-        columns: the columns.
         title: line above the table.
         caption: line below the table.
     """
@@ -158,7 +157,6 @@ def number(value: Any, form: str | None = None, unit: str = "", factor: float = 
         value: the number, or None or NaN.
         form: format specification. If ``form`` is None, the number has three digits (``three_digits``).
         unit: text after the number.
-        factor: the factor.
         sign: whether positive numbers also get a sign; ignored unless ``form`` is None.
     """
     if pd.isna(value):

@@ -393,8 +393,7 @@ def test_plans_without_names_are_rated_by_size_and_mass(made: Path, tmp_path: Pa
 def test_which_replays_contradict_a_run(exact: bool, firm: int, near: int, same: int, refused: bool) -> None:
     rows = [("unstable", -1.5, 0)] * firm + [("unstable", -0.02, 0)] * near + [("stable", 0.9, 0)] * same
     replays = [
-        Replay.from_row(f"p{k}", "stable", verdict, "", margin, flags)
-        for k, (verdict, margin, flags) in enumerate(rows)
+        Replay.judged(f"p{k}", "stable", verdict, "", margin, flags) for k, (verdict, margin, flags) in enumerate(rows)
     ]
     sample = Sample("a", "mujoco", exact, tuple(replays))
     assert bool(sample.refusal) == refused
@@ -406,7 +405,7 @@ def test_what_is_near_a_threshold() -> None:
     def near(
         verdict: str, margin: float, flags: petmjx.engines.verdict.Flag = petmjx.engines.verdict.Flag.NONE
     ) -> bool:
-        return Replay.from_row("p", "stable", verdict, "", margin, int(flags)).near
+        return Replay.judged("p", "stable", verdict, "", margin, int(flags)).near
 
     flag = petmjx.engines.verdict.Flag
     assert not near("unstable", -1.0)

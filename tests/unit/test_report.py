@@ -210,10 +210,13 @@ def test_options_that_differ_are_told() -> None:
     changed = Simulation.read({"check": "static", "thresholds": {"tilt_deg": 5.0}}).model_dump(mode="json")
     assert "world_timeout_s</code> 0.5 instead of none" in _options({"simulation": defaults, "world_timeout_s": 0.5})
     assert _options({"simulation": defaults, "world_timeout_s": None}) == "all at their defaults"
-    assert dict(changed_options(changed, defaults)) == {
-        "check": "static instead of one-by-one",
-        "thresholds.tilt_deg": "5.0 instead of 20.0",
-    }
+    assert [*changed_options(changed, defaults)] == [
+        ("check", "static", "one-by-one"),
+        ("thresholds.tilt_deg", 5.0, 20.0),
+    ]
+    told = _options({"simulation": changed})
+    assert "check</code> static instead of one-by-one" in told
+    assert "thresholds.tilt_deg</code> 5.0 instead of 20.0" in told
 
 
 def test_plans_won_and_lost_are_counted(tmp_path: Path) -> None:

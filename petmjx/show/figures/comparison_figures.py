@@ -4,6 +4,7 @@ recall and correlation of each criterion."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from petmjx.analysis.criteria_run import CriteriaResults
@@ -12,8 +13,7 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name, shortened_text
 from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
-from petmjx.show.figures.figure_style import POINTS, WIDTH_IN, wrapped_sentences
-from petmjx.show.pages.palette import OKABE_ITO
+from petmjx.show.figures.figure_style import POINTS, WIDTH_IN, draw_intervals, wrapped_sentences
 
 ROW_IN: Final = 0.26
 """Height of the row for a packer or for a pair of packers, inches."""
@@ -23,8 +23,6 @@ LINE_IN: Final = 0.155
 
 MOST_PAIRS: Final = 15
 """Largest number of pairs in a figure: the pairs of six packers."""
-
-_COLOUR: Final = OKABE_ITO[4]
 
 
 def draw_packers(comparison: PackerComparison) -> Any:
@@ -49,10 +47,10 @@ def draw_packers(comparison: PackerComparison) -> Any:
     above = ConstrainedLayoutEngine(rect=(0, text_in / (chart_in + text_in), 1, chart_in / (chart_in + text_in)))
     figure = Figure(figsize=(WIDTH_IN, chart_in + text_in), facecolor="white", layout=above)
     left, right = figure.subplots(1, 2)
-    _intervals(left, [(printable_name(row["packer"]), row["share"], row["low"], row["high"]) for row in packers])
+    draw_intervals(left, [printable_name(row["packer"]) for row in packers], *_percent_of(packers, "share"))
     left.set_xlabel(f"plans that stand, % of {count_text(int(packers[0]['n']), 'order')}")
     names = [f"{shortened_text(row['b'])} − {shortened_text(row['a'])}" for row in pairs]
-    _intervals(right, [(n, r["difference"], r["low"], r["high"]) for n, r in zip(names, pairs, strict=True)])
+    draw_intervals(right, names, *_percent_of(pairs, "difference"))
     right.axvline(0, color="0.6", linewidth=0.8, zorder=0)
     right.set_xlabel("difference, percentage points")
     figure.suptitle(f"dots: shares and differences; lines: {100 * comparison.confidence:g} % intervals", size=POINTS)
@@ -60,16 +58,9 @@ def draw_packers(comparison: PackerComparison) -> Any:
     return figure
 
 
-def _intervals(axes: Any, rows: list[tuple[str, float, float, float]]) -> None:
-    """Draw a dot and an interval, in per cent, for each row (name, value, low end, high end)."""
-    for place, (_, value, low, high) in enumerate(rows):
-        axes.plot([100 * low, 100 * high], [place, place], color=_COLOUR, linewidth=1.4, solid_capstyle="butt")
-        axes.plot(100 * value, place, "o", color=_COLOUR, markersize=4)
-    axes.set_ylim(len(rows) - 0.4, -0.6)
-    axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
-    axes.tick_params(axis="y", length=0)
-    axes.grid(axis="x", color="0.9", linewidth=0.6)
-    axes.set_axisbelow(True)
+def _percent_of(rows: Sequence[Mapping[Any, Any]], value: str) -> list[list[float]]:
+    """The values and the low and high ends of the intervals in rows, each in per cent."""
+    return [[100 * row[name] for row in rows] for name in (value, "low", "high")]
 
 
 CRITERION_IN: Final = 0.19
@@ -95,18 +86,10 @@ def draw_criteria(results: CriteriaResults) -> Any:
         raise InputError(f"no figure of these criteria: they were not compared with a run ({option('--run')})")
     judged = results.judged
     figure = Figure(figsize=(WIDTH_IN, CRITERION_IN * len(judged) + 1.0), facecolor="white", layout="constrained")
-    for number, (axes, (name, label)) in enumerate(zip(figure.subplots(1, 3, sharey=True), PANELS, strict=True)):
-        for place, row in enumerate(judged.to_dict("records")):
-            axes.plot([row[f"{name}_low"], row[f"{name}_high"]], [place, place], color=_COLOUR, linewidth=1.4)
-            axes.plot(row[name], place, "o", color=_COLOUR, markersize=3.5)
+    for axes, (name, label) in zip(figure.subplots(1, 3, sharey=True), PANELS, strict=True):
+        draw_intervals(axes, judged["criterion"], *(judged[column] for column in (name, f"{name}_low", f"{name}_high")))
         axes.set_xlabel(label)
         axes.set_xlim(min(0.0, float(judged[f"{name}_low"].min()) - 0.02), 1.02)
-        axes.grid(axis="x", color="0.9", linewidth=0.6)
-        axes.set_axisbelow(True)
-        axes.tick_params(axis="y", length=0)
-        if not number:
-            axes.set_yticks(range(len(judged)), judged["criterion"])
-            axes.set_ylim(len(judged) - 0.4, -0.6)
     plans = count_text(int(judged["n_plans"].max()), "plan")
     figure.suptitle(f"{plans}; lines: {100 * DEFAULT_CONFIDENCE:g} % bootstrap intervals", size=POINTS)
     return figure

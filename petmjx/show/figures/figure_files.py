@@ -37,7 +37,6 @@ def figure(results: PackerComparison | CriteriaResults | RunResults, *files: str
     - for a score with confidence: the share of worlds in which each plan stands.
 
     Args:
-        results: the results.
         files: paths to write. The suffix determines the format. Existing files are replaced. A file appears only when
             it is complete.
 

@@ -10,6 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from petmjx.show.pages.palette import OKABE_ITO
+
 WIDTH_IN: Final = 6.3
 """Width of the text on a page (A4 with usual margins), inches."""
 
@@ -17,6 +22,9 @@ POINTS: Final = 8.0
 """Size of text, points."""
 
 DOTS_PER_INCH: Final = 200
+
+COLOUR: Final = OKABE_ITO[4]
+"""Colour of dots and lines."""
 
 SETTINGS: Final[Any] = {
     "svg.fonttype": "none",  # Letters are stored as text, not as outlines.
@@ -50,6 +58,19 @@ def paper_style() -> Iterator[None]:
 def write(figure: Any, path: Path, kind: str, dots_per_inch: float = DOTS_PER_INCH) -> None:
     """Write a figure as ``png``, ``pdf`` or ``svg``. The same figure always gives the same bytes."""
     figure.savefig(path, format=kind, dpi=dots_per_inch, metadata=_UNDATED.get(kind))
+
+
+def draw_intervals(axes: Any, names: Sequence[str], values: ArrayLike, low: ArrayLike, high: ArrayLike) -> None:
+    """Draw a row for each name, from the top downwards: a dot at its value, and a line from ``low`` to ``high``. NaN is
+    not drawn."""
+    for row, (value, begin, end) in enumerate(np.stack((values, low, high), axis=1).tolist()):
+        axes.plot([begin, end], [row, row], color=COLOUR, linewidth=1.4, solid_capstyle="butt")
+        axes.plot(value, row, "o", color=COLOUR, markersize=4)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="x", color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)
 
 
 def wrapped_sentences(sentences: Sequence[str], width_in: float = WIDTH_IN) -> str:

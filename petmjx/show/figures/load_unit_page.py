@@ -30,8 +30,8 @@ from petmjx.results.run_reader import RunResults
 from petmjx.results.share_intervals import ONE_PLAN
 from petmjx.runs.chain_legs import AS_IS, PLACING
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, is_chain
-from petmjx.show.figures.figure_style import paper_style
-from petmjx.show.pages.palette import article_colours, category
+from petmjx.show.figures.figure_style import draw_intervals, paper_style
+from petmjx.show.pages.palette import article_colours
 from petmjx.show.table_layout import percent
 from petmjx.world.film import film_of
 from petmjx.world.profiles.accelerations import EN_12195_FORWARD_G, EN_12195_SIDEWAYS_G
@@ -58,11 +58,6 @@ MIRRORED: Final = frozenset({"back", "left"})
 
 def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path) -> int:
     """Write a PDF file with a page for each plan of a chain. Returns the number of pages.
-
-    Args:
-        run: the run of the chain.
-        plans: the plans of the run, by id.
-        path: the file to write.
 
     Raises:
         InputError: the run is not the run of a chain, is not complete, or has too many plans; or none of its plans was
@@ -167,19 +162,10 @@ def _rows_of(run: RunResults, plan: Plan) -> pd.DataFrame:
 def _draw_legs(axes: Any, run: RunResults, plan: Plan) -> None:
     rows = _rows_of(run, plan)
     rows = rows[rows["remedy"] == AS_IS]
-    leg_rows = [("whole way" if row["leg"] == WHOLE_WAY else row["leg"], row) for row in rows.to_dict("records")]
-    for place, (_, row) in enumerate(leg_rows):
-        if pd.isna(row["share"]):
-            continue
-        if not pd.isna(row["low"]):
-            ends = [100 * row["low"], 100 * row["high"]]
-            axes.plot(ends, [place, place], color=category(4), linewidth=1.4)
-        axes.plot(100 * row["share"], place, "o", color=category(4), markersize=4)
-    axes.set_yticks(range(len(leg_rows)), [printable_name(str(name)) for name, _ in leg_rows])
-    axes.set_ylim(len(leg_rows) - 0.4, -0.6)
+    names = ["whole way" if leg == WHOLE_WAY else printable_name(str(leg)) for leg in rows["leg"]]
+    draw_intervals(axes, names, *(100 * rows[name] for name in ("share", "low", "high")))
     axes.set_xlim(-2, 102)
     axes.set_title("worlds that stand after a leg, of those that reached it, %; lines: 95 % intervals", loc="left")
-    axes.grid(axis="x", color="0.9", linewidth=0.6)
 
 
 def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
@@ -203,8 +189,6 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
     which the wrapped load slides (formula in docs/wrap.md).
 
     Args:
-        run: the run of the chain.
-        plan: the plan.
         slides_g: smallest acceleration at which the load slides without film, g. In g, this acceleration equals the
             coefficient of friction between load and carrier.
     """

@@ -13,7 +13,7 @@ from petmjx.common.text import count_text, printable, printable_name
 from petmjx.results.run_reader import RunResults
 from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN
 from petmjx.runs.chain_summary import arrivals
-from petmjx.show.figures.figure_style import POINTS, WIDTH_IN
+from petmjx.show.figures.figure_style import COLOUR, POINTS, WIDTH_IN, draw_intervals
 from petmjx.show.pages.palette import category
 
 PANEL_IN: Final = (3.1, 2.4)
@@ -124,8 +124,8 @@ def _shares(summary: pd.DataFrame) -> Any:
         numeric = bool(numbers.notna().all())
         places = numbers.to_numpy(np.float64) if numeric else np.arange(len(rows), dtype=np.float64)
         shares = 100 * rows[["share", "low", "high"]].to_numpy(np.float64)
-        axes.vlines(places, shares[:, 1], shares[:, 2], color=category(4), linewidth=1.4)
-        axes.plot(places, shares[:, 0], "o-" if numeric else "o", color=category(4), markersize=4, linewidth=0.8)
+        axes.vlines(places, shares[:, 1], shares[:, 2], color=COLOUR, linewidth=1.4)
+        axes.plot(places, shares[:, 0], "o-" if numeric else "o", color=COLOUR, markersize=4, linewidth=0.8)
         if not numeric:
             texts = [printable(str(value)) for value in rows["value"]]
             axes.set_xticks(places, texts, rotation=30, ha="right")
@@ -143,14 +143,10 @@ def _plans(rows: pd.DataFrame) -> Any:
         raise InputError(f"no figure of {count_text(len(rows), 'plan')}: a figure has room for 1 to {MOST_PLANS}")
     figure = Figure(figsize=(WIDTH_IN, 0.2 * len(rows) + 0.7), facecolor="white", layout="constrained")
     axes = figure.subplots()
-    for place, row in enumerate(rows.to_dict("records")):
-        axes.plot([100 * row["low"], 100 * row["high"]], [place, place], color=category(4), linewidth=1.4)
-        axes.plot(100 * row["share"], place, "o", color=category(4), markersize=4)
-    axes.set_yticks(range(len(rows)), [printable_name(name) for name in rows["plan_id"]])
-    axes.set_ylim(len(rows) - 0.4, -0.6)
+    shares = (100 * rows[name] for name in ("share", "low", "high"))
+    draw_intervals(axes, [printable_name(name) for name in rows["plan_id"]], *shares)
     axes.set_xlim(-2, 102)
     axes.set_xlabel("worlds that stand, %; lines: 95 % intervals")
-    axes.grid(axis="x", color="0.9", linewidth=0.6)
     return figure
 
 

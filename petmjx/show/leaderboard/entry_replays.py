@@ -9,12 +9,11 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-import pandas as pd
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.engines.engine_choice import ENGINES
-from petmjx.engines.verdict import Flag, Outcome, Verdict
+from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.runs.simulate import simulate
@@ -52,14 +51,8 @@ class Replay:
     near: bool
 
     @classmethod
-    def of(cls, plan_id: str, claimed: str, outcome: Outcome) -> Replay:
-        """A replay, given the outcome of its simulation."""
-        reason = outcome.reason.value
-        return cls.from_row(plan_id, claimed, outcome.verdict.value, reason, outcome.margin, int(outcome.flags))
-
-    @classmethod
-    def from_row(cls, plan_id: str, claimed: str, verdict: str, reason: str, margin: float, flags: int) -> Replay:
-        """A replay, given values in a row of the table ``worlds``."""
+    def judged(cls, plan_id: str, claimed: str, verdict: str, reason: str, margin: float, flags: int) -> Replay:
+        """A replay, given values of its simulation as in a row of the table ``worlds``."""
         near = verdict not in _VALID or not abs(margin) >= NEAR_MARGIN or bool(flags & NEAR_FLAGS)
         return cls(plan_id, claimed, verdict, reason, near)
 
@@ -148,7 +141,6 @@ def sample_entry(
     checked. Plans that stand according to the entry's run are chosen first, since the rating depends on them.
 
     Args:
-        entry: the entry.
         most: number of plans. If a verdict differs but does not refute the run, ``most`` further plans are simulated.
         sim: simulation options of the board.
         options: run options of the board. If the options name no engine, the engine of the entry's run is used, or
@@ -177,16 +169,12 @@ def sample_entry(
         used = run.info["config"]["engine"]
         exact = used == config.get("engine") and entry.run.info.get("versions", {}).get("petmjx") == __version__
         rows = run.worlds.set_index("plan_id")
-        sample = replace(sample, engine=used, exact=exact).with_replays(
-            [_replay(name, claimed[name], rows.loc[name]) for name in chosen if name in rows.index]
-        )
+        values = rows[["verdict", "reason", "margin", "flags"]].loc[[name for name in chosen if name in rows.index]]
+        replays = [Replay.judged(name, claimed[name], *value) for name, *value in values.itertuples()]
+        sample = replace(sample, engine=used, exact=exact).with_replays(replays)
         if not drawn or sample.refusal or not any(replay.differs for replay in sample.replays):
             break
     return sample
-
-
-def _replay(plan_id: str, claimed: str, row: pd.Series) -> Replay:
-    return Replay.from_row(plan_id, claimed, row["verdict"], row["reason"], row["margin"], int(row["flags"]))
 
 
 def _drawn(claimed: Mapping[str, str]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -125,58 +125,29 @@ def leaderboard(
         files_of_board.begin()
         paths = {**paths, **repair_entries(repaired, paths, folder, options)}
         entries = _entries(paths, folder, source, baselines, watch, options)
-        rated = _rated_entries(entries, folder, source, options, stories, replays)
+        board = _rated_board(entries, folder, source, options, stories, replays)
         files_of_board.check()
-        files = {entry.name: keep_plans(entry, folder) for entry in rated.entries}
+        files = {entry.name: keep_plans(entry, folder) for entry in board.entries}
         if source is not None and keeps_orders:
             keep_orders(source, folder / ORDERS)
         digests = {name: _digest(folder / PLANS / file) for name, file in files.items() if file}
-        board = Board(
-            rated.entries,
-            rated.comparison,
-            rate(rated.comparison),
-            digests,
-            rated.story_entries,
-            orders=source is not None,
-            stories=stories,
-            options=rated.options,
-            samples=rated.samples,
-        )
+        board = replace(board, digests=digests)
         with atomic_write(folder / PAGE) as file:
             file.write_text(board_page(board), encoding="utf-8", errors="backslashreplace")
         own_inputs = [ORDERS] if ORDERS in files_of_board.board_files and source is not None else []
         plan_files = [f"{PLANS}/{name}" for name in files.values() if name]
         files_of_board.finish(
-            board.to_dict(), [PAGE, *own_inputs, *plan_files, *(story.file for story in rated.story_entries)]
+            board.to_dict(), [PAGE, *own_inputs, *plan_files, *(story.file for story in board.story_entries)]
         )
-    warn(sample.refusal for sample in rated.samples if sample.refusal)
+    warn(sample.refusal for sample in board.samples if sample.refusal)
     return folder / PAGE
 
 
-@dataclass(frozen=True, eq=False)
-class _RatedEntries:
-    """The rated entries and their comparison. Entries that are not rated appear only in ``samples``.
-
-    Attributes:
-        entries: the rated entries.
-        comparison: the comparison of these entries.
-        story_entries: the stories.
-        options: simulation options of the board.
-        samples: the replays (plans simulated again) of each entry that has any.
-    """
-
-    entries: Sequence[Entry]
-    comparison: PackerComparison
-    story_entries: Sequence[StoryEntry]
-    options: Simulation
-    samples: Sequence[Sample]
-
-
-def _rated_entries(
+def _rated_board(
     entries: Sequence[Entry], folder: Path, orders: Path | None, options: Mapping[str, Any], stories: int, replays: int
-) -> _RatedEntries:
-    """Check each entry by simulating some of its plans again (samples and stories), and compare the entries that these
-    simulations do not contradict."""
+) -> Board:
+    """Check each entry by simulating some of its plans again (samples and stories), and rate the entries that these
+    simulations do not contradict. The board has no digests yet."""
     runs_by_packer({entry.name: entry.run for entry in entries})
     of_simulation, of_run, _ = sorted_options(options, Confidence)
     sim, run_options = _options_of(of_simulation, entries), RunOptions(**of_run)
@@ -198,13 +169,20 @@ def _rated_entries(
         board_stories, replays_by_name = _stories(left, comparison, folder / STORIES, stories)
         samples |= {name: samples[name].with_replays(more) for name, more in replays_by_name.items()}
         if not any(samples[entry.name].refusal for entry in left):
-            replay_samples = [sample for name, sample in samples.items() if sample.replays or sample.fault]
-            return _RatedEntries(
+            return Board(
                 left,
                 comparison,
+                rate(comparison),
+                {},
                 board_stories,
-                sim,
-                [sample for sample in replay_samples if sample.engine or sample.refusal],
+                orders=orders is not None,
+                stories=stories,
+                options=sim,
+                samples=[
+                    sample
+                    for sample in samples.values()
+                    if (sample.replays or sample.fault) and (sample.engine or sample.refusal)
+                ],
             )
 
 
@@ -258,7 +236,15 @@ def _stories(
             with atomic_write(file) as page:
                 page.write_text(story_page(story), encoding="utf-8", errors="backslashreplace")
             stories.append(StoryEntry(entry.name, plan_id, story.outcome.verdict.value, f"{STORIES}/{file.name}"))
-            replay = Replay.of(plan_id, str(claimed[entry.name, plan_id]), story.outcome)
+            outcome = story.outcome
+            replay = Replay.judged(
+                plan_id,
+                str(claimed[entry.name, plan_id]),
+                outcome.verdict.value,
+                outcome.reason.value,
+                outcome.margin,
+                int(outcome.flags),
+            )
             replays_by_name.setdefault(entry.name, []).append(replay)
     return stories, replays_by_name
 

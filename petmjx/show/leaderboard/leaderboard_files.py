@@ -4,7 +4,7 @@ that they may be replaced."""
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -43,12 +43,10 @@ def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:
         stories: largest number of stories per packer.
         orders: whether the board has a file of orders.
     """
-    pages = [f"{STORIES}/{packer}-{story}.html" for packer in range(1, len(packers) + 1) for story in _up_to(stories)]
+    pages = [
+        f"{STORIES}/{packer}-{story}.html" for packer in range(1, len(packers) + 1) for story in range(1, stories + 1)
+    ]
     return [PAGE, DATA, *([ORDERS] if orders else ()), *(f"{PLANS}/{name}.json" for name in packers), *pages]
-
-
-def _up_to(number: int) -> range:
-    return range(1, number + 1)
 
 
 class BoardFolder:
@@ -79,7 +77,9 @@ class BoardFolder:
             raise InputError(f"{printable(str(folder))}: is a file; name a folder for the leaderboard")
         before = _board_in(folder)
         self._before: Mapping[str, Any] = before or {}
-        self.board_files = frozenset(_own_of(self._before))
+        listed = self._before.get(FILES)
+        names = listed if isinstance(listed, list) else []
+        self.board_files = frozenset(name for name in names if isinstance(name, str) and _is_a_board_file(name))
         self._overwrite = overwrite or bool(self._before.get(UNFINISHED))
         if before is None and folder.is_dir():
             with write_errors(folder):
@@ -115,7 +115,6 @@ class BoardFolder:
 
         Args:
             board: content of ``leaderboard.json``.
-            written: the files that were written.
         """
         self.check()
         for name in self.board_files.difference(written, (DATA,)):
@@ -141,29 +140,9 @@ def _board_in(folder: Path) -> Mapping[str, Any] | None:
         return None
     except (OSError, ValueError, RecursionError):
         data = None
-    if not isinstance(data, dict) or not (data.keys() >= {"petmjx", FILES} or data.keys() >= {"petmjx", "rating"}):
+    if not isinstance(data, dict) or not data.keys() >= {"petmjx", FILES}:
         raise InputError(f"{printable(str(file))}: was not written by petmjx; name a new folder for the leaderboard")
     return data
-
-
-def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
-    """The files that belong to a board, according to the list in its ``leaderboard.json``. If there is no list, the
-    files of the board's packers and stories are returned."""
-    if not board:
-        return
-    listed = board.get(FILES)
-    if listed is None:
-        pages = [story.get("file") for story in _tables(board.get("stories"))]
-        plans = board.get("plans_sha256")
-        names = list(plans) if isinstance(plans, dict) else []
-        listed = [PAGE, DATA, ORDERS, *(f"{PLANS}/{name}.json" for name in names), *pages]
-    for name in listed if isinstance(listed, list) else ():
-        if isinstance(name, str) and _is_a_board_file(name):
-            yield name
-
-
-def _tables(value: Any) -> list[dict[str, Any]]:
-    return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
 
 
 def _is_a_board_file(name: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import quote
@@ -21,6 +21,7 @@ from petmjx.show.leaderboard.leaderboard_files import ORDERS, PLANS
 from petmjx.show.pages.page import page
 from petmjx.show.report.charts import interval_text, intervals, percent
 from petmjx.show.report.markup import Content, Markup, element, joined_markup, table
+from petmjx.show.report.run_settings import changed_options
 from petmjx.show.report.svg_charts import figure
 from petmjx.version import __version__
 
@@ -134,21 +135,11 @@ class Board:
         words += ["--stories", str(self.stories), "-o", "../again"]
         config = self.entries[0].run.info.get("config", {})
         words += ["--engine", str(config.get("engine", "auto"))]
-        for name, value in _changed_options(self.options.model_dump(mode="json"), Simulation().model_dump(mode="json")):
-            words += ["--set", f"{name}={_toml(value)}"]
+        options, defaults = (simulation.model_dump(mode="json") for simulation in (self.options, Simulation()))
+        for name, value, _ in changed_options(options, defaults):
+            if value is not None and name != "physics.name":
+                words += ["--set", f"{name}={_toml(value)}"]
         return shlex.join(words)
-
-
-def _changed_options(
-    values: Mapping[str, Any], usual: Mapping[str, Any], prefix: str = ""
-) -> Iterator[tuple[str, Any]]:
-    """Yield (name with dots, value) of each option whose value differs from its default."""
-    for name, value in values.items():
-        default = usual.get(name)
-        if isinstance(value, Mapping) and isinstance(default, Mapping):
-            yield from _changed_options(value, default, f"{prefix}{name}.")
-        elif value != default and value is not None and not (prefix == "physics." and name == "name"):
-            yield f"{prefix}{name}", value
 
 
 def _toml(value: Any) -> str:

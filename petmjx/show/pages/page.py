@@ -63,7 +63,6 @@ def page(
     instead.
 
     Args:
-        title: title of the page, as text.
         body: content of the page, as markup.
         script: name of the script's main module in ``petmjx/show/pages/static``. Modules that the main module imports
             are included. If the page has no script, ``script`` is "".

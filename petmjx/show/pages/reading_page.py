@@ -45,7 +45,6 @@ def reading_page(plan_set: PlanSet, infos: Sequence[Mapping[str, Any]]) -> str:
     """The text of an offline HTML file that shows how files are read.
 
     Args:
-        plan_set: the plans in the files.
         infos: one record per file, from ``petmjx.show.file_info.file_infos``.
     """
     sections = "".join(

@@ -46,7 +46,6 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
     """The last frame of a story (the simulation of one plan) as SVG.
 
     Args:
-        story: the story.
         marked: numbers of the boxes that are outlined. If ``marked`` is None, the first box to fail is outlined.
         numbers: the number that the picture shows for each box. If ``numbers`` is None, the picture shows the boxes'
             numbers in the plan.
@@ -107,7 +106,6 @@ def _svg(
     Args:
         boxes: centres, axes and half sizes, as in ``drawing_order``, first of the boxes that are drawn, then of the
             carrier's boards and walls.
-        plan: the plan.
         shown: number in the plan of each box that is drawn.
         numbers: the number that the picture shows for each of these boxes.
         fit: how the scene fits into the picture, from ``_picture_fit``.

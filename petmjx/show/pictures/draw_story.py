@@ -4,7 +4,6 @@ places, and contact forces."""
 from __future__ import annotations
 
 from collections.abc import Iterable
-from types import TracebackType
 from typing import Final, Self
 
 import numpy as np
@@ -87,10 +86,8 @@ class Painter:
         self.canvas.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.canvas.__exit__(kind, error, trace)
+    def __exit__(self, *_: object) -> None:
+        self.canvas.__exit__()
 
     def picture(self, poses: Poses, camera: Camera) -> NDArray[np.uint8]:
         """(height, width, 3) the picture: red, green and blue of each pixel."""

@@ -35,10 +35,8 @@ def write_figure(story: Story, look: PictureStyle, moments: list[Moment], path: 
     """Write a row with one picture for each moment, all from the same camera.
 
     Args:
-        story: the story.
         look: style of the pictures. ``look.size`` is the size of a single picture, px.
         moments: the moments of the story that are shown.
-        path: the file to write.
         kind: format of the file: ``png``, ``pdf`` or ``svg``.
     """
     from matplotlib.figure import Figure

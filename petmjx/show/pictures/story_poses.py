@@ -103,7 +103,6 @@ def moments(story: Story, names: str | None) -> list[Moment]:
     """The requested moments, in the order of the request.
 
     Args:
-        story: the story.
         names: moments, separated by commas. If ``names`` is None, the moments are before the first sign (the first
             crossing of a threshold by a box), at the first sign, and at the end; or only the end if no box failed.
 

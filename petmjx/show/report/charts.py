@@ -63,8 +63,6 @@ def histogram(
     classes of worlds are stacked.
 
     Args:
-        frame: the frame of the chart.
-        values: the value of each world.
         classes: class of each world, such as its verdict. The style sheet gives each class a colour.
         order: the classes, from the lowest part of a bar upwards.
         threshold: a value at which two bins must meet, if any.
@@ -169,8 +167,6 @@ def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 13
     the bar.
 
     Args:
-        title: description of the chart for screen readers.
-        rows: the bars.
         width: width of the chart, pixels.
         names: largest width of the names, pixels.
     """
@@ -262,7 +258,6 @@ def rose(title: str, directions_deg: FloatArray, quantiles: Mapping[str, FloatAr
     """A chart of values by direction: 0° is to the right and 90° up, like x and y of the carrier.
 
     Args:
-        title: description of the chart for screen readers.
         directions_deg: (d,) directions, rising.
         quantiles: (d,) values under each of the names ``low``, ``middle`` and ``high``. Missing values are drawn at 0.
         top: the value at the outer ring.

@@ -38,7 +38,6 @@ def element(name: str, *children: Content, **attributes: str | float | bool | No
 
     Args:
         name: name of the element, such as "p".
-        children: the children.
         attributes: attributes of the element. ``class_`` becomes class, and ``aria_label`` becomes aria-label. An
             attribute with the value None or False is left out. An attribute with the value True is written without a
             value.
@@ -69,8 +68,6 @@ def table(
     """A small table.
 
     Args:
-        head: the headings.
-        rows: the rows of cells.
         caption: title of the table, which screen readers also read.
         texts: number of columns, from the left, that contain text. The other columns contain numbers, which are aligned
             to the right.

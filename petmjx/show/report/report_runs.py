@@ -40,7 +40,6 @@ def find_report_plans(run: RunResults, paths: Sequence[Path] = ()) -> ReportPlan
     """Find the plans of a run. A report can also be made without plans.
 
     Args:
-        run: the run.
         paths: files or folders with the plans. If none are given, the files that the run names are read.
 
     Raises:

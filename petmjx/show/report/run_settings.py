@@ -71,26 +71,32 @@ def _options(config: Mapping[str, Any]) -> Content:
     simulation = config.get("simulation")
     if not isinstance(simulation, Mapping):
         return "unknown"
-    changed = dict(changed_options(simulation, Simulation().model_dump(mode="json")))
     limit = "world_timeout_s"  # the only option of ``RunOptions`` that affects verdicts
-    changed |= changed_options({limit: config.get(limit)}, {limit: None})
+    changed = [
+        *changed_options(simulation, Simulation().model_dump(mode="json")),
+        *changed_options({limit: config.get(limit)}, {limit: None}),
+    ]
     if not changed:
         return "all at their defaults"
-    items = [element("li", element("code", name), f" {was}") for name, was in changed.items()]
+    items = [
+        element("li", element("code", name), f" {_option_text(value)} instead of {_option_text(default)}")
+        for name, value, default in changed
+    ]
     return element("ul", *items)
 
 
 def changed_options(
     values: Mapping[str, Any], defaults: Mapping[str, Any], path: str = ""
-) -> Iterator[tuple[str, str]]:
-    """Yield (option, text such as "0.4 instead of 0.5") for every option whose value differs from its default."""
+) -> Iterator[tuple[str, Any, Any]]:
+    """Yield (option, value, default) for every option whose value differs from its default. The name of an option in a
+    table has dots, such as "thresholds.tilt_deg"."""
     for name, value in values.items():
         at = f"{path}.{name}" if path else str(name)
         default = defaults.get(name)
         if isinstance(value, Mapping) and isinstance(default, Mapping):
             yield from changed_options(value, default, at)
         elif value != default:
-            yield at, f"{_option_text(value)} instead of {_option_text(default)}"
+            yield at, value, default
 
 
 def _option_text(value: Any) -> str:

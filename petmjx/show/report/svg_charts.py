@@ -52,7 +52,6 @@ class Scale:
         """A scale that contains all finite values.
 
         Args:
-            values: the values.
             log_from: lower end of a logarithmic scale. If ``log_from`` is None, the scale is linear.
             lowest: as in ``Scale``.
             zero: whether a linear scale begins at 0.

@@ -175,7 +175,6 @@ def correlation_ratio(values: pd.Series, keys: pd.Series) -> float:
     values are equal.
 
     Args:
-        values: the values.
         keys: the group of each value.
     """
     total = float(((values - values.mean()) ** 2).sum())

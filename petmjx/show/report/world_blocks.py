@@ -64,7 +64,6 @@ def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_
     """Store the boxes of the worlds in a table in blocks. Worlds whose plans were not found are left out.
 
     Args:
-        runs: the runs of the report.
         table: data frame with the rows of the table, from :func:`petmjx.show.report.plan_rows.table_rows`.
         most: largest number of boxes.
     """
@@ -213,7 +212,6 @@ def replays(
     """Store the histories of the worlds in a table in blocks. Worlds without a 3D picture are left out.
 
     Args:
-        runs: the runs of the report.
         table: data frame with the rows of the table, from :func:`petmjx.show.report.plan_rows.table_rows`.
         drawn: (rows of the table,) negative if the row's world has no 3D picture; see ``BoxBlocks.drawn``.
         most: largest number of poses.
