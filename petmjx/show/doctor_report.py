@@ -59,7 +59,7 @@ def examine() -> Report:
         versions={"python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})"} | package_versions(),
         devices=(f"CPU: {cpu_name()}, {count_text(cpu_threads(), 'thread')}", *(f"GPU: {n}" for n in cuda_devices())),
         engines=tuple(_examine_engine(name) for name in ENGINES),
-        caches=_caches(),
+        caches={"JAX programs": _cache("jax"), "Warp kernels": _cache("warp")},
     )
 
 
@@ -125,11 +125,6 @@ def _one_box() -> Plan:
         articles=("box",),
         sequence=np.array([1], dtype=np.int64),
     )
-
-
-def _caches() -> dict[str, str]:
-    kinds: dict[str, Kind] = {"JAX programs": "jax", "Warp kernels": "warp"}
-    return {name: _cache(kind) for name, kind in kinds.items()}
 
 
 def _cache(kind: Kind) -> str:

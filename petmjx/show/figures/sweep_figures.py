@@ -94,7 +94,9 @@ def _levels(summary: pd.DataFrame) -> Any:
             at, share = survival_curve(rows.loc[rows["direction_deg"] == direction, strength])
             label = "" if pd.isna(direction) else f"{direction:g}°"
             # above the largest level that any plan survives, the curve falls to 0
-            axes.step([*at, at[-1]], [*(100 * share), 0.0], where="pre", label=label, **_line(number))
+            # lines have different dashes, so that two lines at the same place are both visible
+            look = {"color": category(number), "linestyle": _DASHES[number % len(_DASHES)]}
+            axes.step([*at, at[-1]], [*(100 * share), 0.0], where="pre", label=label, **look)
         axes.set_xlabel(f"{'level, g' if strength.endswith('_g') else 'scale'}")
         axes.set_ylabel("plans that survive it, %")
         axes.set_ylim(0, 103)
@@ -103,12 +105,6 @@ def _levels(summary: pd.DataFrame) -> Any:
         axes.set_title(f"{printable(str(profile))}, {count_text(rows['plan_id'].nunique(), 'plan')}")
         axes.legend(title=f"direction{shown_text}", frameon=False, title_fontsize=POINTS)
     return figure
-
-
-def _line(number: int) -> dict[str, Any]:
-    """Colour and dashes of line ``number``. Lines have different dashes, so that two lines at the same place are both
-    visible."""
-    return {"color": category(number), "linestyle": _DASHES[number % len(_DASHES)]}
 
 
 def _shares(summary: pd.DataFrame) -> Any:

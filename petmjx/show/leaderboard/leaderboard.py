@@ -204,11 +204,8 @@ def _entries(
     options: Mapping[str, Any],
 ) -> list[Entry]:
     options = options if orders is None else {**options, "orders": orders}
-    own_packings: dict[str, Path] = {}
-    if baselines and orders is not None:
-        own_packings = pack_ours(orders, folder)
-    first = [enter(name, path, folder, watch, options, ours=True) for name, path in own_packings.items()]
-    return first + [enter(name, path, folder, watch, options) for name, path in paths.items()]
+    ours = pack_ours(orders, folder) if baselines and orders is not None else {}
+    return [enter(name, path, folder, watch, options, ours=name in ours) for name, path in {**ours, **paths}.items()]
 
 
 def _is_same(source: Path, target: Path) -> bool:

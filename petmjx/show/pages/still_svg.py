@@ -56,77 +56,75 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
     carrier_pos, carrier_quat = history.carrier_pos[-1], history.carrier_quat[-1]
     if not np.isfinite(carrier_pos).all():
         carrier_pos, carrier_quat = scene.carrier.pos, np.array(IDENTITY_QUAT)
-    boards = scene.carrier.shapes_at(carrier_pos, carrier_quat)
-    pos, quat, half = history.pos[-1][shown], history.quat[-1][shown], scene.half_size[shown]
-    boxes = (
-        np.concatenate([pos, boards[0]]),
-        np.concatenate([rotations(quat), boards[1]]),
-        np.concatenate([half, boards[2]]),
-    )
     called = range(story.plan.n_boxes) if numbers is None else numbers
     return _svg(
-        boxes,
+        (history.pos[-1][shown], rotations(history.quat[-1][shown]), scene.half_size[shown]),
+        scene.carrier.shapes_at(carrier_pos, carrier_quat),
         story.plan,
         shown.tolist(),
         [called[box] for box in shown.tolist()],
-        _picture_fit(corners(*boxes), framed_corners(story)),
         marked,
         len(scene.carrier.walls),
         f"Still picture of plan {story.plan.plan_id} as it ended",
+        framed_corners(story),
     )
 
 
 def plan_svg(plan: Plan) -> str:
     """An SVG picture of a plan with all boxes at their planned places, on its carrier. Nothing is simulated."""
     scene = build_scene(plan, Simulation(size_reduction_mm=0.0))
-    boards = scene.carrier.shapes_at(scene.carrier.pos, np.array(IDENTITY_QUAT))
-    axes = np.tile(np.eye(3), (plan.n_boxes, 1, 1))
-    boxes = (
-        np.concatenate([scene.target, boards[0]]),
-        np.concatenate([axes, boards[1]]),
-        np.concatenate([scene.half_size, boards[2]]),
-    )
     numbers = list(range(plan.n_boxes))
-    fit = _picture_fit(corners(*boxes))
-    return _svg(boxes, plan, numbers, numbers, fit, (), len(scene.carrier.walls), f"Plan {plan.plan_id} as it was read")
+    return _svg(
+        (scene.target, np.tile(np.eye(3), (plan.n_boxes, 1, 1)), scene.half_size),
+        scene.carrier.shapes_at(scene.carrier.pos, np.array(IDENTITY_QUAT)),
+        plan,
+        numbers,
+        numbers,
+        (),
+        len(scene.carrier.walls),
+        f"Plan {plan.plan_id} as it was read",
+    )
 
 
 def _svg(
-    boxes: tuple[FloatArray, FloatArray, FloatArray],
+    placed: tuple[FloatArray, FloatArray, FloatArray],
+    carrier: tuple[FloatArray, FloatArray, FloatArray],
     plan: Plan,
     shown: Sequence[int],
     numbers: Sequence[int],
-    fit: tuple[FloatArray, float, float],
     marked: Collection[int],
     n_walls: int,
     label: str,
+    framed: tuple[FloatArray, FloatArray] | None = None,
 ) -> str:
     """The boxes of a plan and the boards of its carrier as SVG.
 
     Args:
-        boxes: centres, axes and half sizes, as in ``drawing_order``, first of the boxes that are drawn, then of the
-            carrier's boards and walls.
+        placed: centres, axes and half sizes, as in ``drawing_order``, of the boxes that are drawn.
+        carrier: the same of the carrier's boards and walls.
         shown: number in the plan of each box that is drawn.
         numbers: the number that the picture shows for each of these boxes.
-        fit: how the scene fits into the picture, from ``_picture_fit``.
         marked: numbers in the plan of the boxes that are outlined.
-        n_walls: number of walls, which are the last entries in ``boxes`` and are drawn transparent.
+        n_walls: number of walls, which are the last entries in ``carrier`` and are drawn transparent.
         label: description of the picture for screen readers.
+        framed: as in ``_picture_fit``.
     """
-    n_boards = len(boxes[0]) - len(shown)
+    pos, axes, half = (np.concatenate(both) for both in zip(placed, carrier, strict=True))
+    n_boards = len(pos) - len(shown)
     colours = article_colours(plan.articles)
     fills = [*(colours[row] for row in shown), *[hex_of(_LOOK["wood"])] * n_boards]
     names = [
         *(box_label(number, plan.articles[row]) for number, row in zip(numbers, shown, strict=True)),
         *["carrier"] * n_boards,
     ]
-    low, scale, height = fit
-    flat = (_projection(corners(*boxes)) - low) * scale + _MARGIN
+    points = corners(pos, axes, half)
+    low, scale, height = _picture_fit(points, framed)
+    flat = (_projection(points) - low) * scale + _MARGIN
     parts = []
-    for k in drawing_order(*boxes):
-        faces = "".join(_face(flat[k], boxes[1][k], fills[k], number) for number in range(6))
+    for k in drawing_order(pos, axes, half):
+        faces = "".join(_face(flat[k], axes[k], fills[k], number) for number in range(6))
         mark = ' class="first"' if k < len(shown) and shown[k] in marked else ""
-        pane = f' fill-opacity="{_LOOK["wall"]}"' if k >= len(boxes[0]) - n_walls else ""
+        pane = f' fill-opacity="{_LOOK["wall"]}"' if k >= len(pos) - n_walls else ""
         parts.append(f"<g{mark}{pane}><title>{escaped_html(names[k])}</title>{faces}</g>")
     return (
         f'<svg viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{escaped_html(label)}" '
@@ -139,9 +137,7 @@ def _projection(points: FloatArray) -> FloatArray:
     return np.stack([points @ _RIGHT, points @ _DOWN], axis=-1)
 
 
-def _picture_fit(
-    points: FloatArray, framed: tuple[FloatArray, FloatArray] | None = None
-) -> tuple[FloatArray, float, float]:
+def _picture_fit(points: FloatArray, framed: tuple[FloatArray, FloatArray] | None) -> tuple[FloatArray, float, float]:
     """How the scene fits into the picture: (2,) position of the picture's upper left corner, as in ``_projection``, the
     number of pixels per m, and the height of the picture, px.
 

@@ -177,11 +177,10 @@ def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 13
     marks: list[Content] = []
     for at, row in enumerate(rows):
         y = at * ROW_HEIGHT
-        short = row.name if len(row.name) <= letters else row.name[: letters - 1] + "…"
         drawn = (
             element("title", f"{row.name}: {row.text}"),
             element("rect", x=0, y=y, width=width, height=ROW_HEIGHT, class_="hit"),
-            element("text", short, x=names - 6, y=y + 16, text_anchor="end"),
+            element("text", _shortened(row.name, letters), x=names - 6, y=y + 16, text_anchor="end"),
             element(
                 "rect", x=names, y=y + 5, width=room * row.length / longest, height=14, class_=f"fill {row.class_}"
             ),
@@ -243,9 +242,11 @@ def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, 
 
 def _row_name(name: str, y: float) -> Markup:
     """The name of a row. A long name is shortened; the whole name appears when the mouse is over the name."""
-    letters = MOST_LETTERS
-    short = name if len(name) <= letters else name[: letters - 1] + "…"
-    return element("text", element("title", name), short, x=0, y=y, class_="halo")
+    return element("text", element("title", name), _shortened(name, MOST_LETTERS), x=0, y=y, class_="halo")
+
+
+def _shortened(name: str, letters: int) -> str:
+    return name if len(name) <= letters else name[: letters - 1] + "…"
 
 
 ROSE: Final = 300
@@ -264,35 +265,36 @@ def rose(title: str, directions_deg: FloatArray, quantiles: Mapping[str, FloatAr
         unit: unit of the values.
     """
     centre, reach = ROSE / 2, ROSE / 2 - 34
-    turn = np.radians(directions_deg)
-    marks: list[Content] = []
-    for ring in range(1, ROSE_RINGS + 1):
-        radius = reach * ring / ROSE_RINGS
-        marks.append(element("circle", cx=centre, cy=centre, r=radius, class_="ring"))
-    for angle in directions_deg.tolist():
-        cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
-        end = (centre + reach * cos, centre - reach * sin)
-        marks.append(element("line", x1=centre, y1=centre, x2=end[0], y2=end[1], class_="grid"))
-        x, y = centre + (reach + 17) * cos, centre - (reach + 13) * sin + 4
-        marks.append(element("text", f"{angle:g}°", x=x, y=y, text_anchor="middle"))
+    rings = [reach * ring / ROSE_RINGS for ring in range(1, ROSE_RINGS + 1)]
+
+    def place(radius: float, angle_deg: float) -> tuple[float, float]:
+        angle = math.radians(angle_deg)
+        return centre + radius * math.cos(angle), centre - radius * math.sin(angle)
+
+    def radii(values: FloatArray) -> list[float]:
+        scaled: list[float] = (reach * np.clip(np.nan_to_num(values) / top, 0, 1)).tolist()
+        return scaled
 
     def outline(values: FloatArray) -> str:
-        radius = reach * np.clip(np.nan_to_num(values) / top, 0, 1)
-        corners = zip((centre + radius * np.cos(turn)).tolist(), (centre - radius * np.sin(turn)).tolist(), strict=True)
+        corners = map(place, radii(values), directions_deg.tolist())
         return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in corners) + "Z"
 
+    marks: list[Content] = [element("circle", cx=centre, cy=centre, r=radius, class_="ring") for radius in rings]
+    for angle in directions_deg.tolist():
+        x, y = place(reach, angle)
+        marks.append(element("line", x1=centre, y1=centre, x2=x, y2=y, class_="grid"))
+        x, y = place(reach + 17, angle)[0], place(reach + 13, angle)[1] + 4
+        marks.append(element("text", f"{angle:g}°", x=x, y=y, text_anchor="middle"))
     between = outline(quantiles["high"]) + outline(quantiles["low"])
     marks.append(element("path", d=between, class_="band inner", fill_rule="evenodd"))
     marks.append(element("path", d=outline(quantiles["middle"]), class_="curve"))
-    for at, angle in enumerate(turn.tolist()):
-        value = float(np.nan_to_num(quantiles["middle"][at]))
-        radius = reach * min(value / top, 1.0)
-        tooltip = element("title", f"{directions_deg[at]:g}°: median {three_digits(value)} {unit}")
-        x, y = centre + radius * math.cos(angle), centre - radius * math.sin(angle)
+    medians = np.nan_to_num(quantiles["middle"])
+    for angle, value, radius in zip(directions_deg.tolist(), medians.tolist(), radii(medians), strict=True):
+        tooltip = element("title", f"{angle:g}°: median {three_digits(value)} {unit}")
+        x, y = place(radius, angle)
         marks.append(element("circle", tooltip, cx=x, cy=y, r=4, class_="dot"))
-    for ring in range(1, ROSE_RINGS + 1):
-        radius = reach * ring / ROSE_RINGS
-        label = f"{three_digits(top * ring / ROSE_RINGS)} {unit if ring == ROSE_RINGS else ''}".strip()
-        x, y = centre + radius * math.cos(math.radians(22.5)), centre - radius * math.sin(math.radians(22.5))
+    for number, radius in enumerate(rings, start=1):
+        label = f"{three_digits(top * number / ROSE_RINGS)} {unit if number == ROSE_RINGS else ''}".strip()
+        x, y = place(radius, 22.5)
         marks.append(element("text", label, x=x, y=y, text_anchor="middle", class_="halo"))
     return drawing(title, ROSE, ROSE, *marks)

@@ -139,7 +139,9 @@ def _body(runs: Sequence[ReportRun], notes: Sequence[str]) -> Markup:
     else:
         sections.append(("verdicts", "What came out", _outcome_section(runs[0])))
         sections += _details_of(runs[0])
-    sections.append(("plans", "All worlds" if _worlds(runs) else "All plans", _table_section(notes)))
+    sections.append(
+        ("plans", "All worlds" if any(run.kind.sweeps for run in runs) else "All plans", _table_section(notes))
+    )
     if several:
         for number, run in enumerate(runs):
             parts = [element("h3", title) + inner for _, title, inner in _details_of(run) if inner]
@@ -155,10 +157,6 @@ def _body(runs: Sequence[ReportRun], notes: Sequence[str]) -> Markup:
         ),
         element("main", *(element("section", element("h2", title), inner, id=name) for name, title, inner in sections)),
     )
-
-
-def _worlds(runs: Sequence[ReportRun]) -> bool:
-    return any(run.kind.sweeps for run in runs)
 
 
 def _outcome_section(run: ReportRun) -> Markup:

@@ -231,11 +231,9 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
 def distinct_path_ends(paths: Sequence[Path]) -> list[str]:
     """The last parts of each path, such as "fast/run" and "slow/run". Each name has as few parts as needed to make all
     names different."""
-    depth = 1
-    deepest = max(len(path.parts) for path in paths)
-    while depth < deepest:
+    names: list[str] = []
+    for depth in range(1, max(len(path.parts) for path in paths) + 1):
         names = ["/".join(path.parts[-depth:]) for path in paths]
         if len(set(names)) == len(names):
             break
-        depth += 1
-    return ["/".join(path.parts[-depth:]) for path in paths]
+    return names
