@@ -102,13 +102,13 @@ def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table
     return None
 
 
-def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    """The rows of some worlds in a table of a run. The parts of the table are read one after another, so only one part
-    is in memory at a time.
+def boxes_of_worlds(run: RunResults, worlds: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    """The rows of some worlds in the table ``boxes`` of a run. The parts of the table are read one after another, so
+    only one part is in memory at a time.
 
     Args:
         worlds: data frame with the columns ``plan_id`` and ``variant``, one row per world.
-        columns: names of the columns to read from the table.
+        columns: names of the columns to read.
 
     Raises:
         InputError: a part is damaged or missing.
@@ -121,12 +121,13 @@ def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: S
 
     world_keys = keys(pa.array(worlds["plan_id"], pa.string()), pa.array(worlds["variant"], pa.int32()))
     part_rows = []
-    for file in run.parts.files(table):
+    for file in run.parts.files("boxes"):
         part = run.parts.read(file, ("plan_id", "variant"))
         rows = np.flatnonzero(np.isin(keys(part["plan_id"], part["variant"]), world_keys))
         if len(rows):
             part_rows.append(run.parts.read(file, columns).take(rows))
-    none = schemas()[table].empty_table().select([name for name in columns if name in schemas()[table].names])
+    schema = schemas()["boxes"]
+    none = schema.empty_table().select([name for name in columns if name in schema.names])
     return data_frame(pa.concat_tables(part_rows or [none], promote_options="default"))
 
 

@@ -22,8 +22,7 @@ from petmjx.show.table_layout import (
     Row,
     TableColumn,
     count_of,
-    interval,
-    interval_of,
+    interval_cell,
     name_column,
     number,
     number_of,
@@ -120,7 +119,7 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
         return f"{row['n_draws']:,}" if row["n_draws"] else ""
 
     def interval_of_draws(row: Row) -> str:
-        return interval(row["low"], row["high"]) if row["n_draws"] else ""
+        return interval_cell(row) if row["n_draws"] else ""
 
     return FittedTable(
         shown.head(MAX_VALUES).to_dict("records"),
@@ -168,9 +167,7 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
         TableColumn("margin", number_of("margin", ".2f"), spare=2),
         TableColumn("stand", stand),
         TableColumn("share", percent_of("share"), spare=1),
-        TableColumn(
-            "95 %", lambda row: interval(row["low"], row["high"]) if row["n_worlds"] > row["n_invalid"] else ""
-        ),
+        TableColumn("95 %", lambda row: interval_cell(row) if row["n_worlds"] > row["n_invalid"] else ""),
         *([TableColumn("could not\nbe placed", count_if_any("n_not_placed"))] if fails else []),
         *([TableColumn("fell", count_if_any("n_fell"))] if fails else []),
         *([TableColumn("share,\nexact", share_exact)] if has_exact else []),
@@ -210,7 +207,7 @@ def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable
         _PLAN,
         TableColumn("arrive", lambda row: f"{row['n_standing']:,} of {_judged(row)}"),
         TableColumn("P", percent_of("share")),
-        *([TableColumn("95 %", interval_of())] if drawn else []),
+        *([TableColumn("95 %", interval_cell)] if drawn else []),
         *(TableColumn(leg, share_after(leg), spare=2) for leg in shares),
         TableColumn("weakest", text_of("weakest_leg"), "left", least=8),
         TableColumn("box", lambda row: "" if pd.isna(row["box"]) else str(int(row["box"])), spare=1),
@@ -227,7 +224,7 @@ def legs_table(legs: pd.DataFrame) -> FittedTable:
         TableColumn("stand\nafter it", count_of("n_standing")),
         TableColumn("invalid", count_of("n_invalid"), spare=2),
         TableColumn("share", percent_of("share")),
-        TableColumn("95 %", interval_of(), spare=1),
+        TableColumn("95 %", interval_cell, spare=1),
         title="all plans",
     )
 

@@ -46,9 +46,10 @@ class TableColumn:
     spare: int = 0
 
 
-def name_column(header: str, column: str, least: int | None = None, spare: int = 0) -> TableColumn:
-    """A table column with the names in a column of rows. Names that are too long are shortened in the middle."""
-    return TableColumn(header, text_of(column), "left", least, middle=True, spare=spare)
+def name_column(header: str, column: str, least: int) -> TableColumn:
+    """A table column with the names in a column of rows. Names that are too long are shortened in the middle, to not
+    fewer than ``least`` characters."""
+    return TableColumn(header, text_of(column), "left", least, middle=True)
 
 
 class FittedTable:
@@ -195,6 +196,6 @@ def percent_of(column: str) -> Cell:
     return lambda row: percent(row[column])
 
 
-def interval_of(low: str = "low", high: str = "high") -> Cell:
-    """A cell with the interval of shares whose ends are in two columns of rows."""
-    return lambda row: interval(row[low], row[high])
+def interval_cell(row: Row) -> str:
+    """A cell with the interval of shares in the columns ``low`` and ``high`` of rows."""
+    return interval(row["low"], row["high"])

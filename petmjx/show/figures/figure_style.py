@@ -73,7 +73,7 @@ def draw_intervals(axes: Any, names: Sequence[str], values: ArrayLike, low: Arra
     axes.set_axisbelow(True)
 
 
-def wrapped_sentences(sentences: Sequence[str], width_in: float = WIDTH_IN) -> str:
+def wrapped_sentences(sentences: Sequence[str]) -> str:
     """Sentences, wrapped into lines that fit below a figure. Each sentence begins a new line."""
-    letters = int(width_in * 72 / (POINTS * 0.55))  # a letter's width is about 0.55 of the size of text
+    letters = int(WIDTH_IN * 72 / (POINTS * 0.55))  # a letter's width is about 0.55 of the size of text
     return "\n".join(line for sentence in sentences for line in textwrap.wrap(sentence, letters))

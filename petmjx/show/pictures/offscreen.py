@@ -11,7 +11,7 @@ import importlib
 import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any, Final, Self
 
 import mujoco
@@ -145,7 +145,7 @@ def _gl_context(size: tuple[int, int]) -> Any:
     if name not in CONTEXTS:
         raise InputError(f"MUJOCO_GL={name}: pictures are drawn with one of {', '.join(CONTEXTS)}; unset it for egl")
     try:
-        with _same_environment("PYOPENGL_PLATFORM"), warnings.catch_warnings():
+        with _same_pyopengl_platform(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # GLFW warns of problems that also raise an error
             context = importlib.import_module(f"mujoco.{name}").GLContext(*size)
         context.make_current()
@@ -155,16 +155,15 @@ def _gl_context(size: tuple[int, int]) -> Any:
 
 
 @contextmanager
-def _same_environment(name: str) -> Iterator[None]:
-    """A context in which an environment variable may change: the variable's value is restored at the end."""
-    before = os.environ.get(name)
+def _same_pyopengl_platform() -> Iterator[None]:
+    """A context in which the variable ``PYOPENGL_PLATFORM`` may change: its value is restored at the end."""
+    before = os.environ.get("PYOPENGL_PLATFORM")
     try:
         yield
     finally:
-        with suppress(KeyError):
-            del os.environ[name]
+        os.environ.pop("PYOPENGL_PLATFORM", None)
         if before is not None:
-            os.environ[name] = before
+            os.environ["PYOPENGL_PLATFORM"] = before
 
 
 def _studio(size: tuple[int, int], line_px: float) -> Any:

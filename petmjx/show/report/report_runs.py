@@ -20,7 +20,7 @@ from petmjx.common.units import MM_PER_M
 from petmjx.plans.plan import Plan
 from petmjx.results.plan_lookup import PlanLookup, find_plans
 from petmjx.results.run_manifest import Manifest
-from petmjx.results.run_reader import RunResults, load_run, rows_of_worlds
+from petmjx.results.run_reader import RunResults, boxes_of_worlds, load_run
 from petmjx.results.share_intervals import ALL_PLANS, share_standing
 from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import is_chain
@@ -168,7 +168,7 @@ class ReportRun:
         if missing and self.results.keeps_boxes:
             worlds = self.results.worlds[KEY]
             first = worlds[worlds["plan_id"].isin(missing)].drop_duplicates("plan_id")
-            boxes = rows_of_worlds(self.results, "boxes", first, ("plan_id", "article"))
+            boxes = boxes_of_worlds(self.results, first, ("plan_id", "article"))
             articles_by_plan |= {str(plan_id): rows.tolist() for plan_id, rows in boxes.groupby("plan_id")["article"]}
         return articles_by_plan
 

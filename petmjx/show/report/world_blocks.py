@@ -20,7 +20,7 @@ from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.results.history_tables import read_history
-from petmjx.results.run_reader import rows_of_worlds
+from petmjx.results.run_reader import boxes_of_worlds
 from petmjx.show.pages.page_arrays import PackedArray, block, integer_column, quantised_column
 from petmjx.show.report.report_runs import ReportRun
 from petmjx.world.body_shapes import Body
@@ -128,7 +128,7 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
         run = runs[int(at)]
         sim = simulation_of(run.info)
         columns = (*KEY, "box", "item_id", "article", *_NUMBERS)
-        boxes = rows_of_worlds(run.results, "boxes", part[KEY], columns).sort_values([*KEY, "box"], kind="stable")
+        boxes = boxes_of_worlds(run.results, part[KEY], columns).sort_values([*KEY, "box"], kind="stable")
         places = boxes.reset_index().groupby(KEY, sort=False).indices
         numbers = boxes[[*_NUMBERS]].to_numpy(np.float64)
         names = list(zip(boxes["item_id"], boxes["article"], strict=True))
@@ -206,18 +206,15 @@ class Replays:
     left_out: int
 
 
-def replays(
-    runs: Sequence[ReportRun], table: pd.DataFrame, drawn: NDArray[np.int64], most: int = MOST_POSES
-) -> Replays:
+def replays(runs: Sequence[ReportRun], table: pd.DataFrame, drawn: NDArray[np.int64]) -> Replays:
     """Store the histories of the worlds in a table in blocks. Worlds without a 3D picture are left out.
 
     Args:
         table: data frame with the rows of the table, from :func:`petmjx.show.report.plan_rows.table_rows`.
         drawn: (rows of the table,) negative if the row's world has no 3D picture; see ``BoxBlocks.drawn``.
-        most: largest number of poses.
     """
     poses = _poses(runs, table)
-    recorded, left_out = _fitting_rows(table, np.flatnonzero((poses > 0) & (drawn >= 0)), poses, most)
+    recorded, left_out = _fitting_rows(table, np.flatnonzero((poses > 0) & (drawn >= 0)), poses, MOST_POSES)
     number = np.full(len(table), -1)
     blocks: dict[str, str] = {}
     for row in recorded:
