@@ -33,7 +33,7 @@ PLANS_HELP = (
 
 PlanPaths = Annotated[
     list[Path] | None,
-    typer.Argument(metavar="PLANS", help=f"{PLANS_HELP} Without any: the bundled samples.", show_default=False),
+    typer.Argument(metavar="PLANS", help=f"{PLANS_HELP} Without any: the bundled samples."),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
@@ -45,14 +45,13 @@ Target = Annotated[
         metavar="NAME|LxW",
         help="What orders are packed on whose file does not say it: euro-pallet, rollcontainer, or sizes in mm such as "
         "1200x1000.  [default: the file's container if it is a pallet, else euro-pallet]",
-        show_default=False,
     ),
 ]
 
 
 def file_option(flag: str, text: str, section: str) -> Any:
     """An option that names a file to write, under the heading ``section`` of the help."""
-    return typer.Option(flag, metavar="FILE", help=text, show_default=False, rich_help_panel=section)
+    return typer.Option(flag, metavar="FILE", help=text, rich_help_panel=section)
 
 
 SIMULATED = "What is simulated"
@@ -62,7 +61,6 @@ PlansOrRun = Annotated[
         metavar="PLANS|DIR",
         help="Or the folder of a run, whose options are then used; if its plan files were moved, name them after it. "
         "Without any: the bundled samples.",
-        show_default=False,
     ),
 ]
 Variant = Annotated[
@@ -170,7 +168,6 @@ class _Option:
             *names,
             metavar=None if self.kind is bool else self.flag.metavar,
             help=self.help,
-            show_default=False,
             rich_help_panel=self.section,
         )
         return _keyword(self.name, Annotated[self.kind | None, option])
@@ -305,7 +302,6 @@ def _set_parameter(settable: Collection[str], section: str) -> inspect.Parameter
         metavar="FIELD=VALUE",
         help=f"Set any other option of the simulation, such as {example}. May be given several times.",
         rich_help_panel=section,
-        show_default=False,
     )
     return _keyword("settings", Annotated[list[str] | None, option])
 

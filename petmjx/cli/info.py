@@ -25,7 +25,6 @@ def info(
             "--write-as",
             metavar="FILE.toml",
             help="Write down how the file is read. With --as FILE.toml it is then read without a guess.",
-            show_default=False,
         ),
     ] = None,
     html: Annotated[
@@ -34,7 +33,6 @@ def info(
             "--html",
             metavar="FILE.html",
             help="Write a page: pictures of the plans, columns, units, and the other readings.",
-            show_default=False,
         ),
     ] = None,
     overwrite: opt.Overwrite = False,

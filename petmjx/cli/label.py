@@ -26,7 +26,6 @@ def label(
             metavar="ORDERS",
             help="A file of orders: BED-BPP's JSON, a table or sheet of items, or another tool's form "
             "(docs/plan-format.md). Without one: drawn orders, as of petmjx samples.",
-            show_default=False,
         ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write.")] = Path("labels"),
@@ -38,7 +37,6 @@ def label(
             "--worlds-with-errors",
             metavar="N",
             help="Simulate each label also in N worlds in which a robot places the box inexactly (column share).",
-            show_default=False,
         ),
     ] = None,
     explore: Annotated[
@@ -50,7 +48,6 @@ def label(
             "--pallets",
             metavar="N",
             help="Pallets side by side; labels do not depend on it. [default: 4096 on a GPU, else 64]",
-            show_default=False,
         ),
     ] = None,
     max_height_mm: Annotated[

@@ -32,12 +32,7 @@ def leaderboard(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder of the site.")] = Path("leaderboard"),
     orders: Annotated[
         Path | None,
-        typer.Option(
-            "--orders",
-            metavar="FILE",
-            help="Orders of the plans, in any form: boxes left out and KPIs.",
-            show_default=False,
-        ),
+        typer.Option("--orders", metavar="FILE", help="Orders of the plans, in any form: boxes left out and KPIs."),
     ] = None,
     baselines: Annotated[
         bool, typer.Option("--baselines", help="Also rate petmjx's own packers on these orders; needs --orders.")
@@ -48,7 +43,6 @@ def leaderboard(
             "--repair",
             metavar="NAME",
             help="Also repair the plans of this packer, and rate them as the entry NAME-repaired; repeatable.",
-            show_default=False,
         ),
     ] = None,
     stories: Annotated[

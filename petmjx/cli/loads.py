@@ -18,12 +18,7 @@ from petmjx.options.stacking import Stacking
 def loads(
     run: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the run.")],
     plans: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="PLANS",
-            help="The plans of the run, if its plan files were moved.",
-            show_default=False,
-        ),
+        list[Path] | None, typer.Argument(metavar="PLANS", help="The plans of the run, if its plan files were moved.")
     ] = None,
     *,
     articles: Annotated[
@@ -32,7 +27,6 @@ def loads(
             "--articles",
             metavar="FILE",
             help="How much articles, groups or materials can bear: CSV, Parquet or TOML; default: what plans say.",
-            show_default=False,
         ),
     ] = None,
     out: Annotated[

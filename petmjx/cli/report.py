@@ -29,7 +29,6 @@ def report(
             "--pdf",
             metavar="FILE",
             help="Of one run of a chain: instead of the page a PDF with one page to send about each plan.",
-            show_default=False,
         ),
     ] = None,
     overwrite: opt.Overwrite = False,

@@ -39,8 +39,7 @@ orders that a single line names."""
 def samples(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write; *.gz is gzipped.")],
     n: Annotated[
-        int | None,
-        typer.Option("-n", metavar="N", help="Number of plans, 1 to 200,000.  [default: 100]", show_default=False),
+        int | None, typer.Option("-n", metavar="N", help="Number of plans, 1 to 200,000.  [default: 100]")
     ] = None,
     seed: Annotated[
         int,
@@ -53,7 +52,6 @@ def samples(
             metavar="0…1",
             help="Share of plans that the packer baseline packs with a support rule too loose to be safe.  "
             f"[default: {DEFAULT_LOOSE_SHARE}; with --packer 0]",
-            show_default=False,
         ),
     ] = None,
     orders: Annotated[
@@ -75,7 +73,6 @@ def samples(
             "physical: denser still, of packings that stand in simulation, also as a robot places them; "
             "learned: takes boxes as they come, by weights trained with physics.  "
             "[default: baseline, with some loose plans]",
-            show_default=False,
         ),
     ] = None,
     look_ahead: Annotated[
@@ -85,7 +82,6 @@ def samples(
             metavar="K",
             min=1,
             help="Boxes that the packer learned sees of those that come next; it may place any of them.  [default: 1]",
-            show_default=False,
         ),
     ] = None,
     workers: Annotated[
@@ -96,7 +92,6 @@ def samples(
             min=1,
             help="Number of processes that pack (physical: that search). It does not change the plans.  "
             "[default: one for each CPU]",
-            show_default=False,
         ),
     ] = None,
     overwrite: opt.Overwrite = False,

@@ -24,7 +24,6 @@ Names = Annotated[
         metavar="NAME=PLANS",
         help="Plans of several packers for the same orders: --name A=a.json B=b.json. The results of each go to a "
         "subfolder of --out with its name; then the packers are compared.",
-        show_default=False,
     ),
 ]
 
