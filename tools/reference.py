@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import typer
-from petmjx.cli.help_layout import WIDTH
 
-from petmjx.cli.main import application
+from petmjx.cli.main import WIDTH, application
 from petmjx.common.checked_records import CheckedRecord, CliFlag
 from petmjx.options.physics import Physics
 from petmjx.options.placing import Placing
