@@ -148,7 +148,7 @@ class Bar:
 
     Attributes:
         name: name to the left of the bar.
-        length: length of the bar, in any unit.
+        length: length of the bar, in any unit. NaN counts as 0.
         text: text to the right of the bar.
         class_: class of the style sheet that gives the bar its colour.
         link: part of the page's address after #, with which a click on the bar filters the table of plans. If ``link``
@@ -170,21 +170,20 @@ def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 13
         width: width of the chart, pixels.
         names: largest width of the names, pixels.
     """
-    longest = max((row.length for row in rows), default=0.0) or 1.0
+    lengths = [float(np.nan_to_num(row.length)) for row in rows]
+    longest = max(lengths, default=0.0) or 1.0
     letters = min(names // LETTER, max((len(row.name) for row in rows), default=0))
     names = letters * LETTER + 10
     room = width - names - LETTER * max((len(row.text) for row in rows), default=0) - 14
     marks: list[Content] = []
-    for at, row in enumerate(rows):
-        y = at * ROW_HEIGHT
+    for at, (row, length) in enumerate(zip(rows, lengths, strict=True)):
+        y, long = at * ROW_HEIGHT, room * length / longest
         drawn = (
             element("title", f"{row.name}: {row.text}"),
             element("rect", x=0, y=y, width=width, height=ROW_HEIGHT, class_="hit"),
             element("text", _shortened(row.name, letters), x=names - 6, y=y + 16, text_anchor="end"),
-            element(
-                "rect", x=names, y=y + 5, width=room * row.length / longest, height=14, class_=f"fill {row.class_}"
-            ),
-            element("text", row.text, x=names + room * row.length / longest + 5, y=y + 16),
+            element("rect", x=names, y=y + 5, width=long, height=14, class_=f"fill {row.class_}"),
+            element("text", row.text, x=names + long + 5, y=y + 16),
         )
         marks.append(element("a", *drawn, href=f"#{row.link}") if row.link else element("g", *drawn))
     return drawing(title, width, max(1, len(rows)) * ROW_HEIGHT + 4, *marks)

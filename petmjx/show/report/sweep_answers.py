@@ -28,7 +28,7 @@ from petmjx.show.report.charts import (
 from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup, table
 from petmjx.show.report.report_runs import Kind, ReportRun
 from petmjx.show.report.svg_charts import MOST_TICKS, Frame, Scale, figure, round_step
-from petmjx.show.report.verdict_shares import link, plan_link
+from petmjx.show.report.verdict_shares import ORDER, link, plan_link
 
 DIRECTION: Final = "direction_deg"
 STRENGTHS: Final = {"level_g": ("level", "g"), "scale": ("scale", "")}
@@ -124,7 +124,7 @@ def _named_values(axis: str, summary: pd.DataFrame, run: ReportRun) -> Markup:
     drawn = [
         Bar(
             str(row["value"]),
-            0.0 if pd.isna(row["share"]) else float(row["share"]),
+            row["share"],
             f"{percent(row['share'])} of {row['n_worlds'] - row['n_invalid']:,}",
             "stable",
         )
@@ -186,11 +186,7 @@ def correlation_ratio(values: pd.Series, keys: pd.Series) -> float:
 
 def _importance_chart(matters: pd.DataFrame) -> Markup:
     rows = [
-        Bar(
-            str(row["axis"]),
-            0.0 if pd.isna(row["explained"]) else float(row["explained"]),
-            f"{percent(row['explained'])} · {percent(row['spread'])}",
-        )
+        Bar(row["axis"], row["explained"], f"{percent(row['explained'])} · {percent(row['spread'])}")
         for row in matters.to_dict("records")
     ]
     return figure("Which axis matters most: explained · range", bars("Which axis matters most", rows), MATTERS)
@@ -290,7 +286,7 @@ def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -
         return
     values = {axis: correlation_ratio(levels["largest"], keys) for axis, keys in axes.items()}
     rows = [
-        Bar(axis, 0.0 if pd.isna(value) else value, percent(value))
+        Bar(axis, value, percent(value))
         for axis, value in sorted(values.items(), key=lambda entry: -np.nan_to_num(entry[1]))
     ]
     note = f"Part of the variance of the largest {name} between the values of that axis (η²)."
@@ -334,15 +330,14 @@ def _chain(summary: pd.DataFrame) -> Markup:
     leg_rows = [(str(row["leg"]) or "whole way", row) for row in legs.to_dict("records")]
     charts = [figure("By leg", intervals("By leg", [_share_row(name, row) for name, row in leg_rows]), BY_LEG)]
     if len(of_plans) > 1:
-        frame = Frame("Share of worlds that arrive", Scale(0, 1), Scale(0, 1), "share that arrives", "plans")
-        frame.x_ticks = [(value, f"{100 * value:.0f} %") for value in (0, 0.25, 0.5, 0.75, 1)]
-        shares = of_plans["share"].dropna()
-        histogram(frame, shares, pd.Series("plain", index=shares.index), ["plain"])
+        plain = pd.Series("plain", index=of_plans.index)
+        charts.append(
+            _share_histogram("Share of worlds that arrive", "share that arrives", of_plans["share"], plain, ["plain"])
+        )
         weakest = of_plans.loc[of_plans["weakest_leg"] != "", "weakest_leg"].value_counts()
         rows = [
             Bar(str(leg), float(n), count_text(int(n), "plan"), Verdict.UNSTABLE.value) for leg, n in weakest.items()
         ]
-        charts.append(figure(frame.title, frame.svg()))
         charts += [figure("Weakest leg", bars("Weakest leg", rows), WEAKEST)] if rows else []
     remedies = overall[(overall["remedy"] != AS_IS) & (overall["leg"] == WHOLE_WAY)]
     return joined_markup(
@@ -350,6 +345,16 @@ def _chain(summary: pd.DataFrame) -> Markup:
         _remedies(remedies) if len(remedies) else NOTHING,
         _plans_by_leg(summary) if len(of_plans) <= MOST_VALUES else NOTHING,
     )
+
+
+def _share_histogram(
+    title: str, label: str, shares: pd.Series, classes: pd.Series, order: Sequence[str], note: str = ""
+) -> Markup:
+    """A histogram of the shares of plans. ``classes`` and ``order`` are as in ``histogram``."""
+    frame = Frame(title, Scale(0, 1), Scale(0, 1), label, "plans")
+    frame.x_ticks = [(value, f"{100 * value:.0f} %") for value in (0, 0.25, 0.5, 0.75, 1)]
+    histogram(frame, shares.astype("float64"), classes, order)
+    return figure(title, frame.svg(), note)
 
 
 def _share_row(name: str, row: Mapping[Any, Any]) -> tuple[str, float, float, float, str]:
@@ -385,11 +390,13 @@ def _plans_by_leg(summary: pd.DataFrame) -> Markup:
 
 
 def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:
-    judged_plans = summary[summary["share"].notna()]
-    frame = Frame("Share of worlds with errors that stand", Scale(0, 1), Scale(0, 1), "share that stands", "plans")
-    frame.x_ticks = [(value, f"{100 * value:.0f} %") for value in (0, 0.25, 0.5, 0.75, 1)]
-    histogram(
-        frame, judged_plans["share"].astype("float64"), judged_plans["verdict"], [verdict.value for verdict in Verdict]
+    chart = _share_histogram(
+        "Share of worlds with errors that stand",
+        "share that stands",
+        summary["share"],
+        summary["verdict"],
+        ORDER,
+        "Coloured by the verdict without errors.",
     )
     tosses = summary.loc[summary["coin_toss"].astype(bool), "plan_id"].tolist()
     links = [
@@ -406,5 +413,5 @@ def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:
         element("p", line),
         element("p", failure_text) if missed else NOTHING,
         element("ul", *links, more_item, class_="names") if tosses else NOTHING,
-        element("div", figure(frame.title, frame.svg(), "Coloured by the verdict without errors."), class_="charts"),
+        element("div", chart, class_="charts"),
     )
