@@ -204,14 +204,14 @@ def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> H
     boxes, frames, touches = (_read(run, table, plan_id, variant) for table in TABLES)
     if frames is None or boxes is None:
         return None
-    f = len(frames["frame"])
-    if not np.array_equal(frames["frame"], np.arange(f)) or not _fits(boxes, f, n_boxes):
+    f, (frame, box) = len(frames["frame"]), (boxes["frame"], boxes["box"])
+    exists = (frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)
+    if not np.array_equal(frames["frame"], np.arange(f)) or not exists.all():
         raise InputError(f"{run.path}: histories and frames of plan {printable_name(plan_id)} do not fit together")
-    place = boxes["frame"], boxes["box"]
 
     def spread(values: FloatArray) -> FloatArray:
         wide = np.full((f, n_boxes, *values.shape[1:]), np.nan)
-        wide[place] = values
+        wide[frame, box] = values
         return wide
 
     kinds = {kind: _vector(frames, name, _XYZ, end) for kind, name, end in _DRIVES}
@@ -276,12 +276,6 @@ def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, 
         return None
     numbers = rows.drop_columns(["plan_id", "variant"])
     return {name: numbers[name].to_numpy() for name in numbers.column_names}
-
-
-def _fits(boxes: Mapping[str, Any], f: int, n_boxes: int) -> bool:
-    """Whether every row names a frame and a box that exist."""
-    frame, box = boxes["frame"], boxes["box"]
-    return bool(((frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)).all())
 
 
 def _contacts(columns: Mapping[str, Any] | None) -> Contacts:

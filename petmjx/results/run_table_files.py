@@ -18,7 +18,8 @@ from petmjx.results.run_tables import Parts, check_columns
 
 
 class Tables:
-    """The tables of a run on disk. All methods raise ``OSError`` if a file cannot be written.
+    """The tables of a run, on disk or in memory (``MemoryParts``). All methods raise ``OSError`` if a file cannot be
+    written.
 
     New files get new numbers, so old and new files exist side by side until ``run.json`` lists the new files. If the
     run is killed, its folder therefore has either the old or the new state.
@@ -33,8 +34,11 @@ class Tables:
 
     def write(self, table: str, number: int, content: pa.Table) -> dict[Path, str]:
         """Write a table, or a part of it, as a new file. Returns file → digest. The file belongs to the run only after
-        a call of ``add``."""
+        a call of ``add``. If the tables are in memory, the table is kept there, and the result is empty."""
         path = self._folder / table / part_name(number)
+        if isinstance(self.parts, MemoryParts):
+            self.parts.tables[path] = content
+            return {}
         return {path: write_table(content, path)}
 
     def add(self, digests: Mapping[Path, str]) -> None:
@@ -115,17 +119,3 @@ class MemoryParts(Parts):
     def write(self, folder: Path) -> dict[Path, str]:
         """Write the tables as files. Returns the digest of each file. Raises OSError."""
         return {folder / file: write_table(table, folder / file) for file, table in self.tables.items()}
-
-
-class MemoryTables(Tables):
-    """The same methods as ``Tables``, for a new run whose tables stay in memory."""
-
-    parts: MemoryParts
-
-    def __init__(self) -> None:
-        super().__init__(Path(), MemoryParts(Path(), {}))
-
-    def write(self, table: str, number: int, content: pa.Table) -> dict[Path, str]:
-        """Keep a part of a table in memory."""
-        self.parts.tables[Path(table) / part_name(number)] = content
-        return {}

@@ -38,7 +38,7 @@ from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder, mak
 from petmjx.results.run_info import RUNNING, RunInfo, now
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import FINISHED, RunResults, load_run
-from petmjx.results.run_table_files import MemoryParts, MemoryTables, Tables
+from petmjx.results.run_table_files import MemoryParts, Tables
 from petmjx.results.run_tables import LISTED, Parts
 from petmjx.results.schema import Param, schemas
 from petmjx.results.to_json import to_json
@@ -165,7 +165,7 @@ class RunWriter(RunInfo):
         self._added_bytes = 0  # changed only by the thread that adds worlds
         self._cut_short = False  # set only by the main thread
         # Once the writer's thread has started, only this thread uses the attributes below.
-        self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
+        self._tables = Tables(self.out_dir, MemoryParts(Path(), {}) if self._in_memory else None)
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._rows: list[Row] = []
         self._row_bytes = self._written_bytes = 0
