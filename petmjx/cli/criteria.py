@@ -45,7 +45,7 @@ def criteria(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the tables, as Parquet and CSV.")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace tables and figures that exist.")] = False,
+    overwrite: opt.Overwrite = False,
     only: Annotated[
         list[str] | None,
         typer.Option(
@@ -100,4 +100,4 @@ def criteria(
         print(json.dumps(to_json(results.info | tables), indent=2, allow_nan=False))
         return
     written = [line(f"figure in {file}") for file in files]
-    print_renderables([*criteria_tables(results, None if out is None else str(out)), *written], results_console())
+    print_renderables([*criteria_tables(results, out), *written], results_console())

@@ -55,10 +55,10 @@ def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[
     from petmjx.options.run_options import RunOptions
     from petmjx.options.simulation import Simulation
     from petmjx.plans.plan_sources import find_plan, usable_plans
-    from petmjx.results.run_folder import RUN_FILE
+    from petmjx.results.plan_lookup import is_run
     from petmjx.world.scene import build_scene
 
-    if source and (source[0] / RUN_FILE).is_file():
+    if source and is_run(source[0]):
         from petmjx.results.run_reader import load_run
         from petmjx.runs.rerun import worlds_of_run
 

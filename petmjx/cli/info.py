@@ -52,8 +52,7 @@ def info(
     from petmjx.show.file_info import file_infos, info_lines
 
     outputs = [path for path in (write_as, html) if path is not None]
-    if outputs:
-        check_outputs(outputs, overwrite=overwrite, inputs=source_files(plans))
+    check_outputs(outputs, overwrite=overwrite, inputs=source_files(plans))
     infos, plan_set = file_infos(plans, options)
     readings = plan_set.readings
     if as_json:

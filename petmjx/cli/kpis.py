@@ -81,7 +81,7 @@ def kpis(
         print(json.dumps({**rating.summary, "notes": rating.notes, "skipped": rating.skipped}, indent=2))
     else:
         print_skipped(rating.skipped, SHOWN_SKIPPED)
-        print_renderables(kpi_tables(rating, None if out is None else printable(str(out))), results_console())
+        print_renderables(kpi_tables(rating, out), results_console())
     if leaderboard is not None:
         file = write_submission(leaderboard, out or Path(), rating.plans_by_id, rating.orders, len(rating.skipped))
         if not as_json:

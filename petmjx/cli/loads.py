@@ -10,7 +10,6 @@ import typer
 
 from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
-from petmjx.common.text import printable
 from petmjx.options.stacking import Stacking
 
 
@@ -59,4 +58,4 @@ def loads(
         ways = {} if comparison.ways is None else {"ways": to_json(comparison.ways)}
         print(json.dumps({"plans": to_json(comparison.plans), **ways, "notes": comparison.notes}, indent=2))
         return
-    print_renderables(load_tables(comparison, None if out is None else printable(str(out))), results_console())
+    print_renderables(load_tables(comparison, out), results_console())

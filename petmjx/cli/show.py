@@ -120,9 +120,9 @@ def _cli_story(plan_id: str, source: list[Path], variant: int | None, forces: bo
     """The story of a plan (its simulation, frame by frame). If ``forces`` is set, a plan of a run is simulated again,
     because the recording of the run may have no forces."""
     from petmjx.analysis.story import tell
-    from petmjx.results.run_folder import RUN_FILE
+    from petmjx.results.plan_lookup import is_run
 
-    if source and (source[0] / RUN_FILE).is_file():
+    if source and is_run(source[0]):
         details = True if forces else None
         return tell(plan_id, source[0], plans=source[1:] or None, variant=variant, details=details, **options)
     return tell(plan_id, source or None, variant=variant, **options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pandas as pd
 from rich.console import RenderableType
@@ -29,7 +30,7 @@ SHOWN_SKIPPED = 10
 """Largest number of skipped plans that are shown. ``criteria.json`` lists all skipped plans."""
 
 
-def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterator[RenderableType]:
+def criteria_tables(results: CriteriaResults, out: Path | None = None) -> Iterator[RenderableType]:
     """All tables and lines: the answers of the criteria and, if a run is given, their comparison with the run's
     verdicts.
 

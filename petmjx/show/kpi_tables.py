@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from operator import itemgetter
+from pathlib import Path
 
 import pandas as pd
 from rich.console import RenderableType
@@ -13,7 +14,7 @@ from petmjx.show.sweep_tables import FEW_ROWS
 from petmjx.show.table_layout import FittedTable, TableColumn, line, name_column, number, number_of, percent
 
 
-def kpi_tables(kpis: Kpis, out: str | None = None) -> Iterator[RenderableType]:
+def kpi_tables(kpis: Kpis, out: Path | None = None) -> Iterator[RenderableType]:
     """A table of the plans if there are few; then notes, and a table of mean values and ratings.
 
     Args:

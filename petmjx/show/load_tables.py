@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pandas as pd
 from rich.console import RenderableType
@@ -24,7 +25,7 @@ from petmjx.show.table_layout import (
 )
 
 
-def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType]:
+def load_tables(loads: Loads, out: Path | None = None) -> Iterator[RenderableType]:
     """A table of the worlds in which a box has the largest load relative to its strength, and lines with counts.
 
     Args:

@@ -22,8 +22,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.repair import OF_READING, repair
 from petmjx.repairs.trials import OF_RUN
-from petmjx.results.plan_lookup import find_plans
-from petmjx.results.run_folder import RUN_FILE
+from petmjx.results.plan_lookup import find_plans, is_run
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, load_run
 from petmjx.runs.simulate import Watcher
@@ -146,8 +145,7 @@ def repair_entries(
     for entry, name in names.items():
         file = folder / PLANS / f"{entry}.json"
         file.parent.mkdir(parents=True, exist_ok=True)
-        source: Any = load_run(paths[name]).path if (paths[name] / RUN_FILE).is_file() else paths[name]
-        repair(source, worlds=0, **repair_options).save(file)
+        repair(paths[name], worlds=0, **repair_options).save(file)
         files[entry] = file
     return files
 
@@ -171,10 +169,10 @@ def enter(
         InputError: plans or options are unusable, or the board's folder has another run.
     """
     scored = False
-    if (path / RUN_FILE).is_file():
+    if is_run(path):
         run = load_run(path)
     else:
-        scored = not (folder / RUNS / name / RUN_FILE).exists()
+        scored = not is_run(folder / RUNS / name)
         with nullcontext() if watch is None else watch(name) as watcher:
             run = score(path, watcher=watcher, **{**options, "out": folder / RUNS / name, "resume": True})
     records = Manifest.read(run.parts, run.info).plans
