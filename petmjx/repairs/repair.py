@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -225,12 +224,11 @@ class RepairInterrupted(KeyboardInterrupt):
 
     Attributes:
         repairs: the plans whose search had ended; shares with errors that were not simulated yet are missing.
-        number: number of the signal.
     """
 
-    def __init__(self, repairs: Repairs, number: int) -> None:
-        super().__init__(number)
-        self.repairs, self.number = repairs, number
+    def __init__(self, repairs: Repairs) -> None:
+        super().__init__()
+        self.repairs = repairs
 
 
 def repair(
@@ -290,8 +288,8 @@ def repair(
             results.append(repaired)
             if watch is not None:
                 watch(len(results), len(plan_set.plans))
-    except KeyboardInterrupt as stop:
-        raise RepairInterrupted(repairs(), getattr(stop, "number", signal.SIGINT)) from None
+    except KeyboardInterrupt:
+        raise RepairInterrupted(repairs()) from None
     finally:
         question.close()
     return repairs()

@@ -60,27 +60,25 @@ def find_plans(
     Raises:
         InputError: the source ``given`` is unusable.
     """
-    missing_files: list[str] = []
-    found_plans: dict[str, Plan] = {}
+    plans: dict[str, Plan] = {}
+    gone: list[str] = []
     if given is None:
-        found_plans = {plan_id: run.held[plan_id] for plan_id in wanted if plan_id in run.held}
-        if len(found_plans) < len(wanted):
-            found_plans |= kept_plans(run.parts, records, [plan_id for plan_id in wanted if plan_id not in found_plans])
-        left = [records[plan_id] for plan_id in wanted if plan_id not in found_plans and plan_id in records]
+        plans = {plan_id: run.held[plan_id] for plan_id in wanted if plan_id in run.held}
+        if len(plans) < len(wanted):
+            plans |= kept_plans(run.parts, records, [plan_id for plan_id in wanted if plan_id not in plans])
+        left = [records[plan_id] for plan_id in wanted if plan_id not in plans and plan_id in records]
         files = {source: plan_file(source) for source in dict.fromkeys(record.source for record in left)}
-        missing_files = [source for source, file in files.items() if file is None]
+        gone = [source for source, file in files.items() if file is None]
         given = [file for file in files.values() if file is not None]
-    read: dict[str, Plan] = {}
     if not isinstance(given, list) or given:
-        read = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), how_read(run.info))}
-    read |= found_plans
-    plans = {plan_id: read[plan_id] for plan_id in wanted if plan_id in read}
+        plans = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), how_read(run.info))} | plans
+    plans = {plan_id: plans[plan_id] for plan_id in wanted if plan_id in plans}
     changed = {name for name, plan in plans.items() if name in records and records[name].digest != plan_digest(plan)}
     return PlanLookup(
         plans={plan_id: plan for plan_id, plan in plans.items() if plan_id not in changed},
         missing=tuple(sorted(set(wanted) - plans.keys())),
         changed=tuple(sorted(changed)),
-        gone=tuple(missing_files),
+        gone=tuple(gone),
     )
 
 
