@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 from petmjx.common.errors import InputError
@@ -28,7 +27,7 @@ from petmjx.plans.text_tables import decoded_text
 from petmjx.plans.workbooks import RawFile, read_raw_tables, tables_of_page, value_of_xml
 
 
-def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
+def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
     """The lists of boxes in a file's bytes. The list that most likely describes a plan comes first. The boxes of a list
     may lack places or sizes.
 

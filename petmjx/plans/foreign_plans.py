@@ -1,5 +1,5 @@
-"""Plans in files of other tools (``read_foreign``). A reading (a meaning for each column) is chosen for the file, and
-the boxes become a checked table of placements, as in petmjx's own formats."""
+"""Plans in files of other tools (``plans_of_sources``). A reading (a meaning for each column) is chosen for the file,
+and the boxes become a checked table of placements, as in petmjx's own formats."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from petmjx.common.text import count_text, printable, printable_name
 from petmjx.plans.box_columns import BoxColumns, box_columns
 from petmjx.plans.column_names import column_meanings
 from petmjx.plans.file_formats import NoBoxes, NoGeometry
-from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.foreign_plan_builder import ForeignPlans, PlanBuilder
 from petmjx.plans.header_names import are_numbers
 from petmjx.plans.item_joins import with_items
@@ -27,13 +26,14 @@ _NUMBERS_OF_A_BOX: Final = 6
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
 
 
-def read_foreign(
-    data: bytes | bytearray, path: Path, source: str, wishes: Wishes, items: Path | None = None
+def plans_of_sources(
+    sources: Sequence[BoxSource], path: Path | None, source: str, wishes: Wishes, items: Path | None
 ) -> ForeignPlans:
-    """Read the plans in a file's bytes.
+    """Read the plans in lists of boxes, which are sorted by likelihood.
 
     Args:
-        source: name of the file in messages.
+        path: the file of the lists; None: they come from an object.
+        source: name of the file or object in messages.
         items: file with the sizes and weights of items, for files that contain only places. If None, such a file is
             searched for in the folder of the file of plans.
 
@@ -41,14 +41,6 @@ def read_foreign(
         AmbiguousFile: the file can be read in two ways.
         InputError: the file contains no plans. The error lines do not name the file.
     """
-    return plans_of_sources(sources_of_bytes(data, path), path, source, wishes, items)
-
-
-def plans_of_sources(
-    sources: Sequence[BoxSource], path: Path | None, source: str, wishes: Wishes, items: Path | None = None
-) -> ForeignPlans:
-    """Read the plans in lists of boxes, which are sorted by likelihood. Arguments and errors are those of
-    :func:`read_foreign`."""
     chosen = with_items(sources, path, items)
     chosen = replace(chosen, notes=(*chosen.notes, *_other_plans(sources)))
     if chosen.boxes.table.decimal:

@@ -20,7 +20,7 @@ from petmjx.common.processes import no_collection
 from petmjx.common.text import is_text
 from petmjx.common.units import FloatArray
 from petmjx.plans.input_conventions import InputConventions
-from petmjx.plans.json_reader import LONGEST_VALUE, MalformedPlans, scan_plans
+from petmjx.plans.json_reader import LONGEST_VALUE, Entry, MalformedPlans, scan_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import (
     FARTHEST_MM,
@@ -107,7 +107,7 @@ class DecoderOptions:
 
 def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[ReadEntry] | None:
     """Decode the entries of a file, in order. None if the text is not JSON, or not an object with distinct ids; the
-    caller then reads the text again, up to the error."""
+    caller then reads the text again, up to the error, and ``options.unread`` is as before."""
     try:
         values = _PLANS.decode(data)
     except (msgspec.DecodeError, UnicodeError, RecursionError):
@@ -121,13 +121,15 @@ def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[Rea
     if max((memoryview(text).nbytes for text in texts), default=0) > LONGEST_VALUE:
         return None
     entries: list[ReadEntry] = []
-    plan_ids = list(values)
+    plan_ids, unread = list(values), options.unread.copy()
     try:
         with no_collection():
             for first in range(0, len(texts), _MOST_PLANS):
                 some = slice(first, first + _MOST_PLANS)
                 entries += _decode(plan_ids[some], texts[some], colons[some], options)
     except MalformedPlans:
+        options.unread.clear()
+        options.unread.update(unread)
         return None
     return entries
 
@@ -149,7 +151,11 @@ def _decode(
     plan_by_number = dict(zip(plain, plans, strict=True))
     for number, (plan_id, text) in enumerate(zip(plan_ids, texts, strict=True)):
         plan = plan_by_number.get(number)
-        yield ReadEntry(plan_id, plan) if plan is not None else _read_entry(plan_id, text, options)
+        if plan is None:
+            (entry,) = scan_plans(b'{"":' + bytes(text) + b"}")
+            yield read_entry(entry._replace(plan_id=plan_id), options)
+        else:
+            yield ReadEntry(plan_id, plan)
 
 
 def _plain_placements(text: msgspec.Raw, colons: int, max_boxes: int) -> list[_Placement] | None:
@@ -248,17 +254,15 @@ def _plan(
     return plan
 
 
-def _read_entry(plan_id: str, text: msgspec.Raw, options: DecoderOptions) -> ReadEntry:
+def read_entry(entry: Entry, options: DecoderOptions) -> ReadEntry:
     """Read an entry field by field, because it has other fields or a fault, or is an order."""
-    (entry,) = scan_plans(b'{"":' + bytes(text) + b"}")
-    if isinstance(entry.value, dict) and "item_sequence" in entry.value:
+    plan_id, value = entry
+    if isinstance(value, dict) and "item_sequence" in value:
         return ReadEntry(plan_id)
     try:
-        return ReadEntry(
-            plan_id,
-            parse_plan(
-                plan_id, options.source, entry.value, options.max_boxes, options.names, options.unread, options.given
-            ),
+        plan = parse_plan(
+            plan_id, options.source, value, options.max_boxes, options.names, options.unread, options.given
         )
     except PlanError as error:
         return ReadEntry(plan_id, fault=str(error))
+    return ReadEntry(plan_id, plan)

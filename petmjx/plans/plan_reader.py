@@ -6,7 +6,7 @@ table is read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -38,15 +38,14 @@ from petmjx.plans.file_formats import (
 from petmjx.plans.input_conventions import USUAL, InputConventions
 from petmjx.plans.json_reader import MalformedPlans, read_text_bytes, scan_plans, unpacked_bytes
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_decoder import DecoderOptions, ReadEntry, decode_entries
+from petmjx.plans.plan_decoder import DecoderOptions, ReadEntry, decode_entries, read_entry
 from petmjx.plans.plan_fields import LONGEST_NAME, UnreadFields
 from petmjx.plans.plan_set import PlanSet, Skipped
-from petmjx.plans.plan_validation import PlanError, parse_plan
 
 if TYPE_CHECKING:
-    from petmjx.plans.foreign_plan_builder import ForeignPlans
+    from petmjx.plans.known_forms import BoxSource
     from petmjx.plans.placement_table import Table, TableError
-    from petmjx.plans.readings import Reading, Wishes
+    from petmjx.plans.readings import Reading
 
 DEFAULT_MAX_BOXES: Final = 512
 """Default limit for the boxes of a plan: twelve times BED-BPP's mean of 43, and twice the largest known plan of other
@@ -157,7 +156,7 @@ def read_plans(
         from petmjx.plans.reading_files import read_reading
 
         read_reading(options.reading)  # read here, so that a wrong argument is reported once, not for each file
-    loading = _PlanLoader(options.limit, options.strict, max_boxes, extent_mm, given, options, reading)
+    loading = _PlanLoader(options, given, max_boxes, extent_mm, reading)
     if is_box_object(paths):
         loading.read_object(paths)
         return loading.done()
@@ -182,10 +181,6 @@ def is_box_object(value: Any) -> bool:
     return isinstance(value, Mapping | np.ndarray) or of_packer
 
 
-_OF_A_RUN: Final = "petmjx convert writes its plans to a file"
-"""Advice if a run's folder is given, but only files of plans can be read."""
-
-
 def _list_files(paths: list[Path]) -> list[Path]:
     """The files of all paths, in the order in which the files are read. All paths are checked before any file is read,
     so that a typing error is reported at once."""
@@ -200,7 +195,8 @@ def _list_files(paths: list[Path]) -> list[Path]:
                 files.append(path)
                 continue
             if (path / "run.json").is_file() and (path / "worlds").is_dir():
-                raise InputError(f"{printable(str(path))}: the folder of a run, not of plans: {_OF_A_RUN}")
+                advice = "petmjx convert writes its plans to a file"
+                raise InputError(f"{printable(str(path))}: the folder of a run, not of plans: {advice}")
             members = plan_files_in(path)
         except (OSError, ValueError) as error:
             raise InputError(f"{printable(str(path))}: cannot be read ({reason(error)})") from error
@@ -232,13 +228,11 @@ class _PlanLoader:
         most_skipped: largest length that ``found.skipped`` may reach in the current file.
     """
 
-    limit: int | None
-    strict: bool
+    options: RunOptions
+    given: InputConventions
     max_boxes: int
     carrier_extent_mm: tuple[float, float] | None
-    given: InputConventions
-    options: RunOptions
-    reading: Reading | None = None
+    reading: Reading | None
     found: PlanSet = field(default_factory=PlanSet)
     source_of: dict[str, str] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
@@ -250,7 +244,8 @@ class _PlanLoader:
 
     @property
     def full(self) -> bool:
-        return self.limit is not None and len(self.found.plans) >= self.limit
+        limit = self.options.limit
+        return limit is not None and len(self.found.plans) >= limit
 
     def done(self) -> PlanSet:
         """The result, once all files have been read."""
@@ -277,41 +272,13 @@ class _PlanLoader:
         Raises:
             InputError: the table lacks columns.
         """
-        from petmjx.plans.placement_table import TableError
+        from petmjx.plans.python_objects import sources_of_frame
         from petmjx.plans.table_files import frame_table
 
-        self.most_skipped = MOST_LINES
-        try:
-            table = frame_table(frame)
-        except TableError as error:
-            fault = error if error.is_own else self._read_foreign_frame(frame)
-            if fault is not None:
-                raise InputError(f"{FRAME}: {_likelier(error, fault)}") from None
-        else:
-            self._take_table(FRAME, table, self.given)
+        foreign = partial(self._read_foreign, FRAME, partial(sources_of_frame, frame))
+        if (fault := self._table_fault(FRAME, partial(frame_table, frame), foreign)) is not None:
+            raise InputError(f"{FRAME}: {fault}") from None
         self._count_unlisted(FRAME)
-
-    def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
-        """Read a Parquet file with other column names than petmjx's. Returns an error if the file cannot be read, else
-        None."""
-        from petmjx.plans.table_files import parquet_frame
-
-        try:
-            return self._read_foreign_frame(parquet_frame(path), source)
-        except InputError as error:
-            return error
-
-    def _read_foreign_frame(self, frame: SupportsArrow, source: str = FRAME) -> InputError | None:
-        """Read a data frame with other column names than petmjx's. Returns an error if the frame cannot be read, else
-        None."""
-        from petmjx.plans.foreign_plans import plans_of_sources
-        from petmjx.plans.python_objects import sources_of_frame
-
-        try:
-            self._take_foreign(source, partial(plans_of_sources, sources_of_frame(frame), None, source))
-        except InputError as error:
-            return error
-        return None
 
     def read_object(self, value: Any) -> None:
         """Read boxes from Python objects in another tool's form.
@@ -319,62 +286,69 @@ class _PlanLoader:
         Raises:
             InputError: the object contains no plans.
         """
-        from petmjx.plans.foreign_plans import plans_of_sources
         from petmjx.plans.python_objects import sources_of_object
 
-        self.most_skipped = MOST_LINES
-        try:
-            self._take_foreign(OBJECT, partial(plans_of_sources, sources_of_object(value), None, OBJECT))
-        except InputError as error:
-            raise InputError(f"{OBJECT}: {error}") from None
+        if (fault := self._read_foreign(OBJECT, partial(sources_of_object, value))) is not None:
+            raise InputError(f"{OBJECT}: {fault}") from None
         self._count_unlisted(OBJECT)
 
-    def _read_foreign(self, source: str, path: Path, data: bytes | bytearray) -> InputError | None:
+    def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
+        """Read a Parquet file with other column names than petmjx's. Returns an error if the file cannot be read, else
+        None."""
+        from petmjx.plans.python_objects import sources_of_frame
+        from petmjx.plans.table_files import parquet_frame
+
+        return self._read_foreign(source, lambda: sources_of_frame(parquet_frame(path)))
+
+    def _read_foreign_file(self, source: str, path: Path, data: bytes | bytearray) -> InputError | None:
         """Read a file of another tool. Returns an error if the file cannot be read, else None."""
-        from petmjx.plans.foreign_plans import read_foreign
+        from petmjx.plans.foreign_formats import sources_of_bytes
 
-        try:
-            self._take_foreign(source, partial(read_foreign, data, path, source))
-        except InputError as error:
-            if self.strict and str(error).startswith(f"{source}: "):  # the error is about one plan or row
-                raise
-            return error
-        return None
+        return self._read_foreign(source, partial(sources_of_bytes, data), path)
 
-    def _take_foreign(self, source: str, read: Callable[[Wishes, Path | None], ForeignPlans]) -> None:
-        """Add the plans of a file or object in another tool's form. If two readings tie, the user is asked which one is
-        right, provided that the caller can ask (``CHOOSER``).
+    def _read_foreign(
+        self, source: str, find_boxes: Callable[[], Sequence[BoxSource]], path: Path | None = None
+    ) -> InputError | None:
+        """Read a file or object in another tool's form. If two readings tie, the user is asked which one is right,
+        provided that the caller can ask (``CHOOSER``). Returns an error if there are no plans, or if the form can be
+        read in two ways; else None.
 
         Args:
-            read: function that reads the plans. Its arguments are the options of the caller (``Wishes``) and the file
-                of items.
-
-        Raises:
-            InputError: the form contains no plans, or can be read in two ways.
+            find_boxes: function that returns the lists of boxes in the file or object.
+            path: the file; None: an object.
         """
+        from petmjx.plans.foreign_plans import plans_of_sources
         from petmjx.plans.reading_files import wishes_of, wishes_of_reading
         from petmjx.plans.readings import CHOOSER, AmbiguousFile
 
         try:
-            plans = read(wishes_of(self.options, self.carrier_extent_mm, self.reading), self.options.items)
-        except AmbiguousFile as error:
-            chooser = CHOOSER.get()
-            chosen = None if chooser is None else chooser(source, error)
-            if chosen is None:
+            boxes = find_boxes()
+            wishes = wishes_of(self.options, self.carrier_extent_mm, self.reading)
+            try:
+                plans = plans_of_sources(boxes, path, source, wishes, self.options.items)
+            except AmbiguousFile as error:
+                chooser = CHOOSER.get()
+                chosen = None if chooser is None else chooser(source, error)
+                if chosen is None:
+                    raise
+                plans = plans_of_sources(boxes, path, source, wishes_of_reading(chosen), self.options.items)
+            self.found.readings[source] = plans.reading
+            for refused in plans.refused:
+                self._skip(source, refused.plan_id, refused.message)
+            if plans.table is not None:
+                self._take_table(source, plans.table, USUAL)
+        except InputError as error:
+            if self.options.strict and str(error).startswith(f"{source}: "):  # the error is about one plan or row
                 raise
-            plans = read(wishes_of_reading(chosen), self.options.items)
-        self.found.readings[source] = plans.reading
-        for refused in plans.refused:
-            self._skip(source, refused.plan_id, refused.message)
-        if plans.table is not None:
-            self._take_table(source, plans.table, USUAL)
+            return error
+        return None
 
     def _read_text(self, source: str, path: Path) -> None:
         data, fault = read_text_bytes(path)
         if fault is not None and not data:
             content, packing_fault = unpacked_bytes(path)
             if packing_fault is None and is_of_other_tools(content):
-                error = self._read_foreign(source, path, content)
+                error = self._read_foreign_file(source, path, content)
                 fault = None if error is None else str(error)
             if fault is not None:
                 self._skip(source, None, f"{source}: {fault}")
@@ -388,19 +362,27 @@ class _PlanLoader:
             from petmjx.plans.table_files import parse_csv
 
             read = partial(parse_csv, data, cut_off=fault is not None)
-            foreign = None if fault is not None else partial(self._read_foreign, source, path, data)
-            self._read_table(source, read, foreign)
+            self._read_table(
+                source, read, partial(self._read_foreign_file, source, path, data) if fault is None else None
+            )
         else:
             self._read_json(source, path, data, damaged=fault is not None)
 
     def _read_table(
-        self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None = None
+        self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None
     ) -> None:
-        """Read a table.
+        """Read a table of a file. Arguments are those of :meth:`_table_fault`."""
+        if (fault := self._table_fault(source, read, otherwise)) is not None:
+            self._skip(source, None, f"{source}: {fault}", fault)
+
+    def _table_fault(
+        self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None
+    ) -> InputError | None:
+        """Read a table. Returns an error if it cannot be read, else None.
 
         Args:
-            otherwise: function that reads the text as a file of another tool, if it has none of petmjx's forms. The
-                function returns an error text if it could not read the text, else None.
+            otherwise: function that reads the table as one of another tool, if it has none of petmjx's forms. The
+                function returns an error if it could not read the table, else None.
         """
         from petmjx.plans.placement_table import TableError
 
@@ -408,10 +390,9 @@ class _PlanLoader:
             table = read()
         except TableError as error:
             fault = error if otherwise is None or error.is_own else otherwise()
-            if fault is not None:
-                self._skip(source, None, f"{source}: {_likelier(error, fault)}", error)
-            return
+            return None if fault is None else _likelier(error, fault)
         self._take_table(source, table, self.given)
+        return None
 
     def _take_table(self, source: str, table: Table, given: InputConventions) -> None:
         """Add the plans of a table of placements."""
@@ -437,49 +418,48 @@ class _PlanLoader:
         """
         if not damaged and not looks_like_own_json(data) and not self._is_left_to_own(source, path, data):
             return
-        n_good, skipped = len(self.found.plans), len(self.found.skipped)
+        n_good, n_skipped = len(self.found.plans), len(self.found.skipped)
         n_plans, unread = self.n_plans, self.unread.copy()
-        n_entries = n_orders = 0
-        first_order = ""
-        if self.limit is None and not damaged:
-            options = DecoderOptions(source, self.max_boxes, self.given, self.names, self.unread)
+        options = DecoderOptions(source, self.max_boxes, self.given, self.names, self.unread)
+        entries: Iterable[ReadEntry] | None = None
+        if self.options.limit is None and not damaged:
             entries = decode_entries(data, options)
-            if entries:
-                self._take_all(source, entries)
+        if not entries:
+            has_json_name = source.lower().endswith((".json", ".json.gz"))
+            if not damaged and (kind := _kind_of_text(data, has_json_name)) is not None:
+                self._skip(source, None, f"{source}: {kind}")
                 return
-            self.unread = unread.copy()
-        has_json_name = source.lower().endswith((".json", ".json.gz"))
-        if not damaged and (kind := _kind_of_text(data, has_json_name)) is not None:
-            self._skip(source, None, f"{source}: {kind}")
-            return
+            entries = (read_entry(entry, options) for entry in scan_plans(data))
+        n_entries, orders = 0, []
         try:
-            for entry in scan_plans(data):
+            for entry in entries:
                 n_entries += 1
-                if isinstance(entry.value, dict) and "item_sequence" in entry.value:
-                    first_order = first_order or printable_name(entry.plan_id)
-                    n_orders += 1
+                if entry.fault is not None:
+                    self._skip(source, entry.plan_id, entry.fault)
+                elif entry.plan is not None:
+                    self._keep(entry.plan)
                 else:
-                    self._take(source, entry.plan_id, entry.value)
+                    orders.append(entry.plan_id)
                 if self.full:
                     break
         except MalformedPlans as error:
             if not damaged:
                 for plan in self.found.plans[n_good:]:
                     del self.source_of[plan.plan_id], self.found.numbers[plan.plan_id]
-                del self.found.plans[n_good:], self.found.skipped[skipped:]
+                del self.found.plans[n_good:], self.found.skipped[n_skipped:]
                 self.n_plans, self.unread, self.unlisted = n_plans, unread, 0
                 self._skip(source, None, f"{source}: {error}", error)
                 return
         if n_entries == 0 and not damaged:
             self._skip(source, None, f"{source}: holds no plan")
-        if n_orders:
-            self._skip(source, None, _orders_message(source, first_order, n_orders))
+        if orders:
+            self._skip(source, None, _orders_message(source, orders))
 
     def _is_left_to_own(self, source: str, path: Path, data: bytearray) -> bool:
         """Read a text that is not in BED-BPP's form as a file of another tool. Returns whether the text is JSON without
         any list of boxes; if so, the reader of BED-BPP's JSON must explain the error.
         """
-        fault = self._read_foreign(source, path, data)
+        fault = self._read_foreign_file(source, path, data)
         if fault is None:
             return False
         if isinstance(fault, NoBoxes):
@@ -491,25 +471,6 @@ class _PlanLoader:
         if self.unlisted:
             count_words = count_text(self.unlisted, "more entry is", "more entries are")
             self.found.skipped.append(Skipped(source, None, f"{source}: {count_words} unusable"))
-
-    def _take(self, source: str, plan_id: str, value: object) -> None:
-        try:
-            plan = parse_plan(plan_id, source, value, self.max_boxes, self.names, self.unread, self.given)
-        except PlanError as error:
-            self._skip(source, plan_id, str(error), error)
-        else:
-            self._keep(plan)
-
-    def _take_all(self, source: str, entries: Sequence[ReadEntry]) -> None:
-        """Add the entries of a text that is JSON."""
-        for entry in entries:
-            if entry.fault is not None:
-                self._skip(source, entry.plan_id, entry.fault)
-            elif entry.plan is not None:
-                self._keep(entry.plan)
-        orders = [entry.plan_id for entry in entries if entry.plan is None and entry.fault is None]
-        if orders:
-            self._skip(source, None, _orders_message(source, printable_name(orders[0]), len(orders)))
 
     def _keep(self, plan: Plan) -> None:
         """Add a good plan, unless its id is already used."""
@@ -527,7 +488,7 @@ class _PlanLoader:
         self.n_plans += 1
 
     def _skip(self, source: str, plan_id: str | None, message: str, cause: Exception | None = None) -> None:
-        if self.strict:
+        if self.options.strict:
             raise InputError(message) from cause
         number = None if plan_id is None else self.n_plans
         self.n_plans += plan_id is not None
@@ -568,7 +529,8 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
     return "is text of another kind: plans are JSON, or tables whose names end in .csv, .tsv or .parquet"
 
 
-def _orders_message(source: str, first: str, n_orders: int) -> str:
+def _orders_message(source: str, order_ids: Sequence[str]) -> str:
+    first, n_orders = printable_name(order_ids[0]), len(order_ids)
     content = f"{first} is an order" if n_orders == 1 else f"{n_orders} entries ({first}, …) are orders"
     return (
         f"{source}: {content} (item_sequence), not packing plans: an order does not say where boxes go; "

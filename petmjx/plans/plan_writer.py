@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,8 +31,15 @@ _JSON: Final = (".json", ".json.gz")
 _CSV: Final = (".csv", ".csv.gz")
 _PARQUET: Final = (".parquet",)
 
+_SIZES: Final = ("length_mm", "width_mm", "height_mm")
+_CORNER: Final = ("x_mm", "y_mm", "z_mm")
+_COLUMNS: Final = (
+    "plan_id", "sequence", "article", "item_id", "product_group", *_SIZES, "weight_kg", "orientation", *_CORNER,
+    "order_sequence", "material", *COM_FIELDS, "kind", *SPARSE,
+)  # fmt: skip
+"""All columns of a table of placements, in their order."""
 _UNITS: Final = {
-    **dict.fromkeys(("length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm", *COM_FIELDS), "mm"),
+    **dict.fromkeys((*_SIZES, *_CORNER, *COM_FIELDS), "mm"),
     "weight_kg": "kg",
     **dict.fromkeys(("sequence", "orientation", "order_sequence"), "1"),
     **{name: field.unit for name, field in SPARSE.items()},
@@ -78,7 +84,7 @@ def _writer_for(file: Path) -> Callable[[Sequence[Plan], Path], None]:
 
 def plans_table(plans: Sequence[Plan]) -> pa.Table:
     """Plans as a table with one row per placement, which docs/plan-format.md describes."""
-    return _Columns.of(plans).table(plans)
+    return _table(plans, _schema(plans))
 
 
 def as_placements(plan: Plan) -> list[Placement]:
@@ -127,97 +133,80 @@ def _write_json(plans: Sequence[Plan], file: Path) -> None:
 
 
 def _write_csv(plans: Sequence[Plan], file: Path) -> None:
-    columns = _Columns.of(plans)
+    schema = _schema(plans)
     with atomic_write(file) as temporary, ExitStack() as stack:
         stream: Any = stack.enter_context(temporary.open("wb"))
         if file.suffix.lower() == ".gz":
             stream = stack.enter_context(gzip_stream(stream))
-        with pa_csv.CSVWriter(stream, columns.schema) as writer:
-            for table in columns.tables(plans):
+        with pa_csv.CSVWriter(stream, schema) as writer:
+            for table in _tables(plans, schema):
                 writer.write_table(table)
 
 
 def _write_parquet(plans: Sequence[Plan], file: Path) -> None:
-    columns = _Columns.of(plans)
+    schema = _schema(plans)
     with (
         atomic_write(file) as temporary,
         temporary.open("wb") as stream,
-        pq.ParquetWriter(stream, columns.schema, compression="zstd") as writer,
+        pq.ParquetWriter(stream, schema, compression="zstd") as writer,
     ):
-        for table in columns.tables(plans):
+        for table in _tables(plans, schema):
             writer.write_table(table)
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """The optional columns of a table. A column is left out if all its values are missing or have the default."""
+_KINDS: Final = {
+    **dict.fromkeys(("plan_id", "article", "item_id", "product_group", "material", "kind"), pa.string()),
+    **dict.fromkeys(("sequence", "orientation", "order_sequence"), pa.int64()),
+}
+"""Column → its type. All other columns have floating-point numbers."""
 
-    item_id: bool
-    product_group: bool
-    orientation: bool
-    order_sequence: bool
-    material: bool
-    com: bool
-    kind: bool
-    sparse: tuple[str, ...]
 
-    @classmethod
-    def of(cls, plans: Sequence[Plan]) -> _Columns:
-        return cls(
-            item_id=any(any(plan.item_ids) for plan in plans),
-            product_group=any(plan.product_groups for plan in plans),
-            orientation=any(plan.orientation is not None for plan in plans),
-            order_sequence=any((plan.sequence != np.arange(1, plan.n_boxes + 1)).any() for plan in plans),
-            material=any(plan.materials for plan in plans),
-            com=any(plan.mass_center_mm is not None for plan in plans),
-            kind=any(plan.kinds for plan in plans),
-            sparse=tuple(name for name in SPARSE if any(getattr(plan, name) is not None for plan in plans)),
-        )
+def _schema(plans: Sequence[Plan]) -> pa.Schema:
+    """The columns of the plans' table. An optional column is left out if all its values are missing or have the
+    default."""
+    needed = {
+        "item_id": any(any(plan.item_ids) for plan in plans),
+        "product_group": any(plan.product_groups for plan in plans),
+        "orientation": any(plan.orientation is not None for plan in plans),
+        "order_sequence": any((plan.sequence != np.arange(1, plan.n_boxes + 1)).any() for plan in plans),
+        "material": any(plan.materials for plan in plans),
+        **dict.fromkeys(COM_FIELDS, any(plan.mass_center_mm is not None for plan in plans)),
+        "kind": any(plan.kinds for plan in plans),
+        **{name: any(getattr(plan, name) is not None for plan in plans) for name in SPARSE},
+    }
+    return pa.schema(
+        [
+            pa.field(name, _KINDS.get(name, pa.float64()), metadata={"unit": _UNITS.get(name, "")})
+            for name in _COLUMNS
+            if needed.get(name, True)
+        ]
+    )
 
-    @property
-    def schema(self) -> pa.Schema:
-        kinds = {
-            "plan_id": pa.string(),
-            "sequence": pa.int64(),
-            "article": pa.string(),
-            **({"item_id": pa.string()} if self.item_id else {}),
-            **({"product_group": pa.string()} if self.product_group else {}),
-            **dict.fromkeys(("length_mm", "width_mm", "height_mm", "weight_kg"), pa.float64()),
-            **({"orientation": pa.int64()} if self.orientation else {}),
-            **dict.fromkeys(("x_mm", "y_mm", "z_mm"), pa.float64()),
-            **({"order_sequence": pa.int64()} if self.order_sequence else {}),
-            **({"material": pa.string()} if self.material else {}),
-            **(dict.fromkeys(COM_FIELDS, pa.float64()) if self.com else {}),
-            **({"kind": pa.string()} if self.kind else {}),
-            **dict.fromkeys(self.sparse, pa.float64()),
-        }
-        return pa.schema(
-            [pa.field(name, kind, metadata={"unit": _UNITS.get(name, "")}) for name, kind in kinds.items()]
-        )
 
-    def tables(self, plans: Sequence[Plan]) -> Iterator[pa.Table]:
-        for begin in range(0, len(plans), _PLANS_AT_A_TIME):
-            yield self.table(plans[begin : begin + _PLANS_AT_A_TIME])
+def _tables(plans: Sequence[Plan], schema: pa.Schema) -> Iterator[pa.Table]:
+    """The plans as tables, some plans at a time."""
+    for begin in range(0, len(plans), _PLANS_AT_A_TIME):
+        yield _table(plans[begin : begin + _PLANS_AT_A_TIME], schema)
 
-    def table(self, plans: Sequence[Plan]) -> pa.Table:
-        size = np.concatenate([plan.item_size_mm for plan in plans])
-        corner = np.concatenate([plan.corner_mm for plan in plans])
-        values = {
-            "plan_id": [plan.plan_id for plan in plans for _ in range(plan.n_boxes)],
-            "sequence": np.concatenate([np.arange(1, plan.n_boxes + 1) for plan in plans]),
-            "article": [name for plan in plans for name in plan.articles],
-            "item_id": [name for plan in plans for name in plan.item_ids],
-            "product_group": [name for plan in plans for name in plan.product_groups or ("",) * plan.n_boxes],
-            **dict(zip(("length_mm", "width_mm", "height_mm"), size.T, strict=True)),
-            "weight_kg": np.concatenate([plan.mass_kg for plan in plans]),
-            "orientation": np.concatenate([plan.turned for plan in plans]).astype(np.int64),
-            **dict(zip(("x_mm", "y_mm", "z_mm"), corner.T, strict=True)),
-            "order_sequence": np.concatenate([plan.sequence for plan in plans]),
-            "material": [name for plan in plans for name in plan.materials or ("",) * plan.n_boxes],
-            **dict(zip(COM_FIELDS, np.concatenate([plan.item_com_mm for plan in plans]).T, strict=True)),
-            "kind": [name for plan in plans for name in plan.kinds or ("",) * plan.n_boxes],
-            **{name: np.concatenate([_sparse(plan, name) for plan in plans]) for name in SPARSE},
-        }
-        schema = self.schema
-        columns = [pa.array(values[name], schema.field(name).type, from_pandas=True) for name in schema.names]
-        return pa.table(columns, schema=schema)
+
+def _table(plans: Sequence[Plan], schema: pa.Schema) -> pa.Table:
+    size = np.concatenate([plan.item_size_mm for plan in plans])
+    corner = np.concatenate([plan.corner_mm for plan in plans])
+    values = {
+        "plan_id": [plan.plan_id for plan in plans for _ in range(plan.n_boxes)],
+        "sequence": np.concatenate([np.arange(1, plan.n_boxes + 1) for plan in plans]),
+        "article": [name for plan in plans for name in plan.articles],
+        "item_id": [name for plan in plans for name in plan.item_ids],
+        "product_group": [name for plan in plans for name in plan.product_groups or ("",) * plan.n_boxes],
+        **dict(zip(_SIZES, size.T, strict=True)),
+        "weight_kg": np.concatenate([plan.mass_kg for plan in plans]),
+        "orientation": np.concatenate([plan.turned for plan in plans]).astype(np.int64),
+        **dict(zip(_CORNER, corner.T, strict=True)),
+        "order_sequence": np.concatenate([plan.sequence for plan in plans]),
+        "material": [name for plan in plans for name in plan.materials or ("",) * plan.n_boxes],
+        **dict(zip(COM_FIELDS, np.concatenate([plan.item_com_mm for plan in plans]).T, strict=True)),
+        "kind": [name for plan in plans for name in plan.kinds or ("",) * plan.n_boxes],
+        **{name: np.concatenate([_sparse(plan, name) for plan in plans]) for name in SPARSE},
+    }
+    columns = [pa.array(values[field.name], field.type, from_pandas=True) for field in schema]
+    return pa.table(columns, schema=schema)

@@ -315,3 +315,14 @@ def test_the_given_files() -> None:
         "no sizes: name a file that has them with --items FILE"
         in sets["submission_without_sizes.json"].skipped[0].message
     )
+
+
+@pytest.mark.parametrize("form", [list, pd.DataFrame])
+def test_strict_errors_about_objects_name_them_once(form: Any) -> None:
+    rows = [
+        {"L": 40, "W": 30, "H": -20 if (pallet, x) == ("b", 40) else 20, "x": x, "y": 0, "z": 0, "pallet": pallet}
+        for pallet in "ab"
+        for x in (0, 40)
+    ]
+    with pytest.raises(InputError, match=r"^(python|data frame): plan b, [^:]*3[^:]*: H must be > 0, got -20\.0$"):
+        petmjx.load_plans(form(rows), strict=True)
