@@ -185,7 +185,7 @@ class _ItemExtraction(ColumnExtraction):
             if role in ITEM_ROLES and name not in (*header, IGNORED):
                 names = ", ".join(map(printable_name, header[:20]))
                 raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
-        super().__init__(source, {role: name for role, name in chosen.items() if role in ROLES})
+        super().__init__(source, {role: name for role, name in chosen.items() if role in ROLES}, units, masses)
         self.chosen = {role: name for role, name in chosen.items() if role in ITEM_ROLES}
         self.totals: set[int] = set()
         self.of_box: set[int] = set()

@@ -337,6 +337,14 @@ def test_two_readings_are_refused_and_options_decide(tmp_path: Path) -> None:
         assert len(order.items) == count
 
 
+@pytest.mark.parametrize(("unit", "other_mm"), [("cm", 600), ("mm", 60)])
+def test_an_option_is_the_unit_of_cells_without_units_alone(unit: str, other_mm: float, tmp_path: Path) -> None:
+    (tmp_path / "mixed.csv").write_text("sku,length,width,height,qty\na,400 mm,300 mm,200 mm,3\nb,60,40,30,2\n")
+    (order,) = read(tmp_path / "mixed.csv", units=unit).values()
+    assert [item.length_mm for item in order.items] == pytest.approx([400] * 3 + [other_mm] * 2)
+
+
+
 def test_no_places_in_a_column_of_places(tmp_path: Path) -> None:
     for cells in (",,", "0,0,0"):
         (tmp_path / "a.csv").write_text(
