@@ -19,9 +19,16 @@ from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, may_count, word_
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.pose_columns import pose_choices
 from petmjx.plans.raw_cells import cell_number, cell_text
-from petmjx.plans.size_and_place_columns import Geometry, corner_choices, place_choices, size_choices, with_half_extents
+from petmjx.plans.size_and_place_columns import (
+    Geometry,
+    array_choices,
+    array_extras,
+    corner_choices,
+    place_choices,
+    size_choices,
+    with_half_extents,
+)
 from petmjx.plans.turn_columns import Turns, are_yes_or_no, turns_of
-from petmjx.plans.unnamed_columns import array_choices, array_extras
 
 GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""

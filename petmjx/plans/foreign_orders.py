@@ -14,7 +14,6 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.box_list import BoxList
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.item_columns import BOX_PROPERTIES, ItemColumns, has_sizes_of_items, item_columns, with_rows
@@ -25,7 +24,7 @@ from petmjx.plans.order_generator import Item, Order, target_named
 from petmjx.plans.order_texts import SET_ITEMS, order_source
 from petmjx.plans.python_objects import sources_of_frame
 from petmjx.plans.raw_cells import cell_number, cell_triple
-from petmjx.plans.raw_tables import RawTable
+from petmjx.plans.raw_tables import BoxList, RawTable
 
 _PG: Final = {
     "length": "Length_cm", "width": "Width_cm", "height": "Height_cm", "weight": "Gross weight", "plan": "Pallet No",

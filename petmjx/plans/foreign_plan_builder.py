@@ -16,15 +16,23 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
-from petmjx.plans.box_list import BoxList
 from petmjx.plans.known_forms import PACKINGSOLVER
 from petmjx.plans.packing_order import packing_order, repeated_number
 from petmjx.plans.pallet_columns import PalletSearch, plan_names, rows_by_name
-from petmjx.plans.placed_boxes import assumed_density, density_lines, masses_kg, pallet_rows, placed_boxes
+from petmjx.plans.placed_boxes import (
+    assumed_density,
+    density_lines,
+    far_cells,
+    first_bad_row,
+    masses_kg,
+    pallet_rows,
+    placed_boxes,
+    range_faults,
+)
 from petmjx.plans.placement_table import RefusedPlan, Table, as_column
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
-from petmjx.plans.range_faults import far_cells, first_bad_row, range_faults
 from petmjx.plans.raw_cells import cell_number
+from petmjx.plans.raw_tables import BoxList
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
 from petmjx.plans.readings import Reading, Wishes

@@ -19,13 +19,13 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import GROSS
-from petmjx.plans.box_list import BoxList
 from petmjx.plans.column_extraction import IGNORED, ROLES, ColumnExtraction
 from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, split_unit, word_set, words_of
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.order_generator import MOST_ITEMS
 from petmjx.plans.plan_fields import sparse_fault
 from petmjx.plans.raw_cells import cell_number, cell_text, number_fault_of
+from petmjx.plans.raw_tables import BoxList
 from petmjx.plans.size_and_place_columns import size_choices
 
 ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")

@@ -1,4 +1,5 @@
-"""Finds boxes nested anywhere in JSON, NumPy arrays or Python objects, and turns lists of boxes into raw tables.
+"""Decodes JSON and JSON lines of other tools, finds boxes nested anywhere in JSON, NumPy arrays or Python objects, and
+turns lists of boxes into raw tables.
 
 A list of boxes may be a list (or an object) of objects with the same fields, an object of lists, or a list of lists of
 numbers. The objects around a list give the name of its plan and its container.
@@ -6,6 +7,7 @@ numbers. The objects around a list give the name of its plan and its container.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -16,10 +18,9 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names
 from petmjx.plans.box_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
-from petmjx.plans.box_list import BoxList
 from petmjx.plans.column_names import column_meanings, word_set, words_of
 from petmjx.plans.header_names import geometric_names
-from petmjx.plans.json_values import JsonLines
+from petmjx.plans.json_reader import any_integer
 from petmjx.plans.nested_containers import (
     CONTAINERS,
     LAYERS,
@@ -30,7 +31,7 @@ from petmjx.plans.nested_containers import (
     plan_names_of,
 )
 from petmjx.plans.raw_cells import cell_number, decimal_of
-from petmjx.plans.raw_tables import MOST_ROWS, RawTable, united
+from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, united
 
 _DEEPEST: Final = 12
 """Largest depth of nesting that is searched."""
@@ -40,6 +41,57 @@ _UNPLACED: Final = word_set(
 )
 """Words in names of lists whose boxes are not part of the plan."""
 _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
+
+
+class JsonLines(list[Any]):
+    """The values of a text in JSON lines.
+
+    Attributes:
+        lines: for each value, the number of its line.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[int] = []
+
+
+def decoded_json(text: str) -> Any:
+    """Decode a text that is JSON or JSON lines.
+
+    Raises:
+        InputError: the text is neither. The error names the line and the column, but not the file.
+    """
+    try:
+        return _json_value(text)
+    except RecursionError:
+        raise InputError("not JSON (nested too deeply)") from None
+    except json.JSONDecodeError as error:
+        lines = [line for line in text.splitlines() if line.strip()]
+        if error.msg == "Extra data" and len(lines) > 1 and all(line.lstrip()[:1] in "{[" for line in lines):
+            values = JsonLines()
+            for number, line in enumerate(text.splitlines(), start=1):
+                if not line.strip():
+                    continue
+                values.lines.append(number)
+                try:
+                    values.append(_json_value(line))
+                except RecursionError:
+                    raise InputError(f"not JSON at line {number} (nested too deeply)") from None
+                except json.JSONDecodeError as fault:
+                    raise InputError(f"not JSON at line {number}, column {fault.colno} ({fault.msg})") from None
+            return values
+        raise InputError(f"not JSON at line {error.lineno}, column {error.colno} ({error.msg})") from None
+
+
+def _json_value(text: str) -> Any:
+    """Decode JSON. Python refuses whole numbers with thousands of digits; here they become infinite, and a later check
+    refuses them as not finite, with their row and column."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        raise
+    except ValueError:
+        return json.loads(text, parse_int=any_integer)
 
 
 def box_lists(value: Any) -> list[BoxList]:

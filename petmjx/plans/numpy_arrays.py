@@ -19,10 +19,9 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.box_list import BoxList
 from petmjx.plans.column_names import column_meanings
 from petmjx.plans.known_forms import ARRAY, MOST_BYTES, POSES, BoxSource, with_known_form
-from petmjx.plans.raw_tables import RawTable
+from petmjx.plans.raw_tables import BoxList, RawTable
 from petmjx.plans.workbooks import check_archive
 
 _MOST_HEADER: Final = 10_000

@@ -13,10 +13,9 @@ from typing import Any, Final
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.box_list import BoxList
-from petmjx.plans.json_values import JsonLines
 from petmjx.plans.known_forms import PY3DBP, BoxSource
-from petmjx.plans.raw_tables import RawTable
+from petmjx.plans.nested_json import JsonLines
+from petmjx.plans.raw_tables import BoxList, RawTable
 
 _MOST_PRINTED: Final = 8 << 20
 """Largest text of Python values that is parsed, in characters. Their syntax tree takes 100 times as much memory."""

@@ -10,7 +10,6 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
-from petmjx.plans.box_list import BoxList
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.header_names import distinct_names
 from petmjx.plans.known_forms import PY3DBP, BoxSource, with_known_form
@@ -18,7 +17,7 @@ from petmjx.plans.nested_json import box_lists
 from petmjx.plans.numpy_arrays import sources_of_arrays
 from petmjx.plans.printed_values import PY3DBP_COLUMNS
 from petmjx.plans.raw_cells import cell_number, decimal_of
-from petmjx.plans.raw_tables import RawTable
+from petmjx.plans.raw_tables import BoxList, RawTable
 
 
 def sources_of_object(value: Any) -> list[BoxSource]:

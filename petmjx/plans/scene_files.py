@@ -1,4 +1,5 @@
-"""Boxes in scene graphs: three.js (``Object3D.toJSON``) and glTF. Poses are relative to the object around a box.
+"""Boxes in scenes: MuJoCo (MJCF), three.js (``Object3D.toJSON``) and glTF. In the last two, poses are relative to the
+object around a box.
 
 Sources of the forms: three.js' JSON object scene format 4 (github.com/mrdoob/three.js/wiki); glTF 2.0
 (registry.khronos.org/glTF/specs/2.0).
@@ -7,25 +8,90 @@ Sources of the forms: three.js' JSON object scene format 4 (github.com/mrdoob/th
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text
+from petmjx.common.text import count_text, first_names
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_fields import flattened
-from petmjx.plans.box_list import BoxList
-from petmjx.plans.known_forms import GLTF, THREE_JS, BoxSource
-from petmjx.plans.mjcf_scenes import NO_BOX
+from petmjx.plans.known_forms import GLTF, SCENE, THREE_JS, BoxSource
 from petmjx.plans.raw_cells import cell_number
-from petmjx.plans.raw_tables import MOST_ROWS, RawTable
+from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable
 from petmjx.plans.turn_columns import bad_member, matrix_of, rotations_of_quaternions
 
 _DEEPEST: Final = 50
 """Largest depth of nested objects that is read."""
 _SIZES: Final = ("size_x", "size_y", "size_z")
+
+
+_NO_BOX: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wall|robot|gripper", re.IGNORECASE)
+"""Words in the names of bodies and meshes. A body or mesh with such a word is not taken for a box."""
+
+
+def source_of_scene(text: str) -> BoxSource:
+    """The boxes of a MuJoCo scene: free bodies whose only colliding geom is a box; bodies without joints if no box is
+    free. MuJoCo itself parses the text.
+
+    Raises:
+        InputError: MuJoCo cannot parse the text, a free body is not a single box, or there are no boxes. Bodies that
+            are named as pallets are ignored.
+    """
+    import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
+
+    try:
+        model = mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        text = " ".join(str(error).split())
+        number = re.search(r"[Ll]ine(?: number)?[ =](\d+)", text)
+        line = "" if number is None else f"line {number[1]}: "
+        raise InputError(f"{line}is a MuJoCo scene that MuJoCo refuses: {text}") from None
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    rows, places, pallets = [], [], 0
+    other_bodies: list[str] = []
+    free_bodies = {
+        int(model.jnt_bodyid[joint])
+        for joint in range(model.njnt)
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+    }
+    if all(_NO_BOX.search(model.body(body).name) for body in free_bodies):
+        # boxes without joints, as in a model of a whole load
+        jointless = [body for body in range(1, model.nbody) if model.body_jntnum[body] == 0]
+        free_bodies |= {body for body in jointless if model.body_geomnum[body]}
+    for body in sorted(free_bodies):
+        name = model.body(body).name or f"body {body}"
+        shapes = range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body])
+        solid = [shape for shape in shapes if model.geom_contype[shape] or model.geom_conaffinity[shape]] or list(
+            shapes
+        )
+        if _NO_BOX.search(name):
+            pallets += 1
+            continue
+        if len(solid) != 1 or model.geom_type[solid[0]] != mujoco.mjtGeom.mjGEOM_BOX:
+            other_bodies.append(name)
+            continue
+        shape = solid[0]
+        size = 2 * model.geom_size[shape]
+        matrix = np.eye(4)
+        matrix[:3, :3] = data.geom_xmat[shape].reshape(3, 3)
+        matrix[:3, 3] = data.geom_xpos[shape]
+        rows.append((name, *map(float, size), matrix.tolist(), float(model.body_mass[body])))
+        places.append(f"body {name}")
+    if other_bodies:
+        raise InputError(
+            f"is a MuJoCo scene in which these free bodies are not single boxes: {first_names(other_bodies)}"
+        )
+    if not rows:
+        raise InputError("is a MuJoCo scene in which no free body consists of exactly one box geom")
+    notes = []
+    if pallets:
+        notes.append(f"{count_text(pallets, 'body', 'bodies')} named as a pallet or floor left out")
+    table = RawTable(("name", "size_x", "size_y", "size_z", "matrix", "mass"), rows, places)
+    return BoxSource(BoxList(table, "", ("",) * len(rows)), SCENE, tuple(notes))
 
 
 def is_three_js(value: Any) -> bool:
@@ -67,7 +133,7 @@ class _Scene:
         name = str(node.get("name") or "")
         if size is None:
             self.n_others += 1
-        elif NO_BOX.search(name):
+        elif _NO_BOX.search(name):
             self.n_pallets += 1
         else:
             further = flattened(more) if isinstance(more, Mapping) else {}
