@@ -298,7 +298,7 @@ class ColumnExtraction:
         written = [name for name in names if name]
         if len(set(written)) * least_rows > len(names) + 2:
             return names
-        parts = self.source.boxes.parts or ("",) * len(names)
+        parts = self.source.boxes.parts
         filled_names: list[str] = []
         for row, (name, part) in enumerate(zip(names, parts, strict=True)):
             begins = row == 0 or part != parts[row - 1]

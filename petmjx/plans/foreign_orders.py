@@ -16,10 +16,10 @@ from petmjx.common.text import count_text, printable, printable_name
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import sources_of_bytes
-from petmjx.plans.item_columns import BOX_PROPERTIES, ItemColumns, has_sizes_of_items, item_columns, with_rows
+from petmjx.plans.item_columns import BOX_PROPERTIES, ItemColumns, has_sizes_of_items, item_columns
 from petmjx.plans.item_joins import bytes_of, with_items_of
 from petmjx.plans.item_orders import DELI, EURO, PG, SIZES, ForeignOrders, OrderReading, orders_of_items
-from petmjx.plans.known_forms import BoxSource
+from petmjx.plans.known_forms import BoxSource, rows_of
 from petmjx.plans.order_generator import Item, Order, target_named
 from petmjx.plans.order_texts import SET_ITEMS, order_source
 from petmjx.plans.python_objects import sources_of_frame
@@ -132,12 +132,14 @@ def _best_source(sources: Sequence[BoxSource], items: Path | None = None) -> Box
 def _without_gaps(source: BoxSource, columns: Sequence[str]) -> BoxSource:
     """A source without the rows that lack a value in one of these columns."""
     cells = [source.boxes.table.column(name) for name in columns]
-    is_full = np.array([all(cell not in (None, "") for cell in row) for row in zip(*cells, strict=True)], bool)
-    left = int((~is_full).sum())
+    rows = enumerate(zip(*cells, strict=True))
+    full = [number for number, row in rows if all(cell not in (None, "") for cell in row)]
+    left = len(source.boxes.table.rows) - len(full)
     if not left:
         return source
     verb = "lacks" if left == 1 else "lack"
-    return with_rows(source, is_full, (f"{count_text(left, 'row')} that {verb} a value left out",))
+    note = f"{count_text(left, 'row')} that {verb} a value left out"
+    return replace(source, boxes=rows_of(source.boxes, full), notes=(*source.notes, note))
 
 
 def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
@@ -510,21 +509,3 @@ def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
     if len(set(cells)) == len(cells) and all(numbers):
         return None
     return cells
-
-
-def with_rows(source: BoxSource, kept: NDArray[np.bool_], notes: tuple[str, ...] = ()) -> BoxSource:
-    """The same source with only the kept rows, and with further notes.
-
-    Args:
-        kept: (n,) True for the rows that are kept.
-    """
-    table = source.boxes.table
-
-    def chosen(values: Sequence[Any]) -> list[Any]:
-        return [value for value, keeps in zip(values, kept.tolist(), strict=True) if keeps]
-
-    parts = tuple(chosen(source.boxes.parts)) if source.boxes.parts else ()
-    boxes = replace(
-        source.boxes, table=replace(table, rows=chosen(table.rows), places=chosen(table.places)), parts=parts
-    )
-    return replace(source, boxes=boxes, notes=(*source.notes, *notes))

@@ -179,7 +179,7 @@ class _OrderBuilder:
 
     def _names(self) -> list[str]:
         """(n,) for each row, the id of its order."""
-        parts = self.columns.boxes.parts or ("",) * self.columns.n_rows
+        parts = self.columns.boxes.parts
         column = self.columns.order
         stem = Path(self.source).name.split(".")[0] or "order"
         names = [
@@ -351,8 +351,7 @@ class _OrderBuilder:
         """The carrier of an order."""
         if self.reading.target:
             return target_named(self.reading.target)
-        parts = self.columns.boxes.parts
-        container = self._container(parts[row] if parts else "")
+        container = self._container(self.columns.boxes.parts[row])
         if container is None:
             return EURO
         level = container[:2] * LENGTH_UNITS[unit]

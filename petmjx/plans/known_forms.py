@@ -143,7 +143,7 @@ def _without_totals(boxes: BoxList) -> BoxList:
         return boxes
     parts: dict[str, list[int]] = {}
     for index in range(len(table.rows)):
-        parts.setdefault(boxes.parts[index] if boxes.parts else "", []).append(index)
+        parts.setdefault(boxes.parts[index], []).append(index)
     computed = {rows[-1]: what for rows in parts.values() if (what := computed_row(table, rows))}
     if not computed:
         return boxes
@@ -224,7 +224,7 @@ def rows_of(boxes: BoxList, kept: Sequence[int]) -> BoxList:
         rows=[boxes.table.rows[index] for index in kept],
         places=[boxes.table.places[index] for index in kept],
     )
-    return replace(boxes, table=table, parts=tuple(boxes.parts[index] for index in kept) if boxes.parts else ())
+    return replace(boxes, table=table, parts=tuple(boxes.parts[index] for index in kept))
 
 
 def _certificate(boxes: BoxList) -> BoxSource:

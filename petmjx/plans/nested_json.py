@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, first_names
+from petmjx.common.text import first_names
 from petmjx.plans.box_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.column_names import column_meanings, word_set, words_of
 from petmjx.plans.header_names import geometric_names
@@ -31,7 +31,7 @@ from petmjx.plans.nested_containers import (
     plan_names_of,
 )
 from petmjx.plans.raw_cells import cell_number, decimal_of
-from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, united
+from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, not_placed, united
 
 _DEEPEST: Final = 12
 """Largest depth of nesting that is searched."""
@@ -112,9 +112,8 @@ def box_lists(value: Any) -> list[BoxList]:
     unplaced = [boxes for boxes in lists if _is_unplaced(boxes.path)]
     placed = _side_by_side(_outermost([boxes for boxes in lists if not _is_unplaced(boxes.path)]))
     left = sum(len(boxes.table.rows) for boxes in unplaced)
-    lines = (f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()
     ranked = sorted(placed, key=lambda boxes: (boxes.has_places, boxes.has_sizes, len(boxes.table.rows)), reverse=True)
-    return [_with_lines(boxes, lines) for boxes in ranked]
+    return [replace(boxes, left_out=(*boxes.left_out, *not_placed(left))) for boxes in ranked]
 
 
 _BOXES: Final = word_set(
@@ -143,7 +142,7 @@ def _outermost(lists: Sequence[BoxList]) -> list[BoxList]:
 
 
 def _words_of_last(boxes: BoxList) -> set[str]:
-    return set(words_of(_last(boxes.path)))
+    return set(words_of(_last_step(boxes.path)))
 
 
 def _side_by_side(lists: Sequence[BoxList]) -> list[BoxList]:
@@ -196,10 +195,6 @@ def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
     return replace(boxes, table=replace(boxes.table, places=places))
 
 
-def _with_lines(boxes: BoxList, lines: tuple[str, ...]) -> BoxList:
-    return replace(boxes, left_out=(*boxes.left_out, *lines))
-
-
 def _is_unplaced(path: str) -> bool:
     words = words_of(path.replace("_", " "))
     return bool(_UNPLACED.intersection(words)) or "not placed" in " ".join(words) or "not packed" in " ".join(words)
@@ -248,12 +243,8 @@ def _members(
             yield from _members(inner, f"{path}[]", inner_place, around, depth + 1)
 
 
-def _last(path: str) -> str:
+def _last_step(path: str) -> str:
     return path.rpartition(".")[2]
-
-
-def _last_step(place: str) -> str:
-    return place.rpartition(".")[2]
 
 
 def _alike(members: Sequence[Mapping[str, Any]]) -> bool:
@@ -291,11 +282,7 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
         row.update(fields_of_part(member))
     members, flat, notes = _without_other_kinds(members, flat)
     notes += _with_zeros(flat)
-    counts: dict[str, int] = {}
-    for row in flat:
-        for name in row:
-            counts[name] = counts.get(name, 0) + 1
-    header = tuple(counts)
+    header = tuple(dict.fromkeys(name for row in flat for name in row))
     meanings = [meaning for meaning in column_meanings(header) if meaning is not None and not meaning.of_container]
     kinds = [meaning.kind for meaning in meanings]
     matrices = any(isinstance(row.get(name), list | tuple) for row in flat[:1] for name in header)
@@ -319,13 +306,11 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     for number, part in zip(box_members, parts, strict=True):
         if part not in containers:
             containers[part] = container_around(members[number])
-    lines = (*notes, *((f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()))
+    containers = {part: sizes for part, sizes in containers.items() if sizes}
     around: dict[str, Any] = {}
     for _, holder in members[0].around:
         around |= {name: inner for name, inner in holder.items() if not isinstance(inner, list)}
-    return BoxList(
-        table, path, tuple(parts), {part: sizes for part, sizes in containers.items() if sizes}, lines, around
-    )
+    return BoxList(table, path, tuple(parts), containers, (*notes, *not_placed(left)), around)
 
 
 _KIND_FIELDS: Final = frozenset(("event", "type", "kind", "action", "record", "op", "msg", "message"))

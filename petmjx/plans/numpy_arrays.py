@@ -124,7 +124,7 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
             fields = _fields_of(array.ravel())
             header, rows = tuple(fields), list(zip(*fields.values(), strict=True))
             table = RawTable(header, rows, [f"row {index}" for index in range(len(rows))], title=name)
-            return [with_known_form(BoxList(table, name, ("",) * len(rows)), "a NumPy array")]
+            return [with_known_form(BoxList(table, name), "a NumPy array")]
     containers = _containers_in(arrays)
     columns = {
         name: array
@@ -148,7 +148,7 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
             stacked += [flat[:, index].tolist() for index in range(flat.shape[1])]
         rows = list(zip(*stacked, strict=True))
         table = RawTable(tuple(header_list), rows, [f"row {index}" for index in range(n_rows)])
-        return [with_known_form(BoxList(table, "", ("",) * n_rows, containers), "NumPy arrays")]
+        return [with_known_form(BoxList(table, containers=containers), "NumPy arrays")]
     sources = []
     for name, array in row_arrays.items():
         if _is_container(name) or array.dtype.kind not in "fiu":
@@ -156,7 +156,7 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         if array.ndim == 3 and array.shape[1:] in ((4, 4), (3, 4)):
             rows = [(matrix,) for matrix in array.tolist()]
             table = RawTable(("matrix",), rows, [f"row {index}" for index in range(len(rows))], title=name)
-            sources.append(BoxSource(BoxList(table, name, ("",) * len(rows), containers), POSES))
+            sources.append(BoxSource(BoxList(table, name, containers=containers), POSES))
             continue
         if array.shape[1:] == (2, 3):  # sizes and places, or two corners, of each box
             array = array.reshape(len(array), 6)

@@ -129,8 +129,7 @@ def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
     """(n,) the name of the plan of each row. If the names are numbers of containers, the file's name comes before
     them, so that plans of different files have different names.
     """
-    parts = columns.source.boxes.parts or ("",) * columns.n_boxes
-    column = columns.plan
+    parts, column = columns.source.boxes.parts, columns.plan
     if column is not None and len(set(column)) * 2 > columns.n_boxes + 2 and len(set(column)) > 1:
         column = None  # nearly every row has another name, so the column does not name plans
     stem = Path(source).name.split(".")[0] or "plan"

@@ -12,10 +12,10 @@ from dataclasses import replace
 from typing import Any, Final
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, printable_name
+from petmjx.common.text import printable_name
 from petmjx.plans.known_forms import PY3DBP, BoxSource
 from petmjx.plans.nested_json import JsonLines
-from petmjx.plans.raw_tables import BoxList, RawTable
+from petmjx.plans.raw_tables import BoxList, RawTable, not_placed
 
 _MOST_PRINTED: Final = 8 << 20
 """Largest text of Python values that is parsed, in characters. Their syntax tree takes 100 times as much memory."""
@@ -167,8 +167,8 @@ def source_of_printed(text: str) -> BoxSource | None:
     if not any(parts) and containers:
         containers = {"": next(iter(containers.values()))}
     table = RawTable(PY3DBP_COLUMNS, rows, places, ".", lost=tuple(lost))
-    left = (f"{count_text(fitted, 'box is', 'boxes are')} not placed, and left out",) if fitted else ()
-    return BoxSource(BoxList(table, "", tuple(parts), containers, left), replace(PY3DBP, name="text printed by py3dbp"))
+    boxes = BoxList(table, "", tuple(parts), containers, not_placed(fitted))
+    return BoxSource(boxes, replace(PY3DBP, name="text printed by py3dbp"))
 
 
 def _triple_cells(text: str) -> list[str]:

@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.header_names import distinct_names
 from petmjx.plans.known_forms import PY3DBP, BoxSource, with_known_form
@@ -17,7 +16,7 @@ from petmjx.plans.nested_json import box_lists
 from petmjx.plans.numpy_arrays import sources_of_arrays
 from petmjx.plans.printed_values import PY3DBP_COLUMNS
 from petmjx.plans.raw_cells import cell_number, decimal_of
-from petmjx.plans.raw_tables import BoxList, RawTable
+from petmjx.plans.raw_tables import BoxList, RawTable, not_placed
 
 
 def sources_of_object(value: Any) -> list[BoxSource]:
@@ -62,7 +61,7 @@ def sources_of_frame(frame: Any) -> list[BoxSource]:
         raise NoBoxes(f"is no table: {type(error).__name__}") from None
     places = [f"row {number}" for number in range(len(rows))]
     raw = RawTable(tuple(distinct_names(header)), rows, places, decimal_of(rows))
-    return [with_known_form(BoxList(raw, "", ("",) * len(rows)), "a data frame")]
+    return [with_known_form(BoxList(raw), "a data frame")]
 
 
 def _plain(cell: Any) -> Any:
@@ -112,8 +111,8 @@ def _of_bins(bins: Sequence[Any]) -> BoxSource:
             places.append(f"bin {name}, item {index}")
             parts.append(part)
     table = RawTable(PY3DBP_COLUMNS, rows, places)
-    lines = (f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()
-    return BoxSource(BoxList(table, "", tuple(parts), containers, lines), replace(PY3DBP, name="py3dbp's objects"))
+    boxes = BoxList(table, "", tuple(parts), containers, not_placed(left))
+    return BoxSource(boxes, replace(PY3DBP, name="py3dbp's objects"))
 
 
 def cell_triple_value(value: Any) -> Any:

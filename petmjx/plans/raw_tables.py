@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
+from petmjx.common.text import count_text
 from petmjx.plans.column_names import ColumnMeaning, column_meanings
 
 MOST_ROWS: Final = 1_000_000
@@ -86,18 +87,23 @@ class BoxList:
     Attributes:
         table: the boxes.
         path: path of the list in the file, with [] after each list on the path: "containers[].stack.placements[]".
-        parts: (n,) for each row, the name of its plan; "" if the plan has no name.
+        parts: (n,) for each row, the name of its plan; "" if the plan has no name. If it is left out, no plan has one.
         containers: name of a plan → axis (as in ``ColumnMeaning``) → size of the plan's container, in the file's unit.
-        left_out: a line about boxes that are not placed; "" if there are none.
+        left_out: lines about boxes that are not placed.
         around: fields of the objects that contain the first box of the list.
     """
 
     table: RawTable
-    path: str
+    path: str = ""
     parts: tuple[str, ...] = ()
     containers: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     around: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Give each row a plan without a name if ``parts`` is left out."""
+        if not self.parts:
+            object.__setattr__(self, "parts", ("",) * len(self.table.rows))
 
     @property
     def meanings(self) -> list[ColumnMeaning | None]:
@@ -116,3 +122,8 @@ class BoxList:
     def has_sizes(self) -> bool:
         """Whether the boxes have sizes."""
         return bool(self.kinds & {"size", "sizes", "high"})
+
+
+def not_placed(count: int) -> tuple[str, ...]:
+    """A line about boxes that a file lists, but that its plans do not place; empty if there are none."""
+    return (f"{count_text(count, 'box is', 'boxes are')} not placed, and left out",) if count else ()

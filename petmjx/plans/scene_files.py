@@ -91,7 +91,7 @@ def source_of_scene(text: str) -> BoxSource:
     if pallets:
         notes.append(f"{count_text(pallets, 'body', 'bodies')} named as a pallet or floor left out")
     table = RawTable(("name", "size_x", "size_y", "size_z", "matrix", "mass"), rows, places)
-    return BoxSource(BoxList(table, "", ("",) * len(rows)), SCENE, tuple(notes))
+    return BoxSource(BoxList(table), SCENE, tuple(notes))
 
 
 def is_three_js(value: Any) -> bool:
@@ -158,8 +158,7 @@ class _Scene:
             notes.append(f"{count_text(self.n_pallets, 'mesh', 'meshes')} named as a pallet or floor left out")
         if self.n_others:
             notes.append(f"{count_text(self.n_others, 'mesh that is no box', 'meshes that are no boxes')} left out")
-        boxes = BoxList(RawTable(header, rows, self.places), "", ("",) * len(rows))
-        return BoxSource(boxes, form, tuple(notes))
+        return BoxSource(BoxList(RawTable(header, rows, self.places)), form, tuple(notes))
 
 
 def source_of_three_js(value: Mapping[str, Any]) -> BoxSource:
