@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, Literal
 
+from petmjx.common.units import LENGTHS_MM, MASSES_KG
+
 Kind = Literal[
     "size", "sizes", "position", "positions", "low", "high", "quaternion", "euler", "matrix", "weight", "density",
     "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group", "material",
@@ -48,6 +50,11 @@ MASS_UNITS: Final = {
     "oz": 0.028349523125, "t": 1000.0, "tonne": 1000.0, "tonnes": 1000.0,
 }  # fmt: skip
 """Name of a unit of mass → kilograms."""
+UNIT_WORDS: Final = {
+    **{unit: words for unit, (_, words) in {**LENGTHS_MM, **MASSES_KG}.items()},
+    "dm": "decimetres",
+}
+"""Name of a unit → the unit as messages call it."""
 
 
 def word_set(text: str) -> frozenset[str]:

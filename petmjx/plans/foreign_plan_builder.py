@@ -3,7 +3,6 @@ placements."""
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,16 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, first_names, printable_name
+from petmjx.common.text import first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.known_forms import PACKINGSOLVER
 from petmjx.plans.packing_order import packing_order, repeated_number
-from petmjx.plans.pallet_columns import PalletSearch, plan_names, rows_by_name
+from petmjx.plans.pallet_columns import PalletSearch, plan_names
 from petmjx.plans.placed_boxes import (
     assumed_density,
     density_lines,
     far_cells,
+    fault_of_rows,
     first_bad_row,
     masses_kg,
     pallet_rows,
@@ -32,7 +32,7 @@ from petmjx.plans.placed_boxes import (
 from petmjx.plans.placement_table import RefusedPlan, Table, as_column
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.plans.raw_cells import cell_number
-from petmjx.plans.raw_tables import BoxList
+from petmjx.plans.raw_tables import BoxList, names_with_lost_rows, row_number, rows_by_name
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
 from petmjx.plans.readings import Reading, Wishes
@@ -80,7 +80,7 @@ class PlanBuilder:
         names = plan_names(self.columns, self.source, self.notes)
         plans = rows_by_name(names)
         try:
-            lost = self._plans_with_lost(names)
+            lost = names_with_lost_rows(self.boxes.table, names)
             single_reading = search.single_reading if len(plans) == 1 and not lost else None
             reading, candidate = single_reading or choose_reading(self.columns, plans, self.wishes, lost)
         except InputError:  # either no row is good, or the good rows alone make no plausible plan
@@ -109,7 +109,7 @@ class PlanBuilder:
         self.decks = pallet_rows(self.columns, plans, size, low)
         for row, fault in range_faults(self.columns, reading, candidate).items():
             self.faults.setdefault(row, fault)
-        mass = masses_kg(self.columns, reading, size, self.wishes, self.faults, self.notes)
+        mass = masses_kg(self.columns, reading.masses, size, self.wishes, self.faults, self.notes)
         refused: list[RefusedPlan] = []
         good_rows: dict[str, NDArray[np.int64]] = {}
         sequences: list[NDArray[np.int64]] = []
@@ -117,20 +117,11 @@ class PlanBuilder:
         for name, rows in plans.items():
             location = f"{self.source}: plan {printable_name(name)}"
             if name in lost:
-                place, fault = lost[name]
-                refused.append(RefusedPlan(name, f"{location}, {place}: {fault}"))
+                refused.append(RefusedPlan(name, f"{location}, {': '.join(lost[name])}"))
                 continue
-            bad_rows = [row for row in rows.tolist() if row in self.faults]
-            if bad_rows:
-                more_text = f" (and {count_text(len(bad_rows) - 1, 'more row')})" if len(bad_rows) > 1 else ""
-                refused.append(
-                    RefusedPlan(
-                        name, f"{location}, {self._place_of(bad_rows[0])}: {self.faults[bad_rows[0]]}{more_text}"
-                    )
-                )
-                continue
-            if (twice := repeated_number(self.columns, rows)) is not None:
-                refused.append(RefusedPlan(name, f"{location}, {twice}"))
+            fault = fault_of_rows(rows.tolist(), self.faults, self._place_of) or repeated_number(self.columns, rows)
+            if fault is not None:
+                refused.append(RefusedPlan(name, f"{location}, {fault}"))
                 continue
             sequence, order, counter = packing_order(self.columns, rows, low[rows], size[rows], self.notes)
             good_rows[name] = rows
@@ -200,21 +191,6 @@ class PlanBuilder:
         name = "" if ids is None or not ids[row] else f" ({printable_name(ids[row])})"
         return f"{self.places[row]}{name}"
 
-    def _plans_with_lost(self, names: Sequence[str]) -> dict[str, tuple[str, str]]:
-        """Name of each plan that lacks a row → (place, fault) of the first missing row.
-
-        An unreadable row may belong to the plan before or after it, so both plans are refused.
-        """
-        numbers = [_number_of(place, row) for row, place in enumerate(self.places)]
-        lost: dict[str, tuple[str, str]] = {}
-        for place, fault in self.boxes.table.lost:
-            number = _number_of(place, 0)
-            before = max((row for row in range(len(numbers)) if numbers[row] < number), default=0)
-            after = min((row for row in range(len(numbers)) if numbers[row] > number), default=len(names) - 1)
-            for row in (before, after):
-                lost.setdefault(names[row], (place, fault))
-        return lost
-
     def _unused(self, reading: Reading) -> tuple[str, ...]:
         """Names of the columns that a reading does not use."""
         used = set(reading.columns.values())
@@ -264,10 +240,5 @@ class PlanBuilder:
         for name, texts in (("item_id", columns.item_id), ("product_group", columns.group)):
             if texts is not None and any(texts):
                 values[name] = [texts[row][:1000] for row in rows.tolist()]
-        numbers = np.array([_number_of(self.places[row], row) for row in rows.tolist()], np.int64)
+        numbers = np.array([row_number(self.places[row], row) for row in rows.tolist()], np.int64)
         return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
-
-
-def _number_of(place: str, otherwise: int) -> int:
-    match = re.search(r"(\d+)\D*$", place)
-    return int(match[1]) if match is not None and len(match[1]) < 10 else otherwise

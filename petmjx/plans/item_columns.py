@@ -149,6 +149,10 @@ class ItemColumns:
         return len(self.source.boxes.table.rows)
 
     @property
+    def weight_is_density(self) -> bool:
+        return self.weight_is == "density"
+
+    @property
     def boxes(self) -> BoxList:
         return self.source.boxes
 

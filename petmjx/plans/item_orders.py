@@ -19,17 +19,17 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, OWN_COLUMNS
-from petmjx.plans.input_conventions import Limits
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, OWN_COLUMNS, UNIT_WORDS
 from petmjx.plans.item_columns import TWO_WAYS, ItemColumns
 from petmjx.plans.known_forms import KnownForm
 from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, target_extent_mm, target_named
 from petmjx.plans.order_texts import LENGTHS, MPV, THPACK
-from petmjx.plans.placed_boxes import USUAL_KG_M3
-from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM, positive_fault
+from petmjx.plans.placed_boxes import USUAL_KG_M3, fault_of_rows, limits_in, masses_kg
+from petmjx.plans.plan_fields import LARGEST_MM, LONGEST_NAME, SMALLEST_MM, positive_fault
 from petmjx.plans.plausibility import deck_cost, density_cost, side_cost
 from petmjx.plans.raw_cells import thousands_faults
-from petmjx.plans.reading_choice import TIE
+from petmjx.plans.raw_tables import names_with_lost_rows, rows_by_name
+from petmjx.plans.reading_choice import MASS_PRIOR, TIE
 from petmjx.plans.reading_files import wishes_of
 from petmjx.plans.readings import Wishes
 
@@ -42,7 +42,6 @@ _PALLET_MM: Final = (300.0, 1700.0)
 are packed on a Euro pallet instead."""
 
 _LENGTH_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "ft": 3.0}
-_MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
 _MIXED: Final = 1.5
 """Cost of a reading that mixes systems of units (inches with kilograms, or pounds with metric lengths), if no names
 give the units."""
@@ -56,9 +55,6 @@ ROW_LEAD: Final = 0.75
 """A weight in a row is usually the weight of one box, even if the row stands for several boxes. But if the cost is
 lower by at least this value when weights are read as those of whole rows, both readings are possible. For example, a
 row of ten boxes may give each box 1,500 kg/m³ if the weight is that of one box."""
-_WATER_KG_M3: Final = 1000.0
-_RELATIVE: Final = 1.5
-"""Densities up to this value are relative to water."""
 _FULL: Final = 1.02
 """Largest share of a target that a layer may cover."""
 
@@ -155,16 +151,19 @@ class _OrderBuilder:
                 f"quantity=- or --columns quantity={name}"
             )
         names = self._names()
-        rows_of: dict[str, list[int]] = {}
-        for row, name in enumerate(names):
-            rows_of.setdefault(name, []).append(row)
+        rows_of = {name: rows.tolist() for name, rows in rows_by_name(names).items()}
         units = self._units()
         size = self.columns.size * LENGTH_UNITS[units.length]
         self._check_sizes(units.length)
         targets = {name: self._target(name, rows[0], units.length) for name, rows in rows_of.items()}
         counts = self._counts(size, targets, names)
-        mass = self._masses(units, size, counts)
-        lost = self._lost(names)
+        usual_kg_m3 = SET_KG_M3 if self.form.name in _WITHOUT_MASSES else USUAL_KG_M3
+        mass = masses_kg(
+            *(self.columns, units.mass, size, self.reading.wishes, self.faults, self.notes),
+            usual_kg_m3=usual_kg_m3,
+            counts=counts if units.of_rows else None,
+        )
+        lost = names_with_lost_rows(self.table, names)
         good_orders: list[tuple[str, Order]] = []
         refused: list[tuple[str, str]] = []
         for name, rows in rows_of.items():
@@ -189,30 +188,15 @@ class _OrderBuilder:
         if column is None and self.form.name in _NUMBERED:
             return [f"{stem}-{name}" if name else stem for name in names]
         if column is not None and (nameless := sum(not name for name in names)):
-            self._note(f"{count_text(nameless, 'row')} without an order's name: order {printable_name(stem)}")
+            self.notes.append(f"{count_text(nameless, 'row')} without an order's name: order {printable_name(stem)}")
         return [name or stem for name in names]
 
-    def _lost(self, names: Sequence[str]) -> dict[str, str]:
-        """Name of each order that lacks a row → place and fault of the row. A lost row may belong to the order before
-        it or to the order after it, so both orders are refused."""
-        numbers = [_number_of(place) for place in self.table.places]
-        lost: dict[str, str] = {}
-        for place, fault in self.table.lost:
-            number = _number_of(place)
-            before = max((row for row in range(len(numbers)) if numbers[row] < number), default=0)
-            after = min((row for row in range(len(numbers)) if numbers[row] > number), default=len(names) - 1)
-            for row in (before, after):
-                lost.setdefault(names[row], f", {place}: {fault}")
-        return lost
-
-    def _fault(self, rows: Sequence[int], lost: str | None, counts: NDArray[np.int64]) -> str | None:
+    def _fault(self, rows: Sequence[int], lost: tuple[str, str] | None, counts: NDArray[np.int64]) -> str | None:
         """Why an order is refused; None if it is good."""
         if lost is not None:
-            return lost
-        bad_rows = [row for row in rows if row in self.faults]
-        if bad_rows:
-            more_text = f" (and {count_text(len(bad_rows) - 1, 'more row')})" if len(bad_rows) > 1 else ""
-            return f", {self.table.places[bad_rows[0]]}: {self.faults[bad_rows[0]]}{more_text}"
+            return f", {': '.join(lost)}"
+        if (fault := fault_of_rows(rows, self.faults, self.table.places.__getitem__)) is not None:
+            return f", {fault}"
         n_items = int(counts[list(rows)].sum())
         if not n_items:
             return ": must have at least one item: all quantities are 0"
@@ -272,10 +256,10 @@ class _OrderBuilder:
         prior = _BIN_PRIOR if self.form in (MPV, SIZES) else _LIST_PRIOR if self.form is LENGTHS else _LENGTH_PRIOR
         lengths = {unit_text: 0.0} if unit_text else dict(prior)
         masses: dict[str, float] = {"kg": 0.0}
-        weighed = columns.weight is not None and columns.weight_is != "density"
+        weighed = columns.weight is not None and not columns.weight_is_density
         if weighed:
             mass_unit = wishes.masses or columns.weight_unit or self.form.masses
-            masses = {mass_unit: 0.0} if mass_unit else dict(_MASS_PRIOR)
+            masses = {mass_unit: 0.0} if mass_unit else dict(MASS_PRIOR)
         of_rows = [False]
         if weighed and columns.weight_is == "row":
             of_rows = [True]
@@ -298,7 +282,7 @@ class _OrderBuilder:
         close = [entry for entry in costs if entry[3] == best[3] and entry[0] < best[0] + TIE]
         if (other := next((entry for entry in close if entry[1] != best[1]), None)) is not None:
             ways = (
-                f"lengths in {_UNIT_NAMES.get(unit, unit)} ({self._shown(unit, is_good)})"
+                f"lengths in {UNIT_WORDS.get(unit, unit)} ({self._shown(unit, is_good)})"
                 for unit in (best[1], other[1])
             )
             raise InputError(f"{TWO_WAYS} {', or '.join(ways)}; say which with --units")
@@ -316,7 +300,7 @@ class _OrderBuilder:
         container = self._container(next(iter(columns.boxes.containers), ""))
         if container is not None:
             cost += deck_cost(container[:2] * factor, True)
-        if columns.weight is None or columns.weight_is == "density":
+        if columns.weight is None or columns.weight_is_density:
             return cost
         kg = columns.weight[good] * MASS_UNITS[mass]
         if of_rows and columns.quantity is not None:
@@ -361,14 +345,10 @@ class _OrderBuilder:
         low, high = _PALLET_MM
         if ((level >= low) & (level <= high)).all():
             return target_named(f"{level[0]:g}x{level[1]:g}")
-        self._note(f"the container, {level[0]:,.0f} × {level[1]:,.0f} mm, is no pallet")
+        self.notes.append(f"the container, {level[0]:,.0f} × {level[1]:,.0f} mm, is no pallet")
         return EURO
 
-    def _note(self, text: str) -> None:
-        if text not in self.notes:
-            self.notes.append(text)
-
-    # Quantities and masses.
+    # Quantities and sizes.
 
     def _counts(self, size: FloatArray, targets: Mapping[str, str], names: Sequence[str]) -> NDArray[np.int64]:
         """(n,) the number of boxes of each row.
@@ -391,9 +371,9 @@ class _OrderBuilder:
             with np.errstate(invalid="ignore"):
                 if bool((cover[several] <= _FULL).all()):
                     raise self._layer_tie()
-            self._note("quantities are of all layers")
+            self.notes.append("quantities are of all layers")
         elif per_layer:
-            self._note("quantities are of each layer")
+            self.notes.append("quantities are of each layer")
         return (quantity * layers if per_layer else quantity).astype(np.int64)
 
     def _layer_tie(self) -> InputError:
@@ -404,44 +384,9 @@ class _OrderBuilder:
             f"--columns 'per layer={name}' or --columns quantity={name}"
         )
 
-    def _masses(self, units: _Units, size: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
-        """(n,) for each row, the mass of one box, kg."""
-        columns, wishes = self.columns, self.reading.wishes
-        volume: FloatArray = size.prod(axis=1) / 1e9
-        usual = SET_KG_M3 if self.form.name in _WITHOUT_MASSES else USUAL_KG_M3
-        density = wishes.density_kg_m3 or usual
-        if columns.weight is None:
-            self._note(f"no weights: {density:g} kg/m³ (--density)")
-            by_density: FloatArray = volume * density
-            return by_density
-        if columns.weight_is == "density":
-            relative = float(np.nanmax(columns.weight)) <= _RELATIVE
-            self._note(f"weights by density, {'relative to water' if relative else 'kg/m³'}")
-            of_columns: FloatArray = volume * columns.weight * (_WATER_KG_M3 if relative else 1.0)
-            return of_columns
-        name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
-        mass = columns.weight * MASS_UNITS[units.mass]
-        if units.of_rows:
-            self._note("weights are of rows")
-            mass = mass / np.maximum(counts, 1)
-        empty = np.isnan(mass) | ~(mass > 0)
-        if wishes.density_kg_m3 is not None and empty.any():
-            self._note(f"{count_text(int(empty.sum()), 'missing weight')}: {density:g} kg/m³")
-            for row in np.flatnonzero(empty).tolist():
-                if columns.faults.get(row, ("", ""))[0] == name:
-                    self.faults.pop(row, None)
-            return np.where(empty, volume * density, mass)
-        limits = _limits(SMALLEST_KG, LARGEST_KG, units.mass, MASS_UNITS)
-        with np.errstate(invalid="ignore"):
-            is_bad = (mass < SMALLEST_KG) | (mass > LARGEST_KG)
-        for row in np.flatnonzero(is_bad).tolist():
-            fault = positive_fault(name, float(columns.weight[row]), *limits)
-            self.faults.setdefault(row, fault or f"{name} must be the weight of {counts[row]:,} boxes")
-        return mass
-
     def _check_sizes(self, unit: str) -> None:
         """Add faults for sizes out of range."""
-        limits = _limits(SMALLEST_MM, LARGEST_MM, unit, LENGTH_UNITS)
+        limits = limits_in(SMALLEST_MM, LARGEST_MM, unit)
         size, names = self.columns.size, self.columns.size_names
         for name in names if len(names) == 3 else ():
             cells, decimal = self.table.column(name), self.table.decimal
@@ -469,9 +414,7 @@ class _OrderBuilder:
         if self.reading.for_episodes and self._has_own_names() and not columns.unread and not self.notes:
             return ""
         lengths = (
-            units.length
-            if columns.weight is None or columns.weight_is == "density"
-            else f"{units.length}, {units.mass}"
+            units.length if columns.weight is None or columns.weight_is_density else f"{units.length}, {units.mass}"
         )
         names = [*columns.size_names, *(columns.columns[role] for role in _SHOWN if role in columns.columns)]
         boxes = sum(len(order.items) for _, order in good)
@@ -490,16 +433,3 @@ class _OrderBuilder:
 _OWN_NAMES: Final = {"weight_kg", "quantity", "order_id", "plan_id", "article", "item_id"}
 _SHOWN: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
 """Roles of the columns that are named, after the sizes, in the line that tells how a table of orders was read."""
-
-
-def _number_of(place: str) -> int:
-    digits = "".join(character if character.isdigit() else " " for character in place).split()
-    return int(digits[-1]) if digits and len(digits[-1]) < 10 else 0
-
-
-_UNIT_NAMES: Final = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches", "kg": "kilograms"}
-
-
-def _limits(low: float, high: float, unit: str, units: Mapping[str, float]) -> Limits:
-    factor = units[unit]
-    return Limits(low / factor, high / factor, _UNIT_NAMES.get(unit, unit))

@@ -19,7 +19,7 @@ from petmjx.common.text import count_text, printable_name
 from petmjx.plans.box_fields import flattened
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, PALLET_WORDS, plain_text, word_set, words_of
 from petmjx.plans.raw_cells import cell_number, cell_text
-from petmjx.plans.raw_tables import BoxList
+from petmjx.plans.raw_tables import BoxList, rows_by_name
 from petmjx.plans.total_rows import computed_row
 
 
@@ -141,10 +141,8 @@ def _without_totals(boxes: BoxList) -> BoxList:
     table = boxes.table
     if not table.has_header:
         return boxes
-    parts: dict[str, list[int]] = {}
-    for index in range(len(table.rows)):
-        parts.setdefault(boxes.parts[index], []).append(index)
-    computed = {rows[-1]: what for rows in parts.values() if (what := computed_row(table, rows))}
+    parts = [rows.tolist() for rows in rows_by_name(boxes.parts).values()]
+    computed = {rows[-1]: what for rows in parts if (what := computed_row(table, rows))}
     if not computed:
         return boxes
     without_totals = rows_of(boxes, [index for index in range(len(table.rows)) if index not in computed])

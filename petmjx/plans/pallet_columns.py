@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -17,6 +17,7 @@ from petmjx.plans.column_extraction import IGNORED
 from petmjx.plans.column_names import PALLET_WORDS, words_of
 from petmjx.plans.packing_order import repeated_number
 from petmjx.plans.raw_cells import cell_text
+from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
 from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
@@ -143,11 +144,3 @@ def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
     if len(set(names)) == 1 and names[0].isdigit():
         return [stem] * len(names)  # there is only one container
     return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
-
-
-def rows_by_name(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
-    """Name → numbers of the rows that have this name."""
-    rows: dict[str, list[int]] = {}
-    for row, name in enumerate(names):
-        rows.setdefault(name, []).append(row)
-    return {name: np.array(some, np.int64) for name, some in rows.items()}

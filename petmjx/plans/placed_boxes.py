@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from petmjx.common.text import count_text, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import role_of
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, plain_text
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, plain_text
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.plan_fields import (
     FARTHEST_MM,
@@ -32,6 +32,9 @@ from petmjx.plans.reading_candidates import Candidate, layout_of
 from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
+
+if TYPE_CHECKING:
+    from petmjx.plans.item_columns import ItemColumns
 
 USUAL_KG_M3: Final = 300.0
 """Density of boxes if a file has no weights: that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
@@ -171,20 +174,31 @@ def assumed_density(columns: BoxColumns, wishes: Wishes) -> float | None:
     """Density of boxes that have no weight, kg/m³; None: all boxes have weights."""
     weight = columns.weight
     lacks_weights = weight is None or (wishes.density_kg_m3 is not None and bool(np.isnan(weight).any()))
-    return _density(wishes) if lacks_weights else None
-
-
-def _density(wishes: Wishes) -> float:
-    return wishes.density_kg_m3 or USUAL_KG_M3
+    return (wishes.density_kg_m3 or USUAL_KG_M3) if lacks_weights else None
 
 
 def masses_kg(
-    columns: BoxColumns, reading: Reading, size: FloatArray, wishes: Wishes, faults: dict[int, str], notes: list[str]
+    columns: BoxColumns | ItemColumns,
+    unit: str,
+    size: FloatArray,
+    wishes: Wishes,
+    faults: dict[int, str],
+    notes: list[str],
+    *,
+    usual_kg_m3: float = USUAL_KG_M3,
+    counts: NDArray[np.int64] | None = None,
 ) -> FloatArray:
-    """(n,) masses, kg. Missing masses are computed from the density. Adds faults of masses to ``faults``, and notes to
-    ``notes``."""
-    volume = size.prod(axis=1) / 1e9
-    density = _density(wishes)
+    """(n,) for each row, the mass of one box, kg. Missing masses are computed from the density. Adds faults of masses
+    to ``faults``, and notes to ``notes``.
+
+    Args:
+        unit: unit of the weights.
+        size: (n, 3) sizes of the boxes, mm.
+        usual_kg_m3: density of boxes without weights if the caller gives none.
+        counts: (n,) number of boxes of each row, if a weight is that of all these boxes; None: it is that of one box.
+    """
+    volume: FloatArray = size.prod(axis=1) / 1e9
+    density = wishes.density_kg_m3 or usual_kg_m3
     if columns.weight is None:
         notes.append(f"no weights: {density:g} kg/m³ (--density)")
         return np.asarray(volume * density)
@@ -192,8 +206,11 @@ def masses_kg(
         relative = np.nanmax(columns.weight) <= _RELATIVE
         notes.append(f"weights by density, {'relative to water' if relative else 'kg/m³'}")
         return np.asarray(volume * columns.weight * (_WATER_KG_M3 if relative else 1.0))
-    name = columns.columns["weight"]
-    mass = columns.weight * MASS_UNITS[reading.masses]
+    name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
+    mass = columns.weight * MASS_UNITS[unit]
+    if counts is not None:
+        notes.append("weights are of rows")
+        mass = mass / np.maximum(counts, 1)
     empty = np.isnan(mass) | ~(mass > 0)
     if wishes.density_kg_m3 is not None and empty.any():
         notes.append(f"{count_text(int(empty.sum()), 'missing weight')}: {density:g} kg/m³")
@@ -201,9 +218,11 @@ def masses_kg(
             if columns.faults.get(row, ("", ""))[0] == name:
                 faults.pop(row, None)
         return np.asarray(np.where(empty, volume * density, mass))
-    limits = limits_in(SMALLEST_KG, LARGEST_KG, reading.masses, MASS_UNITS)
+    limits = limits_in(SMALLEST_KG, LARGEST_KG, unit, MASS_UNITS)
     for row in np.flatnonzero((mass < SMALLEST_KG) | (mass > LARGEST_KG)).tolist():
         fault = positive_fault(name, float(columns.weight[row]), *limits)
+        if fault is None and counts is not None:
+            fault = f"{name} must be the weight of {counts[row]:,} boxes"
         if fault is not None:
             faults.setdefault(row, fault)
     return np.asarray(mass)
@@ -304,9 +323,22 @@ def _place_names(columns: Mapping[str, str]) -> list[str]:
     return [columns.get(axis, columns.get("position", axis)) for axis in "xyz"]
 
 
-_UNIT_NAMES: Final = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches", "kg": "kilograms"}
-
-
 def limits_in(low: float, high: float, unit: str, units: Mapping[str, float] = LENGTH_UNITS) -> Limits:
+    """Limits of a value in a unit, from the limits in millimetres or kilograms. ``units``: the unit is one of these."""
     factor = units[unit]
-    return Limits(low / factor, high / factor, _UNIT_NAMES.get(unit, unit))
+    return Limits(low / factor, high / factor, UNIT_WORDS.get(unit, unit))
+
+
+def fault_of_rows(rows: Sequence[int], faults: Mapping[int, str], place_of: Callable[[int], str]) -> str | None:
+    """The error text for a plan or an order with bad rows: the first fault with its place, and the number of further
+    bad rows. None if all rows are good.
+
+    Args:
+        faults: row → fault.
+        place_of: function that returns the place of a row in the file.
+    """
+    bad_rows = [row for row in rows if row in faults]
+    if not bad_rows:
+        return None
+    more_text = f" (and {count_text(len(bad_rows) - 1, 'more row')})" if len(bad_rows) > 1 else ""
+    return f"{place_of(bad_rows[0])}: {faults[bad_rows[0]]}{more_text}"

@@ -3,9 +3,13 @@ lists of boxes (``BoxList``): raw tables with information from the objects aroun
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.common.text import count_text
 from petmjx.plans.column_names import ColumnMeaning, column_meanings
@@ -78,6 +82,39 @@ def united(tables: Sequence[RawTable]) -> RawTable:
         notes=tuple(dict.fromkeys(note for table in tables for note in table.notes)),
         decimal="," if "," in decimals else next(iter(decimals), "."),
     )
+
+
+def row_number(place: str, otherwise: int) -> int:
+    """The last number in the place of a row: "row 5" → 5. ``otherwise`` if there is none."""
+    match = re.search(r"(\d+)\D*$", place)
+    return int(match[1]) if match is not None and len(match[1]) < 10 else otherwise
+
+
+def names_with_lost_rows(table: RawTable, names: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Name of each plan (or order) that lacks a row → (place, fault) of the first missing row.
+
+    An unreadable row may belong to the plan before or after it, so both plans lack it.
+
+    Args:
+        names: for each row of the table, the name of its plan.
+    """
+    numbers = [row_number(place, row) for row, place in enumerate(table.places)]
+    names_with_lost: dict[str, tuple[str, str]] = {}
+    for place, fault in table.lost:
+        number = row_number(place, 0)
+        before = max((row for row in range(len(numbers)) if numbers[row] < number), default=0)
+        after = min((row for row in range(len(numbers)) if numbers[row] > number), default=len(names) - 1)
+        for row in (before, after):
+            names_with_lost.setdefault(names[row], (place, fault))
+    return names_with_lost
+
+
+def rows_by_name(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
+    """Name → numbers of the rows that have this name."""
+    rows: dict[str, list[int]] = {}
+    for row, name in enumerate(names):
+        rows.setdefault(name, []).append(row)
+    return {name: np.array(some, np.int64) for name, some in rows.items()}
 
 
 @dataclass(frozen=True, eq=False)

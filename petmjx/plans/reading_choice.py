@@ -52,7 +52,8 @@ _LOWEST_UNIT_COST: Final = -2.5
 """Smallest possible cost of units: the cost for boxes of usual sizes and densities on a usual carrier."""
 
 _UNIT_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "tick": 1.0, "ft": 3.0}
-_MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
+MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
+"""Unit that is tried if nothing names it → its cost before any numbers are considered."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +154,7 @@ def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tu
     masses: dict[str, float] = {"kg": 0.0}
     if columns.weight is not None and not columns.weight_is_density:
         mass_unit = wishes.masses or columns.weight_unit or form.masses
-        masses = {mass_unit: 0.0} if mass_unit else dict(_MASS_PRIOR)
+        masses = {mass_unit: 0.0} if mass_unit else dict(MASS_PRIOR)
     costs = []
     deck = _deck_of(judged, wishes)
     largest_side, smallest_side, unit_density = float(size.max()), float(size.min()), math.nan

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, three_digits
+from petmjx.plans.column_names import UNIT_WORDS
 
 ROTATION_RULES: Final = {
     "none": "sizes are as placed",
@@ -199,12 +200,8 @@ class AmbiguousFile(InputError):
         self.readings = tuple(readings)
 
 
-_UNIT_WORDS: Final = {"mm": "millimetres", "cm": "centimetres", "dm": "decimetres", "m": "metres", "in": "inches"}
-_MASS_WORDS: Final = {"kg": "kilograms", "g": "grams", "lb": "pounds", "t": "tonnes"}
-
-
 def _length_words(reading: Reading) -> str:
-    sizes, places = (_UNIT_WORDS.get(unit, unit) for unit in reading.length_units)
+    sizes, places = (UNIT_WORDS.get(unit, unit) for unit in reading.length_units)
     return f"lengths in {sizes}" if sizes == places else f"sizes in {sizes}, coordinates in {places}"
 
 
@@ -218,7 +215,7 @@ def _column_words(reading: Reading) -> str:
 
 _DIFFERENCES: Final = (
     (("units",), "--units", _length_words),
-    (("masses",), "--units", lambda reading: f"weights in {_MASS_WORDS.get(reading.masses, reading.masses)}"),
+    (("masses",), "--units", lambda reading: f"weights in {UNIT_WORDS.get(reading.masses, reading.masses)}"),
     (("up",), "--up", lambda reading: f"{reading.up} upwards"),
     (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
     (("sizes", "rule"), "--sizes", _size_words),
