@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,9 +56,33 @@ MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
 """Unit that is tried if nothing names it → its cost before any numbers are considered."""
 
 
+class _Units(NamedTuple):
+    """One choice of units for a layout.
+
+    Attributes:
+        cost: how implausible the units are; a smaller cost is better.
+        length: unit of coordinates.
+        mass: unit of masses.
+        density_kg_m3: median density; NaN if there are no weights.
+        side_mm: mean of the boxes' sides.
+    """
+
+    cost: float
+    length: str
+    mass: str
+    density_kg_m3: float
+    side_mm: float
+
+
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """A candidate (a possible reading) with its costs."""
+    """A candidate (a possible reading) with its costs.
+
+    Attributes:
+        layouts: the layout of each plan that is used to judge readings.
+        rows: the row numbers of all boxes of the layouts.
+        units: all choices of units, cheapest first. Their costs depend on which sides of the load lie on the deck.
+    """
 
     candidate: Candidate
     layout_cost: float
@@ -66,48 +90,36 @@ class _Judged:
     evidence: Evidence
     layouts: tuple[Layout, ...]
     rows: NDArray[np.int64]
-    """The row numbers of all boxes that the layouts contain."""
-    unit_cost: float = 0.0
-    """Cost of the most plausible units, which depends on which sides of the load lie on the deck."""
+    units: tuple[_Units, ...] = ()
 
     @property
     def cost(self) -> float:
-        return self.candidate.prior + self.layout_cost + self.unit_cost
+        return self.candidate.prior + self.layout_cost + self.units[0].cost
 
 
-@dataclass(frozen=True, eq=False)
-class _Sample:
-    """The plans that are used to judge readings: for each plan, its rows and its container."""
-
-    rows: tuple[NDArray[np.int64], ...]
-    containers: tuple[Mapping[str, float], ...]
+_Sample = list[tuple[NDArray[np.int64], Mapping[str, float]]]
+"""The rows and the container of each plan that is used to judge readings."""
 
 
-def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str] = ()) -> _Sample:
+def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str]) -> _Sample:
     """The first plans that have no faults. If all plans have faults, the first plans without their bad rows.
 
     Args:
         damaged: names of plans that lack rows.
     """
     is_good = np.ones(columns.n_boxes, bool)
-    for row in columns.faults:
-        is_good[row] = False
+    is_good[list(columns.faults)] = False
     for geometry in columns.geometries:
-        with np.errstate(invalid="ignore"):
-            is_good &= (geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1)
-    chosen: list[NDArray[np.int64]] = []
-    containers: list[Mapping[str, float]] = []
+        is_good &= (geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1)
+    sample: _Sample = []
     taken = 0
-    containers_by_plan = columns.source.boxes.containers
     good_plans = {name: rows for name, rows in plans.items() if name not in damaged and is_good[rows].all()}
     for name, rows in (good_plans or plans).items():
         used = rows[is_good[rows]]
-        if not len(used) or len(chosen) >= _MOST_PLANS or taken >= _MOST_BOXES:
-            continue
-        chosen.append(used)
-        containers.append(container_of(containers_by_plan, name))
-        taken += len(used)
-    return _Sample(tuple(chosen), tuple(containers))
+        if len(used) and len(sample) < _MOST_PLANS and taken < _MOST_BOXES:
+            sample.append((used, container_of(columns.source.boxes.containers, name)))
+            taken += len(used)
+    return sample
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
@@ -117,65 +129,60 @@ def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Ma
     )
 
 
-def _judge(columns: BoxColumns, candidate: Candidate, sample: _Sample) -> _Judged:
-    layouts = []
+def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _Sample) -> _Judged:
+    layouts: list[Layout] = []
     costs: list[float] = []
-    sums = np.zeros(5)
     origins: list[str] = []
-    for rows, container in zip(sample.rows, sample.containers, strict=True):
+    sums = np.zeros(4)
+    for rows, container in sample:
         whole_layout = layout_of(columns, candidate, container)
-        layout = Layout(whole_layout.low[rows], whole_layout.size[rows], whole_layout.container)
-        layouts.append(layout)
-        cost, origin, counts = layout_cost(layout)
+        layouts.append(Layout(whole_layout.low[rows], whole_layout.size[rows], whole_layout.container))
+        cost, origin, counts = layout_cost(layouts[-1])
         costs.append(cost * len(rows))
         origins.append(origin)
-        sums += [*counts, len(rows)]
-    n_boxes = max(int(sums[4]), 1)
-    total = sum(costs) / n_boxes
-    origin = max(set(origins), key=origins.count) if origins else "given"
-    evidence = Evidence(int(sums[4]), int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
-    return _Judged(candidate, total, origin, evidence, tuple(layouts), np.concatenate(sample.rows))
+        sums += counts
+    all_rows = np.concatenate([rows for rows, _ in sample])
+    n_boxes = len(all_rows)
+    evidence = Evidence(n_boxes, int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
+    origin = max(set(origins), key=origins.count)
+    judged = _Judged(candidate, sum(costs) / n_boxes, origin, evidence, tuple(layouts), all_rows)
+    return replace(judged, units=tuple(_units(judged, columns, wishes)))
 
 
-def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
-    """A tuple for each pair of units, cheapest first: cost, unit of lengths, unit of masses, median density in kg/m³,
-    mean side in mm.
-
-    The unit of lengths is that of coordinates.
-    """
+def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:
+    """All choices of units, cheapest first."""
     form, geometry = columns.source.form, judged.candidate.geometry
     size = np.concatenate([layout.size for layout in judged.layouts])
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
-    volume = size.prod(axis=1)
     size_unit = wishes.units or geometry.place_unit or geometry.size_unit or form.units
     lengths = {size_unit: 0.0} if size_unit else dict(_UNIT_PRIOR)
     if not size_unit and not columns.source.boxes.table.has_header:
         lengths["dm"] = 0.3
     masses: dict[str, float] = {"kg": 0.0}
+    unit_density = math.nan  # in the file's units
     if columns.weight is not None and not columns.weight_is_density:
         mass_unit = wishes.masses or columns.weight_unit or form.masses
         masses = {mass_unit: 0.0} if mass_unit else dict(MASS_PRIOR)
-    costs = []
-    deck = _deck_of(judged, wishes)
-    largest_side, smallest_side, unit_density = float(size.max()), float(size.min()), math.nan
-    if columns.weight is not None and not columns.weight_is_density:
         with np.errstate(invalid="ignore", divide="ignore"):
-            densities = columns.weight[judged.rows] / volume
+            densities = columns.weight[judged.rows] / size.prod(axis=1)
         densities = densities[np.isfinite(densities) & (densities > 0)]
-        unit_density = float(np.median(densities)) if len(densities) else math.nan  # in the file's units
+        unit_density = float(np.median(densities)) if len(densities) else math.nan
+    choices = []
+    deck, is_deck = _deck_of(judged, wishes)
+    largest_side, smallest_side = float(size.max()), float(size.min())
     for length, length_prior in lengths.items():
         factor = LENGTH_UNITS[length]
         mean_mm = side * factor
         cost = length_prior + side_cost(mean_mm)
-        cost += deck_cost(deck[0] * factor, deck[1])
+        cost += deck_cost(deck * factor, is_deck)
         cost += 20.0 * (largest_side * factor > 6_000.0) + 20.0 * (smallest_side * factor < 1.0)
         for mass, mass_prior in masses.items():
             density = unit_density * MASS_UNITS[mass] / (factor / 1000.0) ** 3
             total = cost + mass_prior + (0.0 if math.isnan(density) else density_cost(density))
             if (length in ("in", "ft")) != (mass == "lb") and len(masses) > 1:
                 total += 0.7
-            costs.append((total, length, mass, density, mean_mm))
-    return sorted(costs)
+            choices.append(_Units(total, length, mass, density, mean_mm))
+    return sorted(choices)
 
 
 def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
@@ -203,7 +210,7 @@ def choose_reading(
         InputError: no row is usable.
     """
     sample = _sample_of(columns, plans, damaged)
-    if not sample.rows:
+    if not sample:
         raise InputError("no row can be used")
     judged = _judged_candidates(columns, wishes, sample)
     best = judged[0]
@@ -214,24 +221,15 @@ def choose_reading(
     close = [
         other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
     ]
-    readings = [_reading(one, columns, wishes) for one in (best, *close)]
-    reading = readings[0]
-    if len(judged) > 1 and close:
+    if close:
+        readings = [_reading(one, columns, wishes) for one in (best, *close)]
         raise AmbiguousFile(tie_text(readings, is_weak), readings[:4])
-    units = _units_of(best, columns, wishes)
+    units = _likely_units(best, wishes)
+    readings = [_reading(best, columns, wishes, choice) for choice in units]
     if len(units) > 1:
-        first, second = units[0], units[1]
-        other_readings = [
-            replace(
-                reading,
-                units=_unit_text(best, columns, entry[1]),
-                masses=entry[2],
-                evidence=replace(reading.evidence, density_kg_m3=entry[3], side_mm=entry[4]),
-            )
-            for entry in (first, second)
-        ]
-        raise AmbiguousFile(tie_text(other_readings, weak=False), other_readings)
-    if (rival := _other_mass(best, columns, wishes)) is not None:
+        raise AmbiguousFile(tie_text(readings, weak=False), readings)
+    (reading,) = readings
+    if (rival := _other_mass(best)) is not None:
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
@@ -245,7 +243,7 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
     for candidate in ranked:
         if judged and candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
             break
-        judged.append(_with_units(_judge(columns, candidate, sample), columns, wishes))
+        judged.append(_judge(columns, wishes, candidate, sample))
         lowest = min(lowest, judged[-1].cost)
     unnamed = not wishes.units and not any(geometry.size_unit or geometry.place_unit for geometry in columns.geometries)
     if unnamed and judged and min(one.layout_cost for one in judged) > 0.8 * WEAK:
@@ -253,49 +251,47 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
         for factor in (10.0, 0.1, 1000.0, 0.001, 25.4, 100.0, 0.01):
             for one in base:
                 scaled = replace(one.candidate, scale=factor, prior=one.candidate.prior + 2.0)
-                other = _with_units(_judge(columns, scaled, sample), columns, wishes)
-                if _within_reach(other, columns, wishes):
+                other = _judge(columns, wishes, scaled, sample)
+                if _within_reach(other):
                     judged.append(other)
     return sorted(judged, key=lambda one: one.cost)
 
 
-def _within_reach(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
+def _within_reach(judged: _Judged) -> bool:
     """Whether coordinates are in their range in the most plausible units. If coordinates were read in a larger unit
     than sizes, boxes could be so far apart that they cannot overlap."""
-    factor = LENGTH_UNITS[_unit_costs(judged, columns, wishes)[0][1]]
+    factor = LENGTH_UNITS[judged.units[0].length]
     return all(float(np.abs(layout.low).max()) * factor <= FARTHEST_MM for layout in judged.layouts)
 
 
-def _with_units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> _Judged:
-    """A judged candidate, with the cost of its most plausible units added."""
-    return replace(judged, unit_cost=_unit_costs(judged, columns, wishes)[0][0])
-
-
-def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
+def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
     """The units of a reading. If two units are a tie, both are returned.
 
     Two units of lengths are a tie if boxes and load fit a carrier equally well in both, whatever the masses, or if the
     costs of the units are almost equal. If lengths are in inches, pounds and kilograms are a tie. Other units of masses
     are never a tie, because they do not change verdicts.
     """
-    costs = _unit_costs(best, columns, wishes)
-    first = costs[0]
-    rivals = [entry for entry in costs[1:] if entry[1] != first[1] and entry[0] < first[0] + TIE]
+    first, *others = best.units
+    rivals = [choice for choice in others if choice.length != first.length and choice.cost < first.cost + TIE]
     if best.candidate.scale == 1.0:
-        cheapest: dict[str, tuple[float, str, str, float, float]] = {}
-        for entry in costs:
-            cheapest.setdefault(entry[1], entry)
-        fits = {unit: _fit(best, unit, wishes) for unit in cheapest if unit in _TRIED or unit == first[1]}
+        cheapest: dict[str, _Units] = {}
+        for choice in best.units:
+            cheapest.setdefault(choice.length, choice)
+        fits = {unit: _fit(best, unit, wishes) for unit in cheapest if unit in _TRIED or unit == first.length}
         most = max(fits.values())
         equal = [unit for unit, fit in fits.items() if fit == most]
-        if most and equal != [first[1]]:
-            other_units = [cheapest[unit] for unit in equal if unit != first[1]]
-            rivals = other_units if not _are_converted(best, first[1], [entry[1] for entry in other_units]) else []
+        if most and equal != [first.length]:
+            other_units = [unit for unit in equal if unit != first.length]
+            is_converted = _are_converted(best, first.length, other_units)
+            rivals = [] if is_converted else [cheapest[unit] for unit in other_units]
         elif most > 1:
             rivals = []  # the load fills a pallet only if lengths are in this unit
-    if not rivals and LENGTH_UNITS[first[1]] == LENGTH_UNITS["in"]:
-        rivals = [entry for entry in costs[1:] if entry[1] == first[1] and {first[2], entry[2]} == {"kg", "lb"}]
-        rivals = [entry for entry in rivals if _THIN < entry[3] < _DENSE]
+    if not rivals and LENGTH_UNITS[first.length] == LENGTH_UNITS["in"]:
+        rivals = [
+            choice
+            for choice in others
+            if choice.length == first.length and {first.mass, choice.mass} == {"kg", "lb"} and _is_likely(choice)
+        ]
     return [first, *rivals[:1]]
 
 
@@ -333,19 +329,26 @@ def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
     )
 
 
-def _other_mass(best: _Judged, columns: BoxColumns, wishes: Wishes) -> str | None:
+def _is_likely(units: _Units) -> bool:
+    """Whether boxes have a plausible density in these units."""
+    return _THIN < units.density_kg_m3 < _DENSE
+
+
+def _other_mass(best: _Judged) -> str | None:
     """Another unit of masses that is plausible and that no column name excludes; None if there is none.
 
     This unit is only mentioned, because a factor on all masses hardly affects a verdict.
     """
-    costs = _unit_costs(best, columns, wishes)
-    first = costs[0]
-    rivals = [entry for entry in costs[1:] if entry[1] == first[1]]
-    rivals = [entry for entry in rivals if entry[0] < first[0] + TIE or _THIN < entry[3] < _DENSE]
-    return rivals[0][2] if rivals else None
+    first, *others = best.units
+    rivals = (
+        choice.mass
+        for choice in others
+        if choice.length == first.length and (choice.cost < first.cost + TIE or _is_likely(choice))
+    )
+    return next(rivals, None)
 
 
-def _unit_text(best: _Judged, columns: BoxColumns, places: str) -> str:
+def _unit_text(best: _Judged, places: str) -> str:
     """The units of sizes and coordinates, in the form that ``Reading`` uses."""
     scale = best.candidate.scale
     if scale == 1.0:
@@ -355,22 +358,22 @@ def _unit_text(best: _Judged, columns: BoxColumns, places: str) -> str:
     return f"{sizes}/{places}"
 
 
-def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> Reading:
+def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes, units: _Units | None = None) -> Reading:
+    """The reading of a candidate in some units; None: in its most plausible units."""
     candidate = judged.candidate
-    _, length, mass, density, side = _units_of(judged, columns, wishes)[0]
-    item = candidate.rule not in ("none", "pose")
+    units = units or judged.units[0]
     return Reading(
         form=columns.source.form.name,
         columns={**candidate.geometry.columns, **columns.columns},
-        units=_unit_text(judged, columns, length),
-        masses=mass,
+        units=_unit_text(judged, units.length),
+        masses=units.mass,
         anchor=candidate.anchor,
         up=candidate.up,
         along=candidate.along,
-        sizes="item" if item else "placed",
+        sizes="placed" if candidate.rule in ("none", "pose") else "item",
         rule=candidate.rule,
         origin=wishes.origin or judged.origin,
         cost=judged.cost,
         layout_cost=judged.layout_cost,
-        evidence=replace(judged.evidence, density_kg_m3=density, side_mm=side),
+        evidence=replace(judged.evidence, density_kg_m3=units.density_kg_m3, side_mm=units.side_mm),
     )
