@@ -21,11 +21,13 @@ from petmjx.plans.pose_columns import pose_choices
 from petmjx.plans.raw_cells import cell_number, cell_text
 from petmjx.plans.size_and_place_columns import (
     Geometry,
+    Places,
+    Sizes,
     array_choices,
     array_extras,
-    corner_choices,
-    place_choices,
-    size_choices,
+    corners_in,
+    places_in,
+    sizes_in,
     with_half_extents,
 )
 from petmjx.plans.turn_columns import Turns, are_yes_or_no, turns_of
@@ -78,9 +80,7 @@ class BoxColumns:
         return len(self.source.boxes.table.rows)
 
 
-def box_columns(
-    source: BoxSource, chosen: Mapping[str, str] | None = None, units: str = "", masses: str = ""
-) -> BoxColumns:
+def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses: str) -> BoxColumns:
     """Determine the columns of a source by their meanings.
 
     Args:
@@ -90,22 +90,13 @@ def box_columns(
     Raises:
         InputError: a chosen column does not exist. If places or sizes are missing, ``geometries`` is empty instead.
     """
-    extraction = ColumnExtraction(source, chosen or {}, units, masses)
+    extraction = ColumnExtraction(source, chosen, units, masses)
     turns = None
     geometries = pose_choices(extraction) if source.boxes.table.has_header else array_choices(extraction)
     if source.boxes.table.has_header and not geometries:
-        places, sizes = place_choices(extraction), size_choices(extraction)
-        for size, axes, size_unit, placed, columns in sizes:
-            for place, place_unit, anchor, more, up in places:
-                if size_unit and place_unit and size_unit != place_unit:
-                    size = size * LENGTH_UNITS[size_unit]
-                    place = place * LENGTH_UNITS[place_unit]
-                    size_unit = place_unit = "mm"
-                geometries.append(
-                    Geometry(size, place, axes, size_unit, place_unit, anchor, placed, {**columns, **more}, named_up=up)
-                )
-        if not geometries:
-            geometries = corner_choices(extraction)
+        places, sizes = places_in(extraction), sizes_in(extraction)
+        geometry = corners_in(extraction) if places is None or sizes is None else _geometry_of(sizes, places)
+        geometries = [] if geometry is None else [geometry]
         turns = rotations_in(extraction)
     geometries += [half for geometry in geometries if (half := with_half_extents(geometry)) is not None]
     weight_index = weight_column(extraction)
@@ -171,6 +162,16 @@ def box_columns(
     )
 
 
+def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
+    """Sizes and places together. If their units differ, both are converted to millimetres."""
+    size, axes, size_unit, placed, columns = sizes
+    place, place_unit, anchor, more, up = places
+    if size_unit and place_unit and size_unit != place_unit:
+        size, place = size * LENGTH_UNITS[size_unit], place * LENGTH_UNITS[place_unit]
+        size_unit = place_unit = "mm"
+    return Geometry(size, place, axes, size_unit, place_unit, anchor, placed, {**columns, **more}, named_up=up)
+
+
 def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, str]:
     """(n,) names of boxes, and the name of their column: the first column whose name is unknown and whose cells are all
     different texts. None and "" if there is no such column."""
@@ -186,15 +187,9 @@ def weight_column(extraction: ColumnExtraction) -> int | None:
     """The column of weights. If several columns have weights, the first column of gross weights is taken."""
     if "weight" in extraction.fixed:
         return extraction.fixed["weight"]
-    gross = [
-        number
-        for number, meaning in enumerate(extraction.meanings)
-        if meaning is not None
-        and meaning.kind == "weight"
-        and not meaning.of_container
-        and GROSS.intersection(words_of(extraction.table.header[number]))
-    ]
-    return gross[0] if gross else extraction.first("weight")
+    weights = extraction.indices("weight")
+    gross = (index for index in weights if GROSS.intersection(words_of(extraction.table.header[index])))
+    return next(gross, next(iter(weights), None))
 
 
 def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dict[str, FloatArray]:

@@ -23,7 +23,7 @@ from petmjx.plans.column_names import (
     word_set,
     words_of,
 )
-from petmjx.plans.known_forms import BED_BPP, BoxSource
+from petmjx.plans.known_forms import BED_BPP, PACKINGSOLVER, BoxSource
 from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.raw_cells import (
     CellNumber,
@@ -68,23 +68,22 @@ def role_of(axis: str) -> str:
 class ColumnExtraction:
     """The columns of one source, while their meanings are being determined."""
 
-    def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str = "", masses: str = "") -> None:
+    def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str, masses: str) -> None:
         self.source = source
         self.units, self.masses = units, masses
         self.table = source.boxes.table
         self.groups_thousands = has_groups_with_decimals(self.table.rows, self.table.decimal)
         self.faults: dict[int, tuple[str, str]] = {}
         self.meanings = column_meanings(self.table.header)
-        if source.form.name == "packingsolver's certificate":
+        if source.form == PACKINGSOLVER:
             upper = {name.upper(): index for index, name in enumerate(self.table.header)}
             self.meanings[upper["ID"]] = ColumnMeaning("article")
             self.meanings[upper["TYPE"]] = None
             self.meanings[upper.get("COPIES", upper["TYPE"])] = None
         if source.form == BED_BPP:  # item.sequence numbers the items of the order: it is no packing order
-            self.meanings = [
-                None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
-            ]
-        eulers = [index for index, meaning in enumerate(self.meanings) if meaning and meaning.kind == "euler"]
+            for index in self.indices("sequence", of_container=True):
+                self.meanings[index] = None
+        eulers = self.indices("euler", of_container=True)
         if len(eulers) == 1:  # "rot_z" alone: the box turns about the vertical
             self.meanings[eulers[0]] = ColumnMeaning("rotation")
         self._mean_by_cells()
@@ -129,7 +128,7 @@ class ColumnExtraction:
             ):
                 self.meanings[index] = ColumnMeaning("weight")
             elif "rotation" not in kinds and (
-                (len({*map(cell_text, cells)}) > 1 and all(map(letters_of, cells))) or self._are_quarter_turns(cells)
+                (len({*map(cell_text, cells)}) > 1 and all(map(letters_of, cells))) or _are_quarter_turns(cells)
             ):
                 self.meanings[index] = ColumnMeaning("rotation")
 
@@ -150,13 +149,6 @@ class ColumnExtraction:
                 self.source = replace(self.source, form=replace(form, units=form.units or texts[0]))
             return True
         return False
-
-    def _are_quarter_turns(self, cells: Sequence[Any]) -> bool:
-        """Whether cells are angles in degrees, all of them multiples of 90, and some but not all of them turn a box."""
-        angles = {None if number is None else number.value for cell in cells for number in (cell_number(cell),)}
-        return (
-            angles <= {0.0, 90.0, 180.0, 270.0, -90.0, -180.0} and bool(angles & {90.0, 270.0, -90.0}) and 0.0 in angles
-        )
 
     def _is_mass(self, cell: Any) -> bool:
         number = cell_number(cell, self.table.decimal)
@@ -268,15 +260,8 @@ class ColumnExtraction:
         """(n,) names in the first column of these kinds, and the column's name."""
         index = self.fixed.get(role)
         if index is None:
-            index = next(
-                (
-                    number
-                    for kind in kinds
-                    for number, meaning in enumerate(self.meanings)
-                    if meaning is not None and meaning.kind == kind and number not in self.fixed.values()
-                ),
-                None,
-            )
+            columns = (index for kind in kinds for index in self.indices(kind, of_container=True))
+            index = next((index for index in columns if index not in self.fixed.values()), None)
         if index is None:
             return None, ""
         return [cell_text(cell) for cell in self.cells(index)], self.table.header[index]
@@ -308,17 +293,24 @@ class ColumnExtraction:
         self.source = replace(self.source, notes=(*self.source.notes, f"{printable_name(column)} filled down"))
         return filled_names
 
+    def indices(self, kind: str, *, of_container: bool = False) -> list[int]:
+        """Indices of the columns with this kind of meaning. Columns about containers count only with
+        ``of_container``."""
+        return [
+            index
+            for index, meaning in enumerate(self.meanings)
+            if meaning is not None and meaning.kind == kind and (of_container or not meaning.of_container)
+        ]
+
     def first(self, kind: str, role: str = "") -> int | None:
-        if role in self.fixed:
-            return self.fixed[role]
-        return next(
-            (
-                index
-                for index, meaning in enumerate(self.meanings)
-                if meaning is not None and meaning.kind == kind and not meaning.of_container
-            ),
-            None,
-        )
+        """The column of a role, or else the first column with this kind of meaning; None if there is none."""
+        return self.fixed[role] if role in self.fixed else next(iter(self.indices(kind)), None)
+
+
+def _are_quarter_turns(cells: Sequence[Any]) -> bool:
+    """Whether cells are angles in degrees, all of them multiples of 90, and some but not all of them turn a box."""
+    angles = {None if number is None else number.value for number in map(cell_number, cells)}
+    return angles <= {0.0, 90.0, 180.0, 270.0, -90.0, -180.0} and bool(angles & {90.0, 270.0, -90.0}) and 0.0 in angles
 
 
 def _role_of(meaning: ColumnMeaning) -> str:

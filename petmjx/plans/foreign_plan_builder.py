@@ -119,9 +119,9 @@ class PlanBuilder:
             if name in lost:
                 refused.append(RefusedPlan(name, f"{location}, {': '.join(lost[name])}"))
                 continue
-            fault = fault_of_rows(rows.tolist(), self.faults, self._place_of) or repeated_number(self.columns, rows)
-            if fault is not None:
-                refused.append(RefusedPlan(name, f"{location}, {fault}"))
+            refusal = fault_of_rows(rows.tolist(), self.faults, self._place_of) or repeated_number(self.columns, rows)
+            if refusal is not None:
+                refused.append(RefusedPlan(name, f"{location}, {refusal}"))
                 continue
             sequence, order, counter = packing_order(self.columns, rows, low[rows], size[rows], self.notes)
             good_rows[name] = rows

@@ -8,7 +8,7 @@ only orders have: weights of whole rows, boxes per layer, numbers of cartons.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,7 +25,7 @@ from petmjx.plans.order_generator import MOST_ITEMS
 from petmjx.plans.plan_fields import sparse_fault
 from petmjx.plans.raw_cells import cell_number, cell_text, number_fault_of
 from petmjx.plans.raw_tables import BoxList
-from petmjx.plans.size_and_place_columns import size_choices
+from petmjx.plans.size_and_place_columns import sizes_in
 
 ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
 """Roles of columns that only orders have, in addition to ``ROLES``. ``quantity`` is the number of boxes in a row of the
@@ -139,10 +139,10 @@ class ItemColumns:
     sequence: FloatArray | None
     columns: Mapping[str, str]
     faults: Mapping[int, tuple[str, str]]
-    unread: tuple[str, ...] = ()
-    maybe_quantity: str = ""
-    strength: FloatArray | None = None
-    upright: list[str] | None = None
+    unread: tuple[str, ...]
+    maybe_quantity: str
+    strength: FloatArray | None
+    upright: list[str] | None
 
     @property
     def n_rows(self) -> int:
@@ -179,7 +179,7 @@ _PIECES_OF: Final = re.compile(
 class _ItemExtraction(ColumnExtraction):
     """The columns of one source while their meanings are being determined, including columns that only orders have."""
 
-    def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str = "", masses: str = "") -> None:
+    def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str, masses: str) -> None:
         header = source.boxes.table.header
         for role, name in chosen.items():
             if role not in ROLES and role not in ITEM_ROLES:
@@ -194,7 +194,9 @@ class _ItemExtraction(ColumnExtraction):
         self.of_box: set[int] = set()
         self.of_layer: set[int] = set()
         if _is_of_packingsolver(header):
-            self._take_packingsolver()
+            for index, name in enumerate(header):
+                if name.upper() in ("X", "Y", "Z"):
+                    self.meanings[index] = ColumnMeaning("size", name.lower())
         self._take_names_of_orders()
         for role, name in self.chosen.items():
             if name != IGNORED:
@@ -203,11 +205,6 @@ class _ItemExtraction(ColumnExtraction):
                 self.of_layer.discard(index)
                 self.totals.discard(index)
                 {"per layer": self.of_layer, "total weight": self.totals}.get(role, set()).add(index)
-
-    def _take_packingsolver(self) -> None:
-        for index, name in enumerate(self.table.header):
-            if name.upper() in ("X", "Y", "Z"):
-                self.meanings[index] = ColumnMeaning("size", name.lower())
 
     def _take_names_of_orders(self) -> None:
         """Determine the meanings of names that only orders have."""
@@ -284,19 +281,15 @@ class _ItemExtraction(ColumnExtraction):
         return ""
 
     def role(
-        self, role: str, kind: str, *, within: set[int] | None = None, without: set[int] | None = None
+        self, role: str, kind: str, *, within: Collection[int] | None = None, without: Collection[int] = ()
     ) -> int | None:
         """The column of a role: the column that an option names, else the first column whose name means this role; None
         if the role has no column."""
         name = self.chosen.get(role)
         if name is not None:
             return None if name == IGNORED else self.table.header.index(name)
-        for index, meaning in enumerate(self.meanings):
-            if meaning is None or meaning.kind != kind or meaning.of_container or index in self.taken:
-                continue
-            if (within is None or index in within) and (without is None or index not in without):
-                return index
-        return None
+        columns = (index for index in self.indices(kind) if index not in self.taken)
+        return next((index for index in columns if (within is None or index in within) and index not in without), None)
 
     @property
     def taken(self) -> set[int]:
@@ -387,10 +380,10 @@ class _ItemExtraction(ColumnExtraction):
 
     def sizes(self) -> tuple[FloatArray, str, tuple[str, ...]] | None:
         """(n, 3) length, width and height, their unit, and the names of their columns; None if there are no sizes."""
-        choices = size_choices(self)
-        if not choices:
+        sizes = sizes_in(self)
+        if sizes is None:
             return None
-        values, axes, unit, _, columns = choices[0]
+        values, axes, unit, _, columns = sizes
         self._check_single(columns)
         upright = next((axis for axis in ("height", "z", "2", "depth") if axis in axes), axes[2])
         order = [index for index, axis in enumerate(axes) if axis != upright] + [axes.index(upright)]
@@ -399,12 +392,7 @@ class _ItemExtraction(ColumnExtraction):
 
 
 def item_columns(
-    source: BoxSource,
-    chosen: Mapping[str, str] | None = None,
-    units: str = "",
-    masses: str = "",
-    *,
-    properties: bool = False,
+    source: BoxSource, chosen: Mapping[str, str], units: str, masses: str, *, properties: bool
 ) -> ItemColumns | None:
     """Determine the columns of a source of items; None if the source has no sizes.
 
@@ -416,7 +404,7 @@ def item_columns(
     Raises:
         InputError: a chosen column does not exist.
     """
-    work = _ItemExtraction(source, chosen or {}, units, masses)
+    work = _ItemExtraction(source, chosen, units, masses)
     sizes = work.sizes()
     if sizes is None:
         return None
@@ -430,9 +418,8 @@ def item_columns(
         per_layer = False
     if quantity_index is not None and "quantity" not in work.chosen and not per_layer:
         cells = work.cells(quantity_index)
-        for index, meaning in enumerate(work.meanings):
-            rival = meaning is not None and meaning.kind == "quantity" and index not in work.of_layer
-            if rival and work.cells(index) != cells:
+        for index in work.indices("quantity", of_container=True):
+            if index not in work.of_layer and work.cells(index) != cells:
                 raise work.tie("quantity", header[quantity_index], header[index])
     layers_index = work.role("layers", "layers")
     copies = _is_of_packingsolver(header)
@@ -462,7 +449,7 @@ def item_columns(
     values, size_unit, names = sizes
     strength, upright = (work.strengths(), work.sides()) if properties else (None, None)
     used = {*names, *columns.values(), group_name, *(BOX_PROPERTIES if properties else ())}
-    used |= {*([] if sequence_index is None else [header[sequence_index]])}
+    used |= set() if sequence_index is None else {header[sequence_index]}
     maybe = "" if quantity is not None or "quantity" in work.chosen else work.maybe_quantity()
     unread = [
         name

@@ -13,7 +13,7 @@ from petmjx.plans.column_extraction import XYZ, ColumnExtraction
 from petmjx.plans.column_names import LENGTH_UNITS, words_of
 from petmjx.plans.known_forms import GLTF, THREE_JS
 from petmjx.plans.raw_cells import number_fault_of
-from petmjx.plans.size_and_place_columns import Geometry, place_choices, size_choices
+from petmjx.plans.size_and_place_columns import Geometry, Sizes, places_in, sizes_in
 from petmjx.plans.turn_columns import (
     angles_of,
     bad_member,
@@ -35,13 +35,12 @@ _LEVEL: Final = 2e-3
 
 def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
     """Geometries from matrices, or from positions and rotations."""
-    header = extraction.table.header
-    sizes = size_choices(extraction)
+    header, n = extraction.table.header, len(extraction.table.rows)
+    sizes = sizes_in(extraction)
     matrix = next(
         (index for index in range(len(header)) if any(is_matrix(row[index]) for row in extraction.table.rows[:3])), None
     )
     if matrix is not None:
-        n = len(extraction.table.rows)
         rotations, places = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
         for row, cell in enumerate(extraction.cells(matrix)):
             array = matrix_of(cell)
@@ -50,42 +49,26 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
             else:
                 rotations[row], places[row] = array[:3, :3], array[:3, 3]
         rotations, scale = _without_scale(rotations)
-        if not sizes and np.allclose(scale, 1.0, equal_nan=True):
+        if sizes is None and np.allclose(scale, 1.0, equal_nan=True):
             return []
-        size, axes, unit, _, columns = sizes[0] if sizes else (np.ones((n, 3)), XYZ, "", False, {})
+        size, axes, unit, _, columns = sizes or Sizes(np.ones((n, 3)), XYZ, "", False, {})
         if not np.allclose(size, scale, rtol=1e-3, equal_nan=True):  # else the matrices only repeat the sizes
             size = size * scale
             _check_scales(extraction, scale, matrix)
-        columns = {**columns, "pose": header[matrix]}
-        return [_pose(extraction, size, places, axes, unit, unit, rotations, columns, matrix, "")]
-    if not sizes:
+        geometry = Geometry(size, places, axes, unit, unit, columns={**columns, "pose": header[matrix]})
+        return [_turned(extraction, geometry, rotations, matrix)]
+    options = _quaternions(extraction) or _angles(extraction) or _turning_matrices(extraction) if sizes else []
+    at = places_in(extraction) if options else None
+    if sizes is None or at is None:
         return []
-    size, axes, unit, _, columns = sizes[0]
-    options = _quaternions(extraction) or _angles(extraction) or _turning_matrices(extraction)
-    places_of = place_choices(extraction) if options else []
-    if not places_of:
-        return []
-    place, place_unit, anchor, place_columns, _ = places_of[0]
     tilted = [int((tilt(rotation) > _LEVEL).sum()) for rotation, *_ in options]
-    return [
-        replace(
-            _pose(
-                extraction,
-                size,
-                place,
-                axes,
-                unit,
-                place_unit,
-                rotation,
-                columns | place_columns | named,
-                index,
-                anchor,
-            ),
-            prior=0.4 * number,
-        )
-        for number, (rotation, named, index) in enumerate(options)
-        if tilted[number] == min(tilted)
-    ]
+    geometries = []
+    for number, (rotation, named, index) in enumerate(options):
+        if tilted[number] == min(tilted):
+            columns = {**sizes.columns, **at.columns, **named}
+            geometry = Geometry(sizes.size, at.place, sizes.axes, sizes.unit, at.unit, at.anchor, columns=columns)
+            geometries.append(_turned(extraction, replace(geometry, prior=0.4 * number), rotation, index))
+    return geometries
 
 
 def _check_scales(extraction: ColumnExtraction, scale: FloatArray, index: int) -> None:
@@ -182,25 +165,18 @@ def _turning_matrices(extraction: ColumnExtraction) -> list[_Rotations]:
     return [(rotations, {"rotation": extraction.table.header[index]}, index)]
 
 
-def _pose(
-    extraction: ColumnExtraction,
-    size: FloatArray,
-    place: FloatArray,
-    axes: tuple[str, str, str],
-    size_unit: str,
-    place_unit: str,
-    rotation: FloatArray,
-    columns: dict[str, str],
-    index: int,
-    anchor: str,
-) -> Geometry:
-    """A geometry from poses. Boxes whose rotation is not a multiple of right angles are refused."""
+def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArray, index: int) -> Geometry:
+    """A geometry whose boxes are turned. Boxes whose rotation is not a multiple of right angles are refused.
+
+    Args:
+        index: the column that is named in errors.
+    """
     for row in np.flatnonzero(tilt(rotation) > _LEVEL):
         degrees = np.degrees(np.arccos(np.clip(np.abs(rotation[row]).max(axis=1).min(), 0, 1)))
         extraction.bad(
             int(row), index, f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
         )
-    return Geometry(size, place, axes, size_unit, place_unit, anchor, True, columns, turn=np.abs(np.rint(rotation)))
+    return replace(geometry, placed=True, turn=np.abs(np.rint(rotation)))
 
 
 def _roles(role: str, names: Sequence[str]) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,72 +57,67 @@ class Geometry:
     named_up: str = ""
 
 
-def size_choices(
-    extraction: ColumnExtraction,
-) -> list[tuple[FloatArray, tuple[str, str, str], str, bool, dict[str, str]]]:
-    """(sizes, axes, unit, placed, columns) for each possible choice of columns for the sizes."""
-    header = extraction.table.header
-    if "sizes" in extraction.fixed:
-        values, unit = extraction.triples(extraction.fixed["sizes"])
-        return [(values, ("0", "1", "2"), unit, False, {"sizes": header[extraction.fixed["sizes"]]})]
-    chosen_columns = {
-        axis: extraction.fixed[role_of(axis)] for axis in (*SIZE_WORDS, *XYZ) if role_of(axis) in extraction.fixed
-    }
-    sizes = {axis: list(columns) for axis, columns in extraction.columns_of("size").items()}
-    for role, index in chosen_columns.items():
-        sizes[role] = [index]
-    choices = []
+class Sizes(NamedTuple):
+    """The sizes of boxes, and their columns. The fields are as in :class:`Geometry`; ``unit`` is ``size_unit``."""
+
+    size: FloatArray
+    axes: tuple[str, str, str]
+    unit: str
+    placed: bool
+    columns: dict[str, str]
+
+
+class Places(NamedTuple):
+    """The places of boxes, and their columns. The fields are as in :class:`Geometry`; ``unit`` is ``place_unit``."""
+
+    place: FloatArray
+    unit: str
+    anchor: str
+    columns: dict[str, str]
+    named_up: str = ""
+
+
+def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
+    """The sizes of the boxes; None if there are no columns with sizes. Sizes of placed boxes are preferred."""
+    header, fixed = extraction.table.header, extraction.fixed
+    if "sizes" in fixed:
+        values, unit = extraction.triples(fixed["sizes"])
+        return Sizes(values, ("0", "1", "2"), unit, False, {"sizes": header[fixed["sizes"]]})
+    chosen = {axis: fixed[role_of(axis)] for axis in (*SIZE_WORDS, *XYZ) if role_of(axis) in fixed}
+    by_axis = extraction.columns_of("size") | {axis: [index] for axis, index in chosen.items()}
+    placed_columns, half_columns = (
+        {index for index, meaning in enumerate(extraction.meanings) if meaning is not None and getattr(meaning, name)}
+        for name in ("placed", "half")
+    )
     for placed in (True, False):
         for axes in _SIZE_SETS:
             picked = [
-                [
-                    index
-                    for index in sizes.get(axis, ())
-                    if _placed(extraction, index) == placed or axis in chosen_columns
-                ]
+                [index for index in by_axis.get(axis, ()) if axis in chosen or (index in placed_columns) == placed]
                 for axis in axes
             ]
-            if not all(picked):
-                continue
-            for indices in _same_prefix(header, picked):
+            if all(picked):
+                indices = _same_prefix(header, picked)
                 values, unit = extraction.joined(indices)
-                factor = 2.0 if any(_half(extraction, index) for index in indices) else 1.0
+                factor = 1.0 if half_columns.isdisjoint(indices) else 2.0
                 columns = {role_of(axis): header[index] for axis, index in zip(axes, indices, strict=True)}
-                choices.append((values * factor, axes, unit, placed, columns))
-            if choices:
-                return choices
+                return Sizes(values * factor, axes, unit, placed, columns)
     for index, meaning in enumerate(extraction.meanings):
         if meaning is not None and meaning.kind == "sizes" and not meaning.of_container:
             values, unit = extraction.triples(index)
-            order = meaning.order if len(meaning.order) == 3 else ("0", "1", "2")
+            first, second, third = meaning.order if len(meaning.order) == 3 else ("0", "1", "2")
             factor = 2.0 if meaning.half else 1.0
-            choices.append((values * factor, order, unit, meaning.placed, {"sizes": header[index]}))
-    return choices[:1]
+            return Sizes(values * factor, (first, second, third), unit, meaning.placed, {"sizes": header[index]})
+    return None
 
 
-def _placed(extraction: ColumnExtraction, index: int) -> bool:
-    meaning = extraction.meanings[index]
-    return meaning is not None and meaning.placed
-
-
-def _half(extraction: ColumnExtraction, index: int) -> bool:
-    meaning = extraction.meanings[index]
-    return meaning is not None and meaning.half
-
-
-def place_choices(extraction: ColumnExtraction) -> list[tuple[FloatArray, str, str, dict[str, str], str]]:
-    """(places, unit, anchor, columns, vertical axis) for each possible choice of columns for the places, most
-    certain first."""
-    header = extraction.table.header
-    if "position" in extraction.fixed:
-        values, unit = extraction.triples(extraction.fixed["position"])
-        return [(values, unit, "", {"position": header[extraction.fixed["position"]]}, "")]
-    chosen_columns = [extraction.fixed.get(axis) for axis in XYZ]
-    if all(index is not None for index in chosen_columns):
-        indices = [index for index in chosen_columns if index is not None]
-        values, unit = extraction.joined(indices)
-        return [(values, unit, "", {axis: header[index] for axis, index in zip(XYZ, indices, strict=True)}, "")]
-    choices = []
+def places_in(extraction: ColumnExtraction) -> Places | None:
+    """The places of the boxes, from the columns that most certainly have them; None if there are no such columns."""
+    header, fixed = extraction.table.header, extraction.fixed
+    if "position" in fixed:
+        values, unit = extraction.triples(fixed["position"])
+        return Places(values, unit, "", {"position": header[fixed["position"]]})
+    if all(axis in fixed for axis in XYZ):
+        return _places_of(extraction, [fixed[axis] for axis in XYZ], "")
     by_anchor: dict[str, dict[str, list[int]]] = {}
     for index, meaning in enumerate(extraction.meanings):
         if meaning is None or meaning.kind not in ("position", "low") or meaning.of_container:
@@ -137,46 +132,42 @@ def place_choices(extraction: ColumnExtraction) -> list[tuple[FloatArray, str, s
         if heights and by_anchor.get(anchor, {}).keys() == {"x", "y"}:
             by_anchor["base-centre"] = {**by_anchor.pop(anchor), "z": heights}
     for anchor, by_axis in sorted(by_anchor.items(), key=lambda entry: entry[0] == ""):
-        for role in XYZ:
-            if role in extraction.fixed:
-                by_axis[role] = [extraction.fixed[role]]
-        if not all(axis in by_axis for axis in XYZ):
-            continue
-        for chosen in _same_prefix(header, _without_picks(header, [by_axis[axis] for axis in XYZ])):
-            values, unit = extraction.joined(chosen)
-            words = {meaning.axis for index in chosen if (meaning := extraction.meanings[index]) is not None}
-            up = "z" if "height" in words else ""
-            columns = {axis: header[index] for axis, index in zip(XYZ, chosen, strict=True)}
-            choices.append((values, unit, anchor, columns, up))
-            break
+        by_axis |= {axis: [fixed[axis]] for axis in XYZ if axis in fixed}
+        if all(axis in by_axis for axis in XYZ):
+            indices = _same_prefix(header, _without_picks(header, [by_axis[axis] for axis in XYZ]))
+            words = {meaning.axis for index in indices if (meaning := extraction.meanings[index]) is not None}
+            return _places_of(extraction, indices, anchor)._replace(named_up="z" if "height" in words else "")
     for index, meaning in enumerate(extraction.meanings):
-        if meaning is not None and meaning.kind == "positions" and not choices:
+        if meaning is not None and meaning.kind == "positions":
             values, unit = extraction.triples(index)
-            choices.append((values, unit, meaning.anchor, {"position": header[index]}, ""))
-    if not choices:  # the file has the far corners and the sizes, but no near corners
-        far = {_ON_AXES.get(axis, axis): columns[0] for axis, columns in extraction.columns_of("high").items()}
-        if all(axis in far for axis in XYZ):
-            values, unit = extraction.joined([far[axis] for axis in XYZ])
-            columns = {axis: header[far[axis]] for axis in XYZ}
-            is_goal = any(_GOALS.intersection(words_of(name)) for name in columns.values())
-            choices.append((values, unit, "" if is_goal else "far-corner", columns, ""))
-    return choices[:1]
+            return Places(values, unit, meaning.anchor, {"position": header[index]})
+    # the file may have the far corners and the sizes, but no near corners
+    far = {_ON_AXES.get(axis, axis): columns[0] for axis, columns in extraction.columns_of("high").items()}
+    if not all(axis in far for axis in XYZ):
+        return None
+    is_goal = any(_GOALS.intersection(words_of(header[far[axis]])) for axis in XYZ)
+    return _places_of(extraction, [far[axis] for axis in XYZ], "" if is_goal else "far-corner")
 
 
-def corner_choices(extraction: ColumnExtraction) -> list[Geometry]:
-    """Geometries from two corners of each box: the corner with the smallest and the corner with the largest
-    coordinates."""
+def _places_of(extraction: ColumnExtraction, indices: Sequence[int], anchor: str) -> Places:
+    """The places from three columns, for x, y and z."""
+    values, unit = extraction.joined(indices)
     header = extraction.table.header
-    ends = [extraction.columns_of(kind) for kind in ("low", "position", "edge1", "edge2", "high")]
-    low, plain, first, second, high = ends
-    pairs = [(low, high), (first, second), (low, first), (plain, high), (plain, second)]
-    for begins, finishes in pairs:
-        begin = {_ON_AXES.get(axis, axis): columns for axis, columns in begins.items()}
-        finish = {_ON_AXES.get(axis, axis): columns for axis, columns in finishes.items()}
+    return Places(values, unit, anchor, {axis: header[index] for axis, index in zip(XYZ, indices, strict=True)})
+
+
+def corners_in(extraction: ColumnExtraction) -> Geometry | None:
+    """Sizes and places from two corners of each box: the corner with the smallest and the corner with the largest
+    coordinates. None if there are no such columns."""
+    header = extraction.table.header
+    low, plain, first, second, high = (
+        {_ON_AXES.get(axis, axis): columns[0] for axis, columns in extraction.columns_of(kind).items()}
+        for kind in ("low", "position", "edge1", "edge2", "high")
+    )
+    for begin, finish in ((low, high), (first, second), (low, first), (plain, high), (plain, second)):
         if not all(axis in begin and axis in finish for axis in XYZ):
             continue
-        lows = [begin[axis][0] for axis in XYZ]
-        highs = [finish[axis][0] for axis in XYZ]
+        lows, highs = [begin[axis] for axis in XYZ], [finish[axis] for axis in XYZ]
         corner, unit = extraction.joined(lows)
         far_corner, far_unit = extraction.joined(highs)
         if unit != far_unit:
@@ -191,8 +182,8 @@ def corner_choices(extraction: ColumnExtraction) -> list[Geometry]:
             axis = int(np.flatnonzero(size[row] <= 0)[0])
             extraction.bad(int(row), highs[axis], f"must be beyond {header[lows[axis]]}, got {far_corner[row, axis]:g}")
             size[row] = np.nan
-        return [Geometry(size, corner, XYZ, unit, unit, "corner", True, columns)]
-    return []
+        return Geometry(size, corner, XYZ, unit, unit, "corner", True, columns)
+    return None
 
 
 HALF_EXTENTS: Final = "half extents"
@@ -212,17 +203,15 @@ def with_half_extents(geometry: Geometry) -> Geometry | None:
     return replace(geometry, size=2 * geometry.size, columns=columns, prior=geometry.prior + 0.8)
 
 
-def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> tuple[int, ...]:
     """Three columns that belong to the same object, such as ``dimensions.length``, ``dimensions.width`` and
     ``dimensions.height``. If there are no three such columns, the first column of each size."""
-    by_prefix: dict[str, list[int]] = {}
+    by_prefix: dict[str, dict[int, int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
-            by_prefix.setdefault(header[index].rpartition(".")[0], [-1] * len(picked))
-            slots = by_prefix[header[index].rpartition(".")[0]]
-            slots[number] = index if slots[number] < 0 else slots[number]
-    full_triples = [tuple(slots) for slots in by_prefix.values() if -1 not in slots]
-    return full_triples[:1] or [tuple(columns[0] for columns in picked)]
+            by_prefix.setdefault(header[index].rpartition(".")[0], {}).setdefault(number, index)
+    triples = (tuple(slots.values()) for slots in by_prefix.values() if len(slots) == len(picked))
+    return next(triples, tuple(columns[0] for columns in picked))
 
 
 def _without_picks(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[list[int]]:
