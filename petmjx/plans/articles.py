@@ -32,6 +32,7 @@ from petmjx.plans.file_formats import (
     foreign_kind_of,
     is_csv,
     is_parquet_name,
+    is_utf8,
     looks_like_json,
     number_hint,
     other_encoding,
@@ -271,7 +272,7 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
     try:
         text = data.decode()
     except UnicodeDecodeError:
-        line = next(number for number, row in enumerate(data.split(b"\n"), start=1) if not _is_utf8(row))
+        line = next(number for number, row in enumerate(data.split(b"\n"), start=1) if not is_utf8(row))
         cell = data.split(b"\n")[line - 1].decode("utf-8", "surrogateescape")
         raise InputError(f"{name}: row {line} is not UTF-8 text{other_encoding(cell)}") from None
     header = text.partition("\n")[0]
@@ -291,14 +292,6 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
         unclosed = "unexpected end of data" in str(error)
         quote_fault = "has an unclosed quotation mark" if unclosed else f"not CSV: {reason(error)}"
         raise InputError(f"{name}: row {number + 1}: {quote_fault}") from None
-
-
-def _is_utf8(data: bytes | bytearray) -> bool:
-    try:
-        data.decode()
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], commas: bool) -> dict[str, Any]:

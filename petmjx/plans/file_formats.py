@@ -132,10 +132,19 @@ def separator_mark(header: bytes | bytearray) -> str | None:
     return f'row 1: "{mark}" is Excel\'s mark of the separator, and no header: delete this row'
 
 
+def is_utf8(data: bytes | bytearray) -> bool:
+    """Whether bytes are text in UTF-8."""
+    try:
+        data.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
 def other_encoding(text: str) -> str:
     """The end of a message about a text that is not UTF-8. The text names the probable encoding. In the text, bytes
     that are not UTF-8 have become lone surrogates."""
-    if not all(character.isascii() or is_surrogate(character) for character in text):
+    if not all(character.isascii() or 0xD800 <= ord(character) <= 0xDFFF for character in text):
         return ""  # the other bytes are UTF-8, so the text is damaged
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
@@ -145,11 +154,6 @@ def other_encoding(text: str) -> str:
         return ": save the file as UTF-8"
     guess = f' ("{shortened_text(read)}" in Windows-1252)' if read.isprintable() else ""
     return f"{guess}: save the file as UTF-8"
-
-
-def is_surrogate(character: str) -> bool:
-    """Whether a character is a surrogate: half of a character, or a byte that is not UTF-8."""
-    return 0xD800 <= ord(character) <= 0xDFFF
 
 
 def number_hint(text: str) -> str:

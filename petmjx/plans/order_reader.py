@@ -3,7 +3,6 @@ files of any other form."""
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, overload
 from petmjx.common.atomic_write import atomic_write
 from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
-from petmjx.common.text import is_text, printable, printable_name
+from petmjx.common.text import printable, printable_name
 from petmjx.plans.convention_checks import warn
 from petmjx.plans.file_formats import (
     PARQUET_MAGIC,
@@ -27,13 +26,16 @@ from petmjx.plans.plan_fields import (
     COM_FIELDS_JSON,
     LARGEST_KG,
     LARGEST_MM,
-    LONGEST_NAME,
     SMALLEST_KG,
     SMALLEST_MM,
     com_fault,
+    first_fault,
+    kind,
     kind_fault,
     pallet_fault,
+    positive_fault,
     sparse_fault,
+    text_fault,
 )
 
 if TYPE_CHECKING:
@@ -206,21 +208,22 @@ def _good_orders(
 
 def _order(entry: Entry, where: str) -> Order:
     record = entry.value
-    _name(entry.plan_id, "the order id", where)
+    if (fault := text_fault("the order id", entry.plan_id)) is not None:
+        raise InputError(f"{where}: {fault}")
     if not entry.plan_id:
         raise InputError(f"{where}: the order id must not be empty")
     if isinstance(record, list) and record and isinstance(record[0], dict) and "flb_coordinates" in record[0]:
         raise InputError(f"{where}: is a packing plan, not an order: orders have item_sequence and properties")
     if not isinstance(record, dict):
-        raise InputError(f"{where}: must be a JSON object, {_kind(record)}")
+        raise InputError(f"{where}: must be an object, got {kind(record)}")
     properties = record.get("properties")
     target = properties.get("target") if isinstance(properties, dict) else None
     if not isinstance(target, str) or not is_target(target):
-        fault = shown_value(target) if isinstance(target, str) else _kind(target)
-        raise InputError(f"{where}: properties.target must be one of {', '.join(TARGET_EXTENT_MM)}, {fault}")
+        targets = ", ".join(TARGET_EXTENT_MM)
+        raise InputError(f"{where}: properties.target must be one of {targets}, got {kind(target)}")
     sequence = record.get("item_sequence")
     if not isinstance(sequence, dict) or not sequence:
-        raise InputError(f"{where}: item_sequence must be a JSON object that holds at least one item")
+        raise InputError(f"{where}: item_sequence must be an object that holds at least one item")
     if len(sequence) > MOST_ITEMS:
         raise InputError(f"{where}: must have at most {MOST_ITEMS:,} items, got {len(sequence):,}")
     ranked = []
@@ -234,71 +237,33 @@ def _order(entry: Entry, where: str) -> Order:
 
 def _item(raw: object, where: str) -> Item:
     if not isinstance(raw, dict):
-        raise InputError(f"{where}: must be a JSON object, {_kind(raw)}")
-    sizes = {field: _number(raw, field, SMALLEST_MM, LARGEST_MM, where) for field in _SIZES}
-    offsets = [
-        _optional(raw, field, com_fault, size, where)
-        for field, size in zip(COM_FIELDS_JSON, sizes.values(), strict=True)
-    ]
-    com_mm = None if offsets == [None] * 3 else (offsets[0] or 0.0, offsets[1] or 0.0, offsets[2] or 0.0)
-    fault = kind_fault(raw.get("kind")) or pallet_fault(raw.get("kind"), [*sizes.values()])
-    if fault is not None:
+        raise InputError(f"{where}: must be an object, got {kind(raw)}")
+    item: dict[str, Any] = {"product_group": "", **raw}
+    if (fault := _item_fault(item)) is not None:
         raise InputError(f"{where}: {fault}")
+    com = [item.get(field) for field in COM_FIELDS_JSON]
+    stiffness = item.get("stiffness_n_mm")
     return Item(
-        article=_text(raw, "article", where),
-        item_id=_text(raw, "id", where),
-        product_group=_text({"product_group": "", **raw}, "product_group", where),
-        length_mm=sizes["length/mm"],
-        width_mm=sizes["width/mm"],
-        height_mm=sizes["height/mm"],
-        weight_kg=_number(raw, "weight/kg", SMALLEST_KG, LARGEST_KG, where),
-        com_mm=com_mm,
-        stiffness_n_mm=_optional(raw, "stiffness_n_mm", lambda field, value, _: sparse_fault(field, value), 0.0, where),
-        kind=raw.get("kind") or "",
+        *(item["article"], item["id"], item["product_group"]),
+        *(float(item[field]) for field in (*_SIZES, "weight/kg")),
+        com_mm=None if com == [None] * 3 else (float(com[0] or 0.0), float(com[1] or 0.0), float(com[2] or 0.0)),
+        stiffness_n_mm=None if stiffness is None else float(stiffness),
+        kind=item.get("kind") or "",
     )
 
 
-def _optional(
-    raw: dict[str, Any], field: str, fault_of: Callable[[str, Any, float], str | None], size: float, where: str
-) -> float | None:
-    """A number of an item; None if the item lacks it."""
-    value = raw.get(field)
-    if value is None:
-        return None
-    if (fault := fault_of(field, value, size)) is not None:
-        raise InputError(f"{where}: {fault}")
-    return float(value)
-
-
-def _text(raw: dict[str, Any], field: str, where: str) -> str:
-    value = raw.get(field)
-    if not isinstance(value, str):
-        raise InputError(f"{where}: {field} must be a text, {_kind(value)}")
-    return _name(value, field, where)
-
-
-def _name(text: str, field: str, where: str) -> str:
-    if not is_text(text):
-        raise InputError(f"{where}: {field} is not UTF-8 text")
-    if len(text) > LONGEST_NAME:
-        raise InputError(f"{where}: {field} must have at most {LONGEST_NAME:,} characters, got {len(text):,}")
-    return text
-
-
-def _number(raw: dict[str, Any], field: str, smallest: float, largest: float, where: str) -> float:
-    value = raw.get(field)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{where}: {field} must be a number, {_kind(value)}")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number) or number <= 0:
-        raise InputError(f"{where}: {field} must be finite and > 0, got {number:g}")
-    if not smallest <= number <= largest:
-        raise InputError(f"{where}: {field} must be from {smallest:g} to {largest:g}, got {number:g}")
-    return number
-
-
-def _kind(value: object) -> str:
-    return "got nothing" if value is None else f"got {type(value).__name__}"
+def _item_fault(item: dict[str, Any]) -> str | None:
+    """The error text for the first bad field of an item; None if the item is good."""
+    return (
+        first_fault(text_fault(field, item.get(field)) for field in ("article", "id", "product_group"))
+        or first_fault(positive_fault(field, item.get(field), SMALLEST_MM, LARGEST_MM, "mm") for field in _SIZES)
+        or positive_fault("weight/kg", item.get("weight/kg"), SMALLEST_KG, LARGEST_KG, "kg")
+        or first_fault(
+            com_fault(field, item[field], item[size])
+            for field, size in zip(COM_FIELDS_JSON, _SIZES, strict=True)
+            if item.get(field) is not None
+        )
+        or sparse_fault("stiffness_n_mm", item.get("stiffness_n_mm"))
+        or kind_fault(item.get("kind"))
+        or pallet_fault(item.get("kind"), [item[field] for field in _SIZES])
+    )

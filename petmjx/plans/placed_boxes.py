@@ -129,23 +129,18 @@ def _move(
         bottom: height of the deck, mm.
     """
     notes = []
-    small = _LEVEL * float(np.nanmedian(size[used, 2]))
-    if abs(bottom) > small:
+    if abs(bottom) > _LEVEL * float(np.nanmedian(size[used, 2])):
         low[rows, 2] -= bottom
         notes.append(f"heights count from the lowest box, {bottom:g} mm")
     elif bottom:
         low[rows, 2] = np.where(np.abs(low[rows, 2]) <= abs(bottom), 0.0, low[rows, 2])
+    begin = np.nanmin(low[used, :2], axis=0)
     if reading.origin == "middle":
-        begin = np.nanmin(low[used, :2], axis=0)
-        shift = container[:2] / 2 if not np.isnan(container[:2]).any() else -begin
-        low[rows, :2] += shift
+        low[rows, :2] += container[:2] / 2 if not np.isnan(container[:2]).any() else -begin
         notes.append("the origin is the middle of the carrier")
-    else:
-        begin = np.nanmin(low[used, :2], axis=0)
-        shift = np.where(begin < -DEFAULT_TOLERANCE_MM, -begin, 0.0)
-        if shift.any():
-            low[rows, :2] += shift
-            notes.append("the origin is another corner of the carrier")
+    elif (begin < -DEFAULT_TOLERANCE_MM).any():
+        low[rows, :2] += np.where(begin < -DEFAULT_TOLERANCE_MM, -begin, 0.0)
+        notes.append("the origin is another corner of the carrier")
     return "; ".join(notes)
 
 
@@ -252,9 +247,7 @@ def far_cells(columns: BoxColumns, wishes: Wishes) -> dict[int, tuple[str, str]]
         (geometry.place, FARTHEST_MM, _place_names(geometry.columns), geometry.place_unit),
     ):
         low, high, unit = limits_in(-largest, largest, named_unit or wishes.units or form.units or "mm")
-        with np.errstate(invalid="ignore"):
-            is_far = np.abs(values) > high
-        for row, axis in np.argwhere(is_far).tolist():
+        for row, axis in np.argwhere(np.abs(values) > high).tolist():
             text = coordinate_fault(names[axis], float(values[row, axis]), low, high, unit)
             if text is not None:
                 faults.setdefault(row, (names[axis], text.removeprefix(f"{names[axis]} ")))
@@ -291,20 +284,15 @@ def range_faults(columns: BoxColumns, reading: Reading, candidate: Candidate) ->
     size_limits = limits_in(SMALLEST_MM, LARGEST_MM, sizes)
     place_limits = limits_in(-FARTHEST_MM, FARTHEST_MM, places)
     raw_size, raw_place = candidate.geometry.size, candidate.geometry.place
-    smallest, largest, _ = size_limits
-    low_place, high_place, _ = place_limits
-    with np.errstate(invalid="ignore"):
-        bad_sizes = (raw_size < smallest) | (raw_size > largest)
-        far_places = (raw_place < low_place) | (raw_place > high_place)
-    for row in np.flatnonzero(bad_sizes.any(axis=1) | far_places.any(axis=1)).tolist():
-        for axis in range(3):
-            fault = None
-            if bad_sizes[row, axis]:
-                fault = positive_fault(named_sizes[axis], float(raw_size[row, axis]), *size_limits)
-            elif far_places[row, axis]:
-                fault = coordinate_fault(named_places[axis], float(raw_place[row, axis]), *place_limits)
-            if fault is not None:
-                faults.setdefault(row, fault)
+    bad_sizes = (raw_size < size_limits.smallest) | (raw_size > size_limits.largest)
+    far_places = (raw_place < place_limits.smallest) | (raw_place > place_limits.largest)
+    for row, axis in np.argwhere(bad_sizes | far_places).tolist():
+        if bad_sizes[row, axis]:
+            fault = positive_fault(named_sizes[axis], float(raw_size[row, axis]), *size_limits)
+        else:
+            fault = coordinate_fault(named_places[axis], float(raw_place[row, axis]), *place_limits)
+        if fault is not None:
+            faults.setdefault(row, fault)
     return faults
 
 

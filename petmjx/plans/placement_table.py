@@ -34,6 +34,7 @@ from petmjx.plans.plan_fields import (
     com_along_axes,
     com_fault,
     coordinate_fault,
+    first_fault,
     integer_fault,
     kind_fault,
     missing_anywhere,
@@ -585,7 +586,7 @@ class _TableReader:
             kind_fault(raw.get("kind")),
             pallet_fault(raw.get("kind"), self._size_mm(row)),
         )
-        return next(filter(None, faults), None)
+        return first_fault(faults)
 
     def _size_mm(self, row: np.int64) -> list[float]:
         return [float(self._numbers[name][row]) for name in _SIZE]

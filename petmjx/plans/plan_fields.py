@@ -99,6 +99,11 @@ _MOST_NAMED: Final = 8
 """Largest number of fields that a note names."""
 
 
+def first_fault(faults: Iterable[str | None]) -> str | None:
+    """The first error text; None if there is none."""
+    return next(filter(None, faults), None)
+
+
 def text_fault(field: str, value: object) -> str | None:
     """The error text for a name; None if the name is good."""
     if not isinstance(value, str):

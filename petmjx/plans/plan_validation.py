@@ -25,6 +25,7 @@ from petmjx.plans.plan_fields import (
     com_along_axes,
     com_fault,
     coordinate_fault,
+    first_fault,
     integer_fault,
     kind,
     kind_fault,
@@ -227,24 +228,18 @@ def find_fault(placement: object, given: InputConventions = USUAL) -> str | None
         text_fault("article", item["article"])
         or text_fault("id", item["id"])
         or (None if group is None else text_fault("product_group", group))
-        or next(filter(None, (positive_fault(field, item[field], *given.sizes) for field in _SIZES)), None)
+        or first_fault(positive_fault(field, item[field], *given.sizes) for field in _SIZES)
         or positive_fault("weight/kg", item["weight/kg"], *given.weights)
         or text_fault("material", _value_or_default(item, "material", ""))
-        or next(
-            filter(
-                None,
-                (
-                    com_fault(f, _value_or_default(item, f, 0), item[of])
-                    for f, of in zip(COM_FIELDS_JSON, _SIZES, strict=True)
-                ),
-            ),
-            None,
+        or first_fault(
+            com_fault(field, _value_or_default(item, field, 0), item[size])
+            for field, size in zip(COM_FIELDS_JSON, _SIZES, strict=True)
         )
         or integer_fault("sequence", item["sequence"])
         or orientation_fault(placement["orientation"])
         or _corner_fault(placement["flb_coordinates"], given)
         or sparse_fault("approach_deg", placement.get("approach_deg"))
-        or next(filter(None, (sparse_fault(field, item.get(field)) for field in _SPARSE_OF_ITEM)), None)
+        or first_fault(sparse_fault(field, item.get(field)) for field in _SPARSE_OF_ITEM)
         or kind_fault(item.get("kind"))
         or pallet_fault(item.get("kind"), [item[field] * given.length_mm for field in _SIZES])
     )
@@ -272,7 +267,6 @@ def _corner_fault(corner: object, given: InputConventions) -> str | None:
         return f"flb_coordinates must be a list of 3 numbers, got {kind(corner)}"
     if len(corner) != 3:
         return f"flb_coordinates must be 3 numbers, got {len(corner)}"
-    faults = (
+    return first_fault(
         coordinate_fault(f"flb_coordinates[{axis}]", value, *given.coordinates) for axis, value in enumerate(corner)
     )
-    return next(filter(None, faults), None)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
+from petmjx.plans.plan_warnings import shared_length
 
 _OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 15.0, 4.0, 2.0
 """Costs if all boxes overlap, float, are outside the carrier, hang over, or touch no neighbour. In the output of a
@@ -94,10 +95,8 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
         + offset
         + origin_cost
     )
-    if offset == 1.0 and origin == "given":
+    if offset and origin == "given":
         origin = "floor"
-    elif offset:
-        origin = "floor" if origin == "given" else origin
     counts = (
         round(scale * int(overlapping.sum())),
         round(scale * int(floating.sum())),
@@ -130,10 +129,7 @@ def _contacts(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray, NDArray[np.bool_]]:
     """Four arrays (n,): whether a box overlaps another one, whether it floats, the supported share of its base, and
     whether it touches a box at a side or has no neighbours. The deck is at height 0."""
-    common = [
-        np.minimum.outer(high[:, axis], high[:, axis]) - np.maximum.outer(low[:, axis], low[:, axis])
-        for axis in range(3)
-    ]
+    common = [shared_length(low[:, axis], high[:, axis]) for axis in range(3)]
     wide = [length > tolerance for length in common]
     overlaps = wide[0] & wide[1] & wide[2]
     np.fill_diagonal(overlaps, False)
@@ -161,13 +157,12 @@ def _outside(
     low: FloatArray, high: FloatArray, container: FloatArray, tolerance: float
 ) -> tuple[NDArray[np.bool_], float, str]:
     """Three results: (n,) whether boxes are outside the container; the cost of the origin; and where the origin is."""
-    n = len(low)
     if np.isnan(container[:2]).any():
-        around = bool((low[:, :2].min(axis=0) < -tolerance).all()) and bool((high[:, :2].max(axis=0) > tolerance).all())
+        begin, end = low[:, :2].min(axis=0), high[:, :2].max(axis=0)
+        around = bool((begin < -tolerance).all() and (end > tolerance).all())
         # if the origin is a corner of the deck, coordinates are rarely negative
-        begin = low[:, :2].min(axis=0)
         cost = _NEGATIVE if (begin < -tolerance).any() else 0.0
-        return np.zeros(n, bool), cost, "middle" if around else "given"
+        return np.zeros(len(low), bool), cost, "middle" if around else "given"
     # loads may overhang pallets, so an overhang of up to 2 % of a side is no evidence against a reading
     slack = np.maximum(tolerance, 0.02 * container[:2])
     at_corner = ((low[:, :2] < -slack) | (high[:, :2] > container[:2] + slack)).any(axis=1)
@@ -237,18 +232,23 @@ def deck_cost(deck_mm: FloatArray, known: bool) -> float:
     """Cost of an unusual deck, if the deck is known; else the cost of an unusual footprint of the load. A footprint may
     be smaller than the deck."""
     long, short = float(deck_mm.max()), float(deck_mm.min())
-    usual = any(
-        abs(long / side - 1) < _NEAR and abs(short / other - 1) < (_NEAR if known else 0.12)
-        for side, other in _DECKS_MM
-        if known or side >= _LARGE_MM
-    )
-    if usual:
+    if _is_usual(long, short, known, _NEAR if known else 0.12):
         return -2.5 if known else -1.2
     if known:
         return min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
     if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):
         return 0.0
     return 1.0 + min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
+
+
+def _is_usual(long_mm: float, short_mm: float, known: bool, near: float) -> bool:
+    """Whether a deck, or else the footprint of a load, is as large as a usual deck. ``near``: largest difference of the
+    short sides, as a share."""
+    return any(
+        abs(long_mm / long - 1) < _NEAR and abs(short_mm / short - 1) < near
+        for long, short in _DECKS_MM
+        if known or long >= _LARGE_MM
+    )
 
 
 _LOAD_MM: Final = (1340.0, 1320.0)
@@ -273,15 +273,12 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
     if not _SMALLEST_SIDE_MM <= side_mm <= _LARGEST_SIDE_MM or load_mm[2] > _HIGHEST_MM:
         return 0
     long, short = float(deck_mm.max()), float(deck_mm.min())
-    usual = any(
-        abs(long / side - 1) < _NEAR and abs(short / other - 1) < _NEAR
-        for side, other in _DECKS_MM
-        if known or side >= _LARGE_MM
-    )
+    if _is_usual(long, short, known, _NEAR):
+        return 2
     if known:
         least, most, narrow, wide = _OF_PALLET_MM
-        return 2 if usual else int(least <= long <= most and narrow <= short <= wide)
-    return 2 if usual else int(long <= _LOAD_MM[0] and short <= _LOAD_MM[1])
+        return int(least <= long <= most and narrow <= short <= wide)
+    return int(long <= _LOAD_MM[0] and short <= _LOAD_MM[1])
 
 
 _WHOLE_MM: Final = 0.03

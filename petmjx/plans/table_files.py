@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from petmjx.common.arrow_files import OversizedFile, open_for_arrow, read_within
 from petmjx.common.checked_records import reason
 from petmjx.common.text import count_text, is_text, printable_name
-from petmjx.plans.file_formats import COMMA_NUMBER, other_encoding, separator_mark
+from petmjx.plans.file_formats import COMMA_NUMBER, is_utf8, other_encoding, separator_mark
 from petmjx.plans.placement_table import NAMES, LostRow, Table, TableError, as_column, sorted_columns
 
 _FIRST_LINE: Final = re.compile(rb"[^\r\n]*+")
@@ -102,7 +102,7 @@ class _CsvReader:
             TableError: Arrow cannot read the text.
         """
         damaged = np.zeros(0, dtype=np.int64)
-        if data.count(b'"') % 2 or not _is_utf8(data):
+        if data.count(b'"') % 2 or not is_utf8(data):
             data, damaged = self._without_damaged_lines(data)
         before = len(self.lost)
         try:
@@ -162,7 +162,7 @@ class _CsvReader:
 
     def _line_fault(self, line: bytearray) -> str | None:
         """The reason why a line cannot be a complete row; None if the line can be a complete row."""
-        if not _is_utf8(line):
+        if not is_utf8(line):
             text = line.decode("utf-8", "surrogateescape")
             try:
                 fields = next(csv.reader([text], delimiter=self._delimiter), [])
@@ -183,14 +183,6 @@ class _CsvReader:
         return fields[self._plan_column] if self._plan_column < len(fields) else None
 
 
-def _is_utf8(data: bytearray) -> bool:
-    try:
-        data.decode()
-    except UnicodeDecodeError:
-        return False
-    return True
-
-
 def read_parquet(path: Path) -> Table:
     """Read the table in a Parquet file. Rows are numbered from 0, as in pandas.
 
@@ -198,19 +190,13 @@ def read_parquet(path: Path) -> Table:
         TableError: the file lacks a column, is damaged, or is too large. The error does not name the file.
         OSError: the file cannot be read.
     """
-    with open_for_arrow(path) as stream:
-        try:
-            with pq.ParquetFile(stream) as file:
-                names = file.schema_arrow.names
-            where, unread = sorted_columns(names)
-            chosen = [names[index] for index in where.values()]
-            rows = read_within(stream, chosen)
-        except OversizedFile as error:
-            raise TableError(str(error)) from error
-        except (pa.ArrowException, OSError) as error:
-            raise TableError("is not a whole Parquet file") from error
-    columns = {name: as_column(rows.column(given)) for name, given in zip(where, chosen, strict=True)}
-    return Table(columns, unread, np.arange(rows.num_rows))
+
+    def needed(names: list[str]) -> list[str]:
+        where, _ = sorted_columns(names)
+        return [names[index] for index in where.values()]
+
+    names, rows = _parquet(path, needed)
+    return _table(names, lambda index: rows.column(names[index]), rows.num_rows)
 
 
 def parquet_frame(path: Path) -> pa.Table:
@@ -220,14 +206,26 @@ def parquet_frame(path: Path) -> pa.Table:
         TableError: the file is damaged or too large. The error does not name the file.
         OSError: the file cannot be read.
     """
+    _, rows = _parquet(path, lambda names: names, nested=True)
+    while any(pa.types.is_struct(field.type) for field in rows.schema):
+        rows = rows.flatten()
+    return rows
+
+
+def _parquet(
+    path: Path, needed: Callable[[list[str]], list[str]], *, nested: bool = False
+) -> tuple[list[str], pa.Table]:
+    """The names of all columns of a Parquet file, and the columns that are needed.
+
+    Args:
+        needed: function that chooses columns by the names of all columns.
+        nested: whether columns may contain tables.
+    """
     with open_for_arrow(path) as stream:
         try:
             with pq.ParquetFile(stream) as file:
-                names = file.schema_arrow.names
-            rows = read_within(stream, names, nested=True)
-            while any(pa.types.is_struct(field.type) for field in rows.schema):
-                rows = rows.flatten()
-            return rows
+                names: list[str] = file.schema_arrow.names
+            return names, read_within(stream, needed(names), nested=nested)
         except OversizedFile as error:
             raise TableError(str(error)) from error
         except (pa.ArrowException, OSError) as error:
@@ -242,14 +240,16 @@ def frame_table(frame: Any) -> Table:
     """
     if hasattr(frame, "iloc") and hasattr(frame, "columns"):
         # pandas: column by column, since a column may have values of several types
-        names = [str(name) for name in frame.columns]
-        where, unread = sorted_columns(names)
-        columns = {name: as_column(frame.iloc[:, index]) for name, index in where.items()}
-        return Table(columns, unread, np.arange(len(frame)))
+        return _table([str(name) for name in frame.columns], lambda index: frame.iloc[:, index], len(frame))
     try:
         rows = pa.table(frame)
     except (pa.ArrowException, TypeError, ValueError) as error:  # the object is a single column
         raise TableError(f"is no table: {reason(error)}") from error
-    where, unread = sorted_columns(rows.column_names)
-    columns = {name: as_column(rows.column(index)) for name, index in where.items()}
-    return Table(columns, unread, np.arange(rows.num_rows))
+    return _table(rows.column_names, rows.column, rows.num_rows)
+
+
+def _table(names: Sequence[str], column: Callable[[int], Any], n_rows: int) -> Table:
+    """The table with the columns that have known ``names``. ``column`` returns the column at a position."""
+    where, unread = sorted_columns(names)
+    columns = {name: as_column(column(index)) for name, index in where.items()}
+    return Table(columns, unread, np.arange(n_rows))

@@ -41,7 +41,7 @@ def test_a_score_says_what_is_left_out(plans: Path, orders: Path, capsys: pytest
         ["own", "2", "-", "stable"],
         ["short", "2", "2", "stable"],
     ]
-    assert "not compared: orders.json: order bad: must be a JSON object, got int" in lines
+    assert "not compared: orders.json: order bad: must be an object, got 5" in lines
     assert (
         "1 plan leaves out 2 of 5 ordered boxes; 1 order (2 boxes) has no usable plan; 1 box in plans was not ordered; "
         "1 plan has no order, in run.json"
@@ -94,7 +94,7 @@ def test_without_orders_nothing_is_said(plans: Path, capsys: pytest.CaptureFixtu
             "no usable order (1 unusable); the first: orders.json: order a: properties.target must be",
         ),
         ('{"a": {', "orders.json: order a: not JSON at line 1, column 8"),
-        (json.dumps({"a": []}), "the first: orders.json: order a: must be a JSON object, got list"),
+        (json.dumps({"a": []}), "the first: orders.json: order a: must be an object, got a list"),
         (json.dumps({"a": TOWER}), "the first: orders.json: order a: is a packing plan, not an order: orders have"),
     ],
 )
@@ -108,7 +108,7 @@ def test_a_file_that_is_not_there_and_strict(plans: Path, orders: Path, capsys: 
     assert run("score", plans, "--orders", "none.json", *FAST, "-o", "out") == 2
     assert only_line(capsys.readouterr().err) == "petmjx: none.json: cannot be read: No such file or directory"
     assert run("score", plans, "--orders", orders, *FAST, "-o", "out", "--strict") == 2
-    assert only_line(capsys.readouterr().err) == "petmjx: orders.json: order bad: must be a JSON object, got int"
+    assert only_line(capsys.readouterr().err) == "petmjx: orders.json: order bad: must be an object, got 5"
 
 
 def test_real_plans_and_orders(real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -190,7 +190,7 @@ def test_orders_and_plans_without_each_other() -> None:
     )
     assert [line.partition(": ")[2] for line in kpis.skipped] == [
         "plan bad: has no placement",
-        "order odd: properties.target must be one of euro-pallet, rollcontainer, got nothing",
+        "order odd: properties.target must be one of euro-pallet, rollcontainer, got null",
     ]
     with pytest.raises(petmjx.InputError, match="plan bad"):
         rate(plans, orders, strict=True)
