@@ -13,8 +13,6 @@ from petmjx.plans.raw_cells import cell_number
 
 _LISTED: Final = 16
 """A list with at most this number of members becomes separate fields. A list of 16 members is a 4×4 matrix."""
-
-
 _LEAST_COLUMNS: Final = 5
 
 
@@ -24,14 +22,11 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     None if the object has another form."""
     names = _names_in(value)
     for data in value.values() if names else ():
-        if isinstance(data, list) and data and all(isinstance(row, list) and len(row) == len(names) for row in data):
-            return [dict(zip(names, row, strict=True)) for row in data]
-        if (
-            isinstance(data, Mapping)
-            and data
-            and all(isinstance(row, list) and len(row) == len(names) for row in data.values())
-        ):
-            return [{"id": key, **dict(zip(names, row, strict=True))} for key, row in data.items()]
+        rows = list(data.values()) if isinstance(data, Mapping) else data
+        if isinstance(rows, list) and rows and all(isinstance(row, list) and len(row) == len(names) for row in rows):
+            by_name = [dict(zip(names, row, strict=True)) for row in rows]
+            has_ids = isinstance(data, Mapping)
+            return [{"id": key, **row} for key, row in zip(data, by_name, strict=True)] if has_ids else by_name
     if len(value) >= _LEAST_COLUMNS and all(isinstance(inner, Mapping) and inner for inner in value.values()):
         keys = max((inner.keys() for inner in value.values()), key=len)
         alike = all(inner.keys() <= keys for inner in value.values())
@@ -93,9 +88,7 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
             if depth < 4:
                 flat |= flattened(inner, f"{path}.", depth + 1)
         elif isinstance(inner, list | tuple):
-            if _is_matrix(inner) or (
-                len(inner) == 16 and not any(isinstance(cell, Mapping | list | tuple) for cell in inner)
-            ):
+            if _is_matrix(inner):
                 flat[path] = inner
             elif len(inner) == 1 and isinstance(inner[0], Mapping) and _SHAPES.intersection(words_of(str(name))):
                 if depth < 4:
@@ -103,16 +96,13 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
             elif (ends := _ends_of_vertices(inner)) is not None:
                 for end, point in zip(("min", "max"), ends, strict=True):
                     flat |= {f"{path}.{end}[{axis}]": value for axis, value in enumerate(point)}
-            elif (pose := _PARTS_OF_POSES.get(len(inner))) and str(name).lower() in ("pose", "qpos"):
-                flat |= {f"{path}.{part}": cell for part, cell in zip(pose, inner, strict=True)}
+            elif len(inner) in _PARTS_OF_POSES and str(name).lower() in ("pose", "qpos"):
+                flat |= _parts_of_pose(path, inner)
             elif 0 < len(inner) <= _LISTED and not any(isinstance(cell, Mapping | list | tuple) for cell in inner):
                 flat |= {f"{path}[{index}]": cell for index, cell in enumerate(inner)}
         elif isinstance(inner, str) and path.rpartition(".")[2].lower() == "pose":
             numbers = inner.split()
-            pose = _PARTS_OF_POSES.get(len(numbers))
-            flat |= (
-                {f"{path}.{part}": cell for part, cell in zip(pose, numbers, strict=True)} if pose else {path: inner}
-            )
+            flat |= _parts_of_pose(path, numbers) if len(numbers) in _PARTS_OF_POSES else {path: inner}
         else:
             flat[path] = inner
     return flat
@@ -131,6 +121,11 @@ _PARTS_OF_POSES: Final = {
     7: ("x", "y", "z", *(f"quaternion[{index}]" for index in range(4))),
 }
 """Length of a list called "pose" → meanings of the numbers in such a list."""
+
+
+def _parts_of_pose(path: str, numbers: Sequence[Any]) -> dict[str, Any]:
+    parts = _PARTS_OF_POSES[len(numbers)]
+    return {f"{path}.{part}": cell for part, cell in zip(parts, numbers, strict=True)}
 
 
 _VALUES: Final = ("value", "amount", "magnitude")
@@ -171,4 +166,7 @@ def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | Non
 
 
 def _is_matrix(value: Sequence[Any]) -> bool:
+    """Whether a list is a matrix of at least 3×3 numbers, or lists the 16 numbers of one."""
+    if len(value) == 16:
+        return not any(isinstance(cell, Mapping | list | tuple) for cell in value)
     return len(value) in (3, 4) and all(isinstance(row, list | tuple) and len(row) in (3, 4) for row in value)

@@ -116,7 +116,7 @@ def _scale_convention(unit: str, sizes: bool) -> Convention:
 
 
 def _anchor_convention(anchor: str, looks: str) -> Convention:
-    share = np.array({str(name): shares for name, shares in ANCHORS.items()}[anchor])
+    share = np.array(ANCHORS[anchor])
     return Convention(looks, f"give anchor {anchor}", lambda corner, size: (corner - share * size, size))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -21,7 +21,7 @@ from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, RawTable, united
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
 from petmjx.plans.text_tables import decoded_text
-from petmjx.plans.workbooks import RawFile, read_raw_tables, tables_of_page, value_of_xml
+from petmjx.plans.workbooks import read_raw_tables, tables_of_page, value_of_xml
 
 
 def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
@@ -41,7 +41,7 @@ def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
             return sources_of_arrays(loaded_arrays(data))
         if (kind := foreign_kind(data)) is not None and "ZIP" in kind:
             raise InputError(kind)
-        return sources_of_tables(read_raw_tables(data))
+        return sources_of_tables(*read_raw_tables(data))
     text, _ = decoded_text(data)
     start = text.lstrip("\ufeff \t\r\n")
     if start.startswith("<"):
@@ -76,7 +76,7 @@ def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
         raise NoBoxes(kind)
     if (printed := source_of_printed(text)) is not None:
         return [printed]
-    return sources_of_tables(read_raw_tables(data))
+    return sources_of_tables(*read_raw_tables(data))
 
 
 def _sources_of_markup(text: str) -> list[BoxSource]:
@@ -87,7 +87,7 @@ def _sources_of_markup(text: str) -> list[BoxSource]:
     """
     kind = foreign_kind(text.encode()[:4096]) or "is XML of another kind"
     if re.search(r"<table[\s>]", text, re.IGNORECASE) and re.search(r"<t[dh][\s>]", text, re.IGNORECASE):
-        return sources_of_tables(RawFile(tables_of_page(text), "a web page (HTML)"))
+        return sources_of_tables(tables_of_page(text), "a web page (HTML)")
     try:
         lists = box_lists(value_of_xml(text))
     except InputError:
@@ -97,10 +97,14 @@ def _sources_of_markup(text: str) -> list[BoxSource]:
     return [with_named_units(with_known_form(boxes, "XML")) for boxes in lists]
 
 
-def sources_of_tables(file: RawFile) -> list[BoxSource]:
-    """Turn tables into lists of boxes. Tables with the same header are joined into one list."""
+def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSource]:
+    """Turn tables into lists of boxes. Tables with the same header are joined into one list.
+
+    Args:
+        kind: kind of the file, in words.
+    """
     groups: dict[tuple[str, ...], list[RawTable]] = {}
-    for table in file.tables:
+    for table in raw_tables:
         key = geometric_names(table.header) if table.has_header else table.header
         groups.setdefault(key, []).append(table)
     sources = []
@@ -117,7 +121,7 @@ def sources_of_tables(file: RawFile) -> list[BoxSource]:
             names = [""] * len(names)
         joined = united(tables)
         boxes = BoxList(joined, "", tuple(names), _containers_above(joined))
-        sources.append(with_known_form(boxes, file.kind))
+        sources.append(with_known_form(boxes, kind))
     return sorted(sources, key=lambda source: (source.boxes.has_places, len(source.boxes.table.rows)), reverse=True)
 
 
@@ -132,8 +136,8 @@ def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
     """The size of the carrier from the lines above a table, such as "Palette 1200 x 800"."""
     for line in table.above:
         if (match := _SIZE_ABOVE.search(line)) is not None:
-            numbers = [cell_number(part, table.decimal) for part in match.groups() if part]
-            if all(numbers):
-                values = [number.value for number in numbers if number is not None]
+            parts = [part for part in match.groups() if part]
+            values = [number.value for part in parts if (number := cell_number(part, table.decimal)) is not None]
+            if len(values) == len(parts):
                 return {"": dict(zip(("length", "width", "height"), values, strict=False))}
     return {}

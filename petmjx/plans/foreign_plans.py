@@ -4,6 +4,7 @@ and the boxes become a checked table of placements, as in petmjx's own formats."
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -45,19 +46,14 @@ def plans_of_sources(
     chosen = replace(chosen, notes=(*chosen.notes, *_other_plans(sources)))
     if chosen.boxes.table.decimal:
         return _plans_of(chosen, sources, path, source, wishes)
-    try:
-        first = _plans_of(_with_decimal(chosen, ","), sources, path, source, wishes)
-    except InputError:
-        first = None
-    try:
-        second = _plans_of(_with_decimal(chosen, GROUPED), sources, path, source, wishes)
-    except InputError:
-        second = None
-    parts = [plans for plans in (first, second) if plans is not None]
-    best = min(parts, key=lambda plans: plans.reading.cost, default=None)
-    if best is None or (len(parts) == 2 and abs(parts[0].reading.cost - parts[1].reading.cost) < TIE):
+    ways: list[ForeignPlans] = []
+    for decimal in (",", GROUPED):
+        with suppress(InputError):
+            ways.append(_plans_of(_with_decimal(chosen, decimal), sources, path, source, wishes))
+    ways.sort(key=lambda plans: plans.reading.cost)
+    if not ways or (len(ways) == 2 and ways[1].reading.cost - ways[0].reading.cost < TIE):
         return _plans_of(chosen, sources, path, source, wishes)  # raises the error that names the ambiguous number
-    return best
+    return ways[0]
 
 
 def _other_plans(sources: Sequence[BoxSource]) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any, Final
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.plans.column_names import column_meanings, is_unit, plain_text, split_unit
-from petmjx.plans.raw_cells import cell_number, cell_text
+from petmjx.plans.raw_cells import cell_text, is_number
 from petmjx.plans.raw_tables import MOST_COLUMNS
 
 SEARCHED_ROWS: Final = 60
@@ -66,7 +66,7 @@ def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
 def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
     """Whether at least ``least`` cells are numbers in most of the first rows."""
     first = rows[:20]
-    counts = [sum(cell_number(cell) is not None or cell_number(cell, ",") is not None for cell in row) for row in first]
+    counts = [sum(map(is_number, row)) for row in first]
     return sum(count >= least for count in counts) * 2 > len(first)
 
 

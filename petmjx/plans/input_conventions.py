@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from petmjx.common.units import LENGTHS_MM, MASSES_KG, PLAN_UNITS, FloatArray, p
 from petmjx.options.run_options import Anchor
 from petmjx.plans.plan_fields import FARTHEST_MM, LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
 
-ANCHORS: Final[Mapping[Anchor, tuple[float, float, float]]] = {
+ANCHORS: Final[Mapping[str, tuple[float, float, float]]] = {
     "corner": (0.0, 0.0, 0.0),
     "centre": (0.5, 0.5, 0.5),
     "base-centre": (0.5, 0.5, 0.0),
@@ -54,11 +54,10 @@ class InputConventions:
         """
         units, anchor = PLAN_UNITS if units is None else units, "corner" if anchor is None else anchor
         text_of(units, "units")
-        known_anchor = next((name for name in ANCHORS if isinstance(anchor, str) and name == anchor), None)
-        if known_anchor is None:
+        if not isinstance(anchor, str) or anchor not in ANCHORS:
             raise InputError(f"anchor must be one of {', '.join(ANCHORS)}, {shown_value(anchor)}")
         try:
-            return cls(",".join(plan_units(units)), known_anchor)
+            return cls(",".join(plan_units(units)), cast(Anchor, anchor))
         except ValueError as error:
             raise InputError(f"units {error}, {shown_value(units)}") from None
 

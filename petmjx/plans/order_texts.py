@@ -81,16 +81,16 @@ class _Line:
     def is_numeric(self) -> bool:
         return all(value is not None for value in self.values)
 
-    def whole(self, index: int, what: str, smallest: int = 1) -> int:
-        """The whole number at a position in the line.
+    def count(self, what: str) -> int:
+        """The count at the beginning of the line.
 
         Raises:
-            InputError: the word at this position is not a whole number from ``smallest`` to ``MOST_ROWS``.
+            InputError: the first word is not a whole number from 1 to ``MOST_ROWS``.
         """
-        value = self.values[index]
-        if value is None or not value.is_integer() or not smallest <= value <= MOST_ROWS:
-            word = printable_name(self.words[index])
-            raise InputError(f"{self.place}: {what} must be a whole number from {smallest}, got {word}")
+        value = self.values[0]
+        if value is None or not value.is_integer() or not 1 <= value <= MOST_ROWS:
+            word = printable_name(self.words[0])
+            raise InputError(f"{self.place}: {what} must be a whole number from 1, got {word}")
         return int(value)
 
 
@@ -202,11 +202,7 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
                 f"{lines[position].place}: is one box type more than the {n_types:,} that {lines[begin - 1].place} "
                 "announces"
             )
-    if (
-        len(lines[0]) == 1
-        and len(lines[1]) < 3
-        and (n_problems := lines[0].whole(0, "the number of problems")) != problem
-    ):
+    if len(lines[0]) == 1 and len(lines[1]) < 3 and (n_problems := lines[0].count("the number of problems")) != problem:
         raise InputError(
             f"{lines[0].place}: announces {count_text(n_problems, 'problem')}, but the file contains {problem:,} "
             "(truncated?)"
@@ -238,7 +234,7 @@ def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, floa
     if len(line) not in (3, 4) or not all(size is not None and size > 0 for size in sizes):
         shown = printable_name(" ".join(line.words))
         raise InputError(f"{line.place}: must be length, width and height of the container, got {shown}")
-    n_types = count.whole(0, "the number of box types")
+    n_types = count.count("the number of box types")
     container = {
         axis: size for axis, size in zip(("length", "width", "height"), sizes, strict=True) if size is not None
     }
@@ -306,7 +302,7 @@ def _bin_head(lines: Sequence[_Line], position: int) -> tuple[int, list[float], 
         return None
     for number, size in ((head_line, after), (after, head_line)):
         if len(number) == 1 and len(size) == 3 and number.is_numeric and size.is_numeric:
-            n_boxes = number.whole(0, "the number of boxes")
+            n_boxes = number.count("the number of boxes")
             return n_boxes, [value for value in size.values if value is not None], position + 2
     return None
 

@@ -85,6 +85,11 @@ def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
     return CellNumber(float(text), unit)
 
 
+def is_number(cell: Any) -> bool:
+    """Whether a cell has a number, with a decimal point or a decimal comma."""
+    return cell_number(cell) is not None or cell_number(cell, ",") is not None
+
+
 _GROUPS_AND_DECIMALS: Final = {
     mark: re.compile(rf"^[+-]?\d{{1,3}}(?:{re.escape(other)}\d{{3}})+{re.escape(mark)}\d+$")
     for mark, other in ((",", "."), (".", ","))

@@ -12,7 +12,7 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
-from petmjx.plans.column_extraction import role_of
+from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, role_of
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plausibility import Layout
 from petmjx.plans.readings import Wishes
@@ -30,7 +30,6 @@ _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
 _FIRM: Final = 3.0
 """Cost of a reading that contradicts a known fact about a form."""
-_WORDS: Final = ("length", "width", "height", "depth")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +56,10 @@ class Candidate:
 def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
     """(n, 3) sizes of boxes as placed, along the file's axes."""
     geometry = candidate.geometry
-    if geometry.turn is not None:
-        paired = geometry.size[:, candidate.pair]
-        turned: FloatArray = np.einsum("nij,nj->ni", geometry.turn, np.nan_to_num(paired, nan=np.nan))
-        return turned
     size = geometry.size[:, candidate.pair]
+    if geometry.turn is not None:
+        turned: FloatArray = np.einsum("nij,nj->ni", geometry.turn, np.nan_to_num(size, nan=np.nan))
+        return turned
     turns = columns.turns
     if candidate.rule == "none" or turns is None:
         return size
@@ -84,29 +82,22 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     place = candidate.geometry.place
     order = [0, 1, 2] if candidate.up == "z" else [0, 2, 1]
     size, place = size[:, order], place[:, order]
-    shares = {str(name): share for name, share in ANCHORS.items()}[candidate.anchor]
-    low = place - np.array(shares, float) * size
+    low = place - np.array(ANCHORS[candidate.anchor]) * size
     return Layout(low, size, _container_along(candidate, container or {}, order))
 
 
 def _container_along(candidate: Candidate, container: Mapping[str, float], order: Sequence[int]) -> FloatArray:
     """Sizes of a container along the plan's axes; NaN if unknown."""
     axes = candidate.geometry.axes
-    if all(axis in container for axis in axes):
-        along = np.array([container[axis] for axis in axes], float)[list(candidate.pair)]
-    elif all(axis in container for axis in "xyz"):
-        along = np.array([container[axis] for axis in "xyz"], float)
-    elif all(str(axis) in container for axis in range(3)):
-        along = np.array([container[str(axis)] for axis in range(3)], float)
-    elif "height" in container and "width" in container:
-        first = container.get("length", container.get("depth", math.nan))
-        level = (first, container["width"]) if "length" in container else (container["width"], first)
-        return np.array([*level, container["height"]], float)
-    elif "length" in container and "width" in container:
-        return np.array([container["length"], container["width"], math.nan], float)
-    else:
+    for names in (tuple(axes[index] for index in candidate.pair), XYZ, ("0", "1", "2")):
+        if all(name in container for name in names):
+            return np.array([container[name] for name in names], float)[list(order)]
+    if "width" not in container or not {"length", "height"} & container.keys():
         return np.full(3, np.nan)
-    return along[list(order)]
+    level = (container.get("length", math.nan), container["width"])
+    if "length" not in container:
+        level = (container["width"], container.get("depth", math.nan))
+    return np.array([*level, container.get("height", math.nan)], float)
 
 
 def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
@@ -148,8 +139,8 @@ def _pairs(
             order = (0, 1, 2) if up == "z" else (0, 2, 1)
             along = [names.index(wishes.along[order.index(axis)]) for axis in range(3)]
             return [((along[0], along[1], along[2]), 0.0)]
-    if not set(axes) <= set(_WORDS):
-        if axes == ("x", "y", "z"):
+    if not set(axes) <= set(SIZE_WORDS):
+        if axes == XYZ:
             return [((0, 1, 2), 0.0), ((1, 0, 2), 4.0), ((0, 2, 1), 4.0)]
         return [((0, 1, 2), 0.0), ((1, 0, 2), 2.2), ((0, 2, 1), 1.6)]
     upright = "height" if "height" in axes else "depth"

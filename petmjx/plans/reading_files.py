@@ -32,19 +32,8 @@ _FIELDS: Final = ("form", "units", "along", "density", "columns", *_TEXTS)
 
 def wishes_of_reading(reading: Reading) -> Wishes:
     """Turn a reading into options that fix every choice."""
-    return Wishes(
-        columns=_choosable(reading.columns),
-        exact=dict(reading.columns),
-        units=reading.units,
-        masses=reading.masses,
-        anchor=reading.anchor,
-        up=reading.up,
-        sizes=reading.sizes,
-        origin=reading.origin,
-        along=reading.along,
-        rule=reading.rule,
-        density_kg_m3=reading.density_kg_m3,
-    )
+    same = {name: getattr(reading, name) for name in (*_TEXTS, "units", "along", "density_kg_m3")}
+    return Wishes(columns=_choosable(reading.columns), exact=dict(reading.columns), **same)
 
 
 def reading_toml(reading: Reading, source: str) -> str:
@@ -100,9 +89,10 @@ def read_reading(path: Path) -> Wishes:
     density = table.get("density")
     if density is not None and (isinstance(density, bool) or not isinstance(density, int | float) or density <= 0):
         raise InputError(f"{name}: density must be a number > 0, {shown_value(density)}")
-    texts = {field: str(table.get(field, "")) for field in _TEXTS}
-    wishes = Wishes(columns=_choosable(columns), exact=columns, units=units, along=tuple(along), **texts)  # type: ignore[arg-type]  # fields of texts
-    return replace(wishes, density_kg_m3=density)
+    texts: dict[str, Any] = {field: str(table.get(field, "")) for field in _TEXTS}
+    return Wishes(
+        columns=_choosable(columns), exact=columns, units=units, along=tuple(along), density_kg_m3=density, **texts
+    )
 
 
 def _choosable(columns: Mapping[str, str]) -> dict[str, str]:

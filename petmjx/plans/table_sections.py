@@ -27,7 +27,7 @@ from petmjx.plans.header_names import (
     names_unit,
     with_groups,
 )
-from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
+from petmjx.plans.raw_cells import cell_text, decimal_of, is_number
 from petmjx.plans.raw_tables import RawTable
 from petmjx.plans.total_rows import is_total
 
@@ -60,15 +60,11 @@ def tables_of_rows(
     if not heads:
         return [_without_header(cleaned, begin, title, tuple(lost))]
     tables: list[RawTable] = []
-    above: list[str] = []
+    above = [text for row in cleaned[: heads[0]] if (text := _line(row))]
     for number, head in enumerate(heads):
         end = heads[number + 1] if number + 1 < len(heads) else len(cleaned)
-        start = 0 if number == 0 else heads[number - 1] + 1
-        if number == 0:
-            above = [text for row in cleaned[start:head] if (text := _line(row))]
-        below, trailing = _table_below(cleaned, head, end, begin, title, tuple(above), number < len(heads) - 1)
+        below, above = _table_below(cleaned, head, end, begin, title, tuple(above), number < len(heads) - 1)
         tables += below
-        above = trailing
     tables[0] = replace(tables[0], lost=(*lost, *tables[0].lost))
     if len(heads) > 1:
         tables = [
@@ -124,19 +120,8 @@ def _table_below(
         body = [row for name, section in sections if name == part for row, _ in section]
         places = [place for name, section in sections if name == part for _, place in section]
         label = (part or (above[-1] if above else "1")) if len(names_of) > 1 else ""
-        tables.append(
-            RawTable(
-                header,
-                body,
-                places,
-                decimal,
-                title,
-                above,
-                lost if number == 1 else (),
-                tuple(notes),
-                part=label,
-            )
-        )
+        own_lost = lost if number == 1 else ()
+        tables.append(RawTable(header, body, places, decimal, title, above, own_lost, tuple(notes), part=label))
     return tables or [RawTable(header, [], [], ".", title, above, lost, tuple(notes))], trailing if more else []
 
 
@@ -225,8 +210,7 @@ def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequ
 
 def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:
     """The number of sizes and places in a row that are numbers."""
-    cells = [row[index] for index in geometric if index < len(row)]
-    return sum(cell_number(cell, ",") is not None or cell_number(cell) is not None for cell in cells)
+    return sum(is_number(row[index]) for index in geometric if index < len(row))
 
 
 def _short_title(cells: Sequence[Any]) -> str:
@@ -238,7 +222,7 @@ def _short_title(cells: Sequence[Any]) -> str:
 
 def _mostly_numbers(row: Sequence[Any]) -> bool:
     cells = [cell for cell in row if cell is not None]
-    return sum(cell_number(cell, ",") is not None or cell_number(cell) is not None for cell in cells) * 2 > len(cells)
+    return sum(map(is_number, cells)) * 2 > len(cells)
 
 
 def _without_header(

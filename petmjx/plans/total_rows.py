@@ -10,7 +10,7 @@ import numpy as np
 
 from petmjx.plans.column_names import OWN_COLUMNS, column_meanings, plain_text
 from petmjx.plans.header_names import geometric_columns
-from petmjx.plans.raw_cells import cell_number
+from petmjx.plans.raw_cells import cell_number, is_number
 from petmjx.plans.raw_tables import RawTable
 
 
@@ -18,14 +18,7 @@ def is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
     """Whether a row is a total or a mean. Its first text must be a word for a total or a mean. If the text only begins
     with a word for a total or a mean, the row must also lack a size or a place, since a box may be called "Total
     fruit"."""
-    text = next(
-        (
-            cell
-            for cell in row
-            if isinstance(cell, str) and cell_number(cell) is None and cell_number(cell, ",") is None
-        ),
-        "",
-    )
+    text = next((cell for cell in row if isinstance(cell, str) and not is_number(cell)), "")
     plain = plain_text(text).strip()
     if not _TOTAL.match(plain):
         return False

@@ -7,7 +7,7 @@ import io
 import zipfile
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from html.parser import HTMLParser
 from typing import Any, Final
 from xml.etree import ElementTree
@@ -240,28 +240,17 @@ def _tables_of_sheets(sheets: dict[str, list[list[Any]]]) -> list[RawTable]:
     return [replace(tables[0], notes=(*tables[0].notes, *notes)), *tables[1:]]
 
 
-@dataclass(frozen=True, eq=False)
-class RawFile:
-    """The raw tables of one file.
-
-    Attributes:
-        tables: the tables; tables with headers come first.
-        kind: kind of the file, in words: "a table as text", "a workbook (.xlsx)".
-    """
-
-    tables: list[RawTable] = field(default_factory=list)
-    kind: str = ""
-
-
-def read_raw_tables(data: bytes | bytearray) -> RawFile:
+def read_raw_tables(data: bytes | bytearray) -> tuple[list[RawTable], str]:
     """Read the tables in a file's bytes. Workbooks are recognised by their content; all other files are read as text.
+
+    Returns:
+        The tables, and the kind of the file in words: "a table as text", "a workbook (.xlsx)".
 
     Raises:
         InputError: the file contains no table. The error does not name the file.
     """
     if bytes(data[:4]) == b"PK\x03\x04":
-        begin = bytes(data[: 1 << 16])
-        if b"opendocument.spreadsheet" in begin:
-            return RawFile(tables_of_ods(data), "a workbook (.ods)")
-        return RawFile(tables_of_xlsx(data), "a workbook (.xlsx)")
-    return RawFile(tables_of_text(data), "a table as text")
+        if b"opendocument.spreadsheet" in bytes(data[: 1 << 16]):
+            return tables_of_ods(data), "a workbook (.ods)"
+        return tables_of_xlsx(data), "a workbook (.xlsx)"
+    return tables_of_text(data), "a table as text"

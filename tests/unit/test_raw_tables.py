@@ -171,7 +171,7 @@ FILES = {
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_sheet_with_title_units_and_total_is_the_same_table_in_every_form(name: str) -> None:
-    (table,) = read_raw_tables(FILES[name]).tables
+    (table,), _ = read_raw_tables(FILES[name])
     assert table.header == NAMES
     numbers = [[cell_number(cell, table.decimal) for cell in row] for row in table.rows]
     assert [[number and number.value for number in row] for row in numbers] == SHEET[4:6]
@@ -180,14 +180,14 @@ def test_a_sheet_with_title_units_and_total_is_the_same_table_in_every_form(name
 
 
 def test_polish_of_windows_1250_is_told_from_windows_1252() -> None:
-    (table,) = read_raw_tables("Lp.;Długość;Szerokość;Wysokość;X;Y;Z\n1;4;3;2;0;0;0\n".encode("cp1250")).tables
+    (table,), _ = read_raw_tables("Lp.;Długość;Szerokość;Wysokość;X;Y;Z\n1;4;3;2;0;0;0\n".encode("cp1250"))
     assert table.header[1] == "Długość"
     assert "Windows-1250" in table.notes
 
 
 def test_lines_between_rows_name_parts() -> None:
     data = "Nr;L;B;H;X;Y;Z\nPalette A\n1;4;3;2;0;0;0\nPalette B\n2;4;3;2;0;0;0\n3;4;3;2;0;0\n"
-    first, second = read_raw_tables(data.encode()).tables
+    (first, second), _ = read_raw_tables(data.encode())
     assert (first.part, first.places, second.part, second.places) == ("Palette A", ["row 3"], "Palette B", ["row 5"])
     assert first.lost == (("row 6", "has 6 fields instead of 7"),)
 
