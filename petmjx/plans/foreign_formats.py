@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Final
 
 from petmjx.common.errors import InputError
@@ -18,7 +17,7 @@ from petmjx.plans.nested_json import box_lists, decoded_json
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
 from petmjx.plans.printed_values import check_printed, is_printed_object, python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
-from petmjx.plans.raw_tables import BoxList, RawTable, united
+from petmjx.plans.raw_tables import BoxList, RawTable, united, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
 from petmjx.plans.text_tables import decoded_text
 from petmjx.plans.workbooks import read_raw_tables, tables_of_page, value_of_xml
@@ -115,11 +114,9 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
             for table in tables
             for _ in table.rows
         ]
-        if several_sheets:
-            tables = [replace(table, places=[f"{table.title}, {place}" for place in table.places]) for table in tables]
         if names and all(LAYERS.intersection(words_of(name)) for name in names):
             names = [""] * len(names)
-        joined = united(tables)
+        joined = united(with_titles(tables))
         boxes = BoxList(joined, "", tuple(names), _containers_above(joined))
         sources.append(with_known_form(boxes, kind))
     return sorted(sources, key=lambda source: (source.boxes.has_places, len(source.boxes.table.rows)), reverse=True)

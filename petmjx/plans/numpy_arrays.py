@@ -21,7 +21,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.plans.column_names import column_meanings
 from petmjx.plans.known_forms import ARRAY, MOST_BYTES, POSES, BoxSource, with_known_form
-from petmjx.plans.raw_tables import BoxList, RawTable
+from petmjx.plans.raw_tables import BoxList, RawTable, united, with_titles
 from petmjx.plans.workbooks import check_archive
 
 _MOST_HEADER: Final = 10_000
@@ -56,11 +56,8 @@ def loaded_array(data: bytes | bytearray, name: str = "") -> Any:
     except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:
         raise InputError(f"{prefix}is not a whole NumPy array: {error}") from error
     for path, values in _arrays_in(array):
-        if (
-            values.dtype.kind == "U"
-            and values.size
-            and (bad := np.argwhere(_code_points(values) > _LAST_CODE_POINT)).size
-        ):
+        is_text = values.dtype.kind == "U" and values.size
+        if is_text and (bad := np.argwhere(_code_points(values) > _LAST_CODE_POINT)).size:
             raise InputError(f"{prefix}row {bad[0, 0]}: {printable_name(path) or 'its text'} is damaged")
     return array
 
@@ -122,8 +119,7 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
     for name, array in row_arrays.items():
         if array.dtype.names:
             fields = _fields_of(array.ravel())
-            header, rows = tuple(fields), list(zip(*fields.values(), strict=True))
-            table = RawTable(header, rows, [f"row {index}" for index in range(len(rows))], title=name)
+            table = _table(tuple(fields), list(zip(*fields.values(), strict=True)), name)
             return [with_known_form(BoxList(table, name), "a NumPy array")]
     containers = _containers_in(arrays)
     columns = {
@@ -146,16 +142,14 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
             flat = array.reshape(n_rows, -1)
             header_list += [name] if array.ndim == 1 else [f"{name}[{index}]" for index in range(flat.shape[1])]
             stacked += [flat[:, index].tolist() for index in range(flat.shape[1])]
-        rows = list(zip(*stacked, strict=True))
-        table = RawTable(tuple(header_list), rows, [f"row {index}" for index in range(n_rows)])
+        table = _table(tuple(header_list), list(zip(*stacked, strict=True)))
         return [with_known_form(BoxList(table, containers=containers), "NumPy arrays")]
     sources = []
     for name, array in row_arrays.items():
         if _is_container(name) or array.dtype.kind not in "fiu":
             continue
         if array.ndim == 3 and array.shape[1:] in ((4, 4), (3, 4)):
-            rows = [(matrix,) for matrix in array.tolist()]
-            table = RawTable(("matrix",), rows, [f"row {index}" for index in range(len(rows))], title=name)
+            table = _table(("matrix",), [(matrix,) for matrix in array.tolist()], name)
             sources.append(BoxSource(BoxList(table, name, containers=containers), POSES))
             continue
         if array.shape[1:] == (2, 3):  # sizes and places, or two corners, of each box
@@ -181,6 +175,10 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
     return _as_plans(sources)
 
 
+def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]], title: str = "") -> RawTable:
+    return RawTable(header, rows, [f"row {index}" for index in range(len(rows))], title=title)
+
+
 def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
     """Lists of boxes, longest first. Lists with the same columns are joined into one list of several plans."""
     groups: dict[tuple[str, ...], list[BoxSource]] = {}
@@ -188,13 +186,9 @@ def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
         groups.setdefault(source.boxes.table.header, []).append(source)
     joined = []
     for group in groups.values():
-        first = group[0]
-        tables = [source.boxes.table for source in group]
-        several = len(group) > 1
-        places = [f"{table.title}, {place}" if several else place for table in tables for place in table.places]
-        table = replace(tables[0], rows=[row for table in tables for row in table.rows], places=places)
+        table = united(with_titles([source.boxes.table for source in group]))
         parts = tuple(part for source in group for part in source.boxes.parts)
-        joined.append(replace(first, boxes=replace(first.boxes, table=table, parts=parts)))
+        joined.append(replace(group[0], boxes=replace(group[0].boxes, table=table, parts=parts)))
     return sorted(joined, key=lambda source: len(source.boxes.table.rows), reverse=True)
 
 
@@ -215,15 +209,12 @@ def _fields_of(array: Any, prefix: str = "") -> dict[str, list[Any]]:
         if values.dtype.names and values.ndim == 1:
             fields |= _fields_of(values, f"{path}.")
         elif values.ndim == 1 or values.shape[1:] in ((3, 3), (3, 4), (4, 4)):
-            fields[path] = [_cell_of(value) for value in values.tolist()]
+            cells = values.tolist()
+            fields[path] = [cell.decode("utf-8", "replace") if isinstance(cell, bytes) else cell for cell in cells]
         else:
             flat = values.reshape(len(values), -1)
             fields |= {f"{path}[{index}]": flat[:, index].tolist() for index in range(flat.shape[1])}
     return fields
-
-
-def _cell_of(value: Any) -> Any:
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
 def _is_container(name: str) -> bool:

@@ -100,7 +100,10 @@ def fields_of_units(
     for name, number in usual.items():
         values = [getattr(load, name) for load in loads]
         if any(of_load is not None for of_load in values):
-            filled = [_filled(of_load, number, load.n_boxes) for of_load, load in zip(values, loads, strict=True)]
+            filled = [
+                np.array([number] * load.n_boxes) if of_load is None else of_load
+                for of_load, load in zip(values, loads, strict=True)
+            ]
             fields[name] = _joined([number] * len(loads), filled)
     return fields
 
@@ -108,11 +111,6 @@ def fields_of_units(
 def _joined(of_pallets: Sequence[Any], of_loads: Sequence[Any]) -> Any:
     """For each pallet, its own value followed by the values of its load."""
     return np.concatenate([part for one, load in zip(of_pallets, of_loads, strict=True) for part in ([one], load)])
-
-
-def _filled(values: Any, usual: Any, count: int) -> Any:
-    """The values that the plan gives; if the plan gives none, the usual value ``count`` times."""
-    return np.array([usual] * count) if values is None else values
 
 
 def _columns_of(boxes: Any, where: str) -> dict[str, Any]:

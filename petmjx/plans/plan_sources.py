@@ -81,7 +81,20 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
     Files are read and checked. Plan objects are used unchanged, except that a repeated id is replaced by a new one.
     """
-    plan_set = _gather_plans(plans, sim, options)
+    extent = extent_m(sim.carrier)
+    extent_mm = None if extent is None else (extent[0] * MM_PER_M, extent[1] * MM_PER_M)
+    source: Any = bundled_path() if plans is None else plans
+    if not isinstance(source, PlanSet | SupportsArrow):
+        alone = isinstance(source, str | PathLike | Plan)
+        given: list[Any] = [source] if alone else list_of(source, "plans", object, _SOURCES)
+        plan_objects = [plan for plan in given if isinstance(plan, Plan)]
+        if plan_objects and len(plan_objects) != len(given):
+            raise InputError("plans: give either paths or plans, not both")
+        source = PlanSet(plan_objects) if plan_objects else [path_of(path, "plans") for path in given]
+    if isinstance(source, PlanSet):
+        plan_set = with_conventions(_distinct_plan_ids(source, options), extent_mm)
+    else:
+        plan_set = read_plans(source, options, extent_mm=extent_mm)
     return plan_set if options.articles is None else _with_articles(plan_set, options.articles, options.strict)
 
 
@@ -91,19 +104,21 @@ def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
     from petmjx.plans.articles import read_articles, with_articles
 
     articles = read_articles(file)
-    plans, skipped, changed = [], list(plan_set.skipped), 0
+    completed: dict[str, Plan] = {}
+    faults: dict[str, str] = {}
     for plan in plan_set.plans:
         try:
-            plans.append(with_articles(plan, articles))
+            completed[plan.plan_id] = with_articles(plan, articles)
         except InputError as error:
-            skip = Skipped.plan(plan, str(error), strict)
-            skipped.append(replace(skip, number=plan_set.numbers.get(plan.plan_id)))
-        else:
-            changed += plans[-1] is not plan
+            faults[plan.plan_id] = str(error)
+    good = _without_faults(plan_set, lambda plan: faults.get(plan.plan_id), strict)
+    plans = [completed[plan.plan_id] for plan in good.plans]
     name = printable(str(file))
-    idle = [f"{name}: has nothing about the boxes of these plans"]
-    notes = _idle_rows(articles, [*plan_set.plans, *plans], name) if changed else idle
-    return replace(plan_set, plans=plans, skipped=skipped, notes=[*plan_set.notes, *notes])
+    if any(plan is not before for plan, before in zip(plans, good.plans, strict=True)):
+        notes = _idle_rows(articles, [*plan_set.plans, *plans], name)
+    else:
+        notes = [f"{name}: has nothing about the boxes of these plans"]
+    return replace(good, plans=plans, notes=[*plan_set.notes, *notes])
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
@@ -137,32 +152,6 @@ def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str
         return []
     verb = "matches" if len(idle) == 1 else "match"
     return [f"{name}: {len(idle):,} of {count_text(total, 'row')} {verb} no box: {first_names(idle)}"]
-
-
-def _gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    if plans is None:
-        plans = bundled_path()
-    if isinstance(plans, PlanSet):
-        return with_conventions(_distinct_plan_ids(plans, options), _extent_mm(sim))
-    if isinstance(plans, SupportsArrow):
-        return _load(plans, sim, options)
-    alone = isinstance(plans, str | PathLike | Plan)
-    given: list[Any] = [plans] if alone else list_of(plans, "plans", object, _SOURCES)
-    plan_objects = [plan for plan in given if isinstance(plan, Plan)]
-    if plan_objects:
-        if len(plan_objects) != len(given):
-            raise InputError("plans: give either paths or plans, not both")
-        return with_conventions(_distinct_plan_ids(PlanSet(plan_objects), options), _extent_mm(sim))
-    return _load([path_of(path, "plans") for path in given], sim, options)
-
-
-def _load(given: Any, sim: Simulation, options: RunOptions) -> PlanSet:
-    return read_plans(given, options, extent_mm=_extent_mm(sim))
-
-
-def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
-    extent = extent_m(sim.carrier)
-    return None if extent is None else (extent[0] * MM_PER_M, extent[1] * MM_PER_M)
 
 
 def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:

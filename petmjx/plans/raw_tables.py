@@ -84,6 +84,14 @@ def united(tables: Sequence[RawTable]) -> RawTable:
     )
 
 
+def with_titles(tables: Sequence[RawTable]) -> Sequence[RawTable]:
+    """Tables whose places begin with the title of the table: "row 5" → "Sheet 1, row 5". If all tables have the same
+    title, the places are not changed."""
+    if len({table.title for table in tables}) == 1:
+        return tables
+    return [replace(table, places=[f"{table.title}, {place}" for place in table.places]) for table in tables]
+
+
 def row_number(place: str, otherwise: int) -> int:
     """The last number in the place of a row: "row 5" → 5. ``otherwise`` if there is none."""
     match = re.search(r"(\d+)\D*$", place)
