@@ -69,9 +69,9 @@ class Change(ABC):
         """The change in plain words, such as "place box 14 before box 12"."""
 
     @property
-    @abstractmethod
     def boxes(self) -> tuple[int, ...]:
         """Numbers of the boxes that are changed."""
+        return ()
 
     @property
     def cost(self) -> float:
@@ -80,11 +80,21 @@ class Change(ABC):
 
 
 @dataclass(frozen=True)
-class Order(Change):
+class _OfBox(Change):
+    """A change of one box."""
+
+    box: int
+
+    @property
+    def boxes(self) -> tuple[int, ...]:
+        return (self.box,)
+
+
+@dataclass(frozen=True)
+class Order(_OfBox):
     """A box is placed directly before, or after, another one."""
 
     kind: ClassVar[Kind] = Kind.ORDER
-    box: int
     neighbour: int
     after: bool = False
 
@@ -95,17 +105,12 @@ class Order(Change):
     def words(self) -> str:
         return f"place box {self.box} {'after' if self.after else 'before'} box {self.neighbour}"
 
-    @property
-    def boxes(self) -> tuple[int, ...]:
-        return (self.box,)
-
 
 @dataclass(frozen=True)
-class Move(Change):
+class Move(_OfBox):
     """A box is moved along x and y, perhaps together with boxes that stand on it, or are in its way."""
 
     kind: ClassVar[Kind] = Kind.MOVE
-    box: int
     dx_mm: float
     dy_mm: float
     others: tuple[int, ...] = ()
@@ -144,11 +149,10 @@ class Move(Change):
 
 
 @dataclass(frozen=True)
-class Turn(Change):
+class Turn(_OfBox):
     """A box is turned by 90° at its place. ``x_mm``, ``y_mm``: its front-left corner afterwards."""
 
     kind: ClassVar[Kind] = Kind.TURN
-    box: int
     x_mm: float
     y_mm: float
 
@@ -162,18 +166,13 @@ class Turn(Change):
     def words(self) -> str:
         return f"turn box {self.box} by 90°: its front-left corner is then at x {_mm(self.x_mm)}, y {_mm(self.y_mm)} mm"
 
-    @property
-    def boxes(self) -> tuple[int, ...]:
-        return (self.box,)
-
 
 @dataclass(frozen=True)
-class Place(Change):
+class Place(_OfBox):
     """A box gets another place, and perhaps another turn, with the boxes on it (``others``). The boxes are then placed
     directly after a box, or before one."""
 
     kind: ClassVar[Kind] = Kind.PLACE
-    box: int
     corner_mm: tuple[float, float, float]
     turned: bool
     neighbour: int | None = None
@@ -269,10 +268,6 @@ class Sheet(Change):
         height = _mm(self.corner_mm[2])
         return f"lay a tie sheet of {x} × {y} × {thick} mm at the height {height} mm, before box {self.before}"
 
-    @property
-    def boxes(self) -> tuple[int, ...]:
-        return ()
-
 
 @dataclass(frozen=True)
 class Film(Change):
@@ -281,7 +276,7 @@ class Film(Change):
     kind: ClassVar[Kind] = Kind.FILM
     turns: float
 
-    def applied(self, draft: Draft) -> Draft | None:
+    def applied(self, draft: Draft) -> Draft:
         return replace(draft, film_turns=self.turns)
 
     @property
@@ -289,20 +284,15 @@ class Film(Change):
         return f"wrap the pallet with {self.turns:g} turn{'' if self.turns == 1 else 's'} of film"
 
     @property
-    def boxes(self) -> tuple[int, ...]:
-        return ()
-
-    @property
     def cost(self) -> float:
         return COST[self.kind] + COST_PER_TURN * self.turns
 
 
 @dataclass(frozen=True)
-class LeaveOut(Change):
+class LeaveOut(_OfBox):
     """A box is left out."""
 
     kind: ClassVar[Kind] = Kind.LEAVE_OUT
-    box: int
 
     def applied(self, draft: Draft) -> Draft | None:
         return draft.without(self.box)
@@ -311,19 +301,14 @@ class LeaveOut(Change):
     def words(self) -> str:
         return f"leave out box {self.box}"
 
-    @property
-    def boxes(self) -> tuple[int, ...]:
-        return (self.box,)
-
 
 def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
     """The draft with all changes, in order; None if a change is impossible."""
-    result: Draft | None = draft
     for change in changes:
-        if result is None:
+        if (changed := change.applied(draft)) is None:
             return None
-        result = change.applied(result)
-    return result
+        draft = changed
+    return draft
 
 
 def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:

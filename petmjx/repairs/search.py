@@ -170,23 +170,18 @@ class Search(Candidates):
         """The plan with the fewest turns of film with which it survives the profile; empty: it survives with no allowed
         number of turns."""
         low, high = math.floor(self.film_turns), self.options.most_turns
-        if high <= low:
-            return []
-        best: State | None = None
-        tried = [high]
-        while tried:
-            films = [Film(float(turns)) for turns in tried]
-            drafts = [draft for film in films if (draft := film.applied(start.draft)) is not None]
-            trials = yield from self._simulated(drafts)
-            for film, draft, trial in zip(films, drafts, trials, strict=True):
-                if trial.stands and (best is None or film.turns < high or best is None):
-                    best, high = State(draft, (film,), trial), int(film.turns)
-                elif not trial.stands:
-                    low = max(low, int(film.turns))
-            if best is None or high - low <= 1:
-                break
-            tried = [(low + high) // 2]
-        return [] if best is None else [best]
+        best: list[State] = []
+        turns = high
+        while low < turns:
+            film = Film(float(turns))
+            draft = film.applied(start.draft)
+            (trial,) = yield from self._simulated([draft])
+            if trial.stands:
+                best, high = [State(draft, (film,), trial)], turns
+            else:
+                low = turns
+            turns = (low + high) // 2
+        return best
 
     # ------------------------------------------------------------------ changes
 
@@ -235,7 +230,8 @@ class Search(Candidates):
             least = [0.0 if state.trial.stands else 1.0 for state in states]
             states = [replace(state, faults=max(two)) for state, *two in zip(states, faults, least, strict=True)]
             for state in sorted(states, key=lambda state: Node(state).key):
-                if self._is_short(state) and not state.trial.stands and (way := way_of(state)) not in ways:
+                is_short = n_counted(state.changes) < options.most_changes
+                if is_short and not state.trial.stands and (way := way_of(state)) not in ways:
                     ways.add(way)
                     nodes.append(Node(state))
         if standing and self.options.worlds and options.profile is None:
@@ -346,9 +342,7 @@ class Search(Candidates):
             lifted = lifted_with(state.draft, _lost(state.draft, state.trial))
             if min(lifted) < self.rules.built or len(lifted) >= len(state.draft.order):
                 return []
-            changes = state.changes
-            for number in lifted:
-                changes = (*changes, LeaveOut(number))
+            changes = (*state.changes, *map(LeaveOut, lifted))
             draft = applied(self._start, changes)
             if draft is None:
                 return []
@@ -380,10 +374,6 @@ class Search(Candidates):
             if confirmed:
                 return every, confirmed
         return every, []
-
-    def _is_short(self, state: State) -> bool:
-        """Whether a state may be changed further."""
-        return n_counted(state.changes) < self.options.most_changes
 
     # ------------------------------------------------------------------ the end
 

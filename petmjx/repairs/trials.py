@@ -164,7 +164,7 @@ class TimeLimit:
 
     seconds: float = math.inf
     compiled_s: float = 0.0
-    _began_s: float = field(default_factory=lambda: time.monotonic())
+    _began_s: float = field(default_factory=time.monotonic)
 
     def check(self, share: float = 1.0) -> None:
         """Raise ``OutOfTime`` if this share of the time is over."""
@@ -189,6 +189,7 @@ class Question:
 
     Attributes:
         sim: options of the simulation.
+        threads: CPU threads of a run.
 
     Args:
         how: fields of ``petmjx.Simulation``, ``errors``, and the run's options of ``OF_RUN``.
@@ -212,7 +213,7 @@ class Question:
         self._of_simulation, self._errors, self._options = of_simulation, sure.get("errors"), options
         self._engine, self._second = _engines(self._run)
         self._owns = isinstance(self._run.engine, str)
-        self._threads = self._run.threads or cpu_threads()
+        self.threads = self._run.threads or cpu_threads()
         self._run = RunOptions(engine=self._engine)
         self._engines = Engines(self._engine, Progress())
         self._quick = [_quick(self.sim)] * 2  # index 0: without errors; index 1: with errors
@@ -223,11 +224,6 @@ class Question:
             self._variants = [placement for placement, _ in Design(self._error_sweep).placements()]
             with_errors = _quick(self._error_sweep.simulation)
             self._quick[1] = self._quick[0] if with_errors == self._quick[0] else with_errors
-
-    @property
-    def threads(self) -> int:
-        """CPU threads of a run."""
-        return self._threads
 
     @property
     def is_wide(self) -> bool:
@@ -554,9 +550,7 @@ class TrialStream:
     def _feed(self, stream: JobStream[Placement[tuple[_Request, int]]], queue: _Queue, lane: Lane) -> None:
         """Give the engine what waits in a queue, unless the engine is needed for other queues."""
         n_others = sum(len(other.entries) for other in self._queues.values() if other is not queue)
-        if n_others >= max(SWITCH, self._n_open / 4):
-            return
-        if not queue.entries:
+        if not queue.entries or n_others >= max(SWITCH, self._n_open / 4):
             return
         entries = [(job, (request, number)) for request, jobs in queue.entries for number, job in jobs]
         queue.entries.clear()
