@@ -47,7 +47,7 @@ def info(
     two ways is refused, and both readings are named. For a file of orders, the command shows how petmjx samples
     --orders reads the file.
     """
-    from petmjx.plans.reading_files import reading_toml
+    from petmjx.plans.readings import reading_toml
     from petmjx.results.read_files import source_files
     from petmjx.show.file_info import file_infos, info_lines
 

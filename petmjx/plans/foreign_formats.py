@@ -10,12 +10,12 @@ from petmjx.common.errors import InputError
 from petmjx.common.file_kinds import foreign_kind
 from petmjx.plans.column_names import words_of
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.header_names import geometric_names
+from petmjx.plans.header_and_total_rows import geometric_names
 from petmjx.plans.known_forms import MOST_BYTES, BoxSource, with_known_form, with_named_units
 from petmjx.plans.nested_containers import LAYERS
 from petmjx.plans.nested_json import box_lists, decoded_json
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
-from petmjx.plans.printed_values import check_printed, is_printed_object, python_values, source_of_printed
+from petmjx.plans.python_objects_and_texts import check_printed, is_printed_object, python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, RawTable, united, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js

@@ -16,8 +16,6 @@ from petmjx.common.text import first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.known_forms import PACKINGSOLVER
-from petmjx.plans.packing_order import packing_order, repeated_number
-from petmjx.plans.pallet_columns import PalletSearch, plan_names
 from petmjx.plans.placed_boxes import (
     assumed_density,
     density_lines,
@@ -30,6 +28,7 @@ from petmjx.plans.placed_boxes import (
     range_faults,
 )
 from petmjx.plans.placement_table import RefusedPlan, Table, as_column
+from petmjx.plans.plan_rows import PalletSearch, packing_order, plan_names, repeated_number
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, names_with_lost_rows, row_number, rows_by_name

@@ -15,7 +15,7 @@ from petmjx.plans.box_columns import BoxColumns, box_columns
 from petmjx.plans.column_names import column_meanings
 from petmjx.plans.file_formats import NoBoxes, NoGeometry
 from petmjx.plans.foreign_plan_builder import ForeignPlans, PlanBuilder
-from petmjx.plans.header_names import are_numbers
+from petmjx.plans.header_and_total_rows import are_numbers
 from petmjx.plans.item_joins import with_items
 from petmjx.plans.known_forms import POSES, BoxSource, rows_of
 from petmjx.plans.raw_cells import GROUPED, cell_number

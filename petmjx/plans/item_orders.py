@@ -30,8 +30,7 @@ from petmjx.plans.plausibility import deck_cost, density_cost, side_cost
 from petmjx.plans.raw_cells import thousands_faults
 from petmjx.plans.raw_tables import names_with_lost_rows, rows_by_name
 from petmjx.plans.reading_choice import MASS_PRIOR, TIE
-from petmjx.plans.reading_files import wishes_of
-from petmjx.plans.readings import Wishes
+from petmjx.plans.readings import Wishes, wishes_of
 
 SET_KG_M3: Final = 200.0
 """Assumed density of the boxes in RoboBPP's sets, which give no masses. The mean density of BED-BPP's boxes is

@@ -19,7 +19,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import first_names
 from petmjx.plans.box_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.column_names import column_meanings, word_set, words_of
-from petmjx.plans.header_names import geometric_names
+from petmjx.plans.header_and_total_rows import geometric_names
 from petmjx.plans.json_reader import any_integer
 from petmjx.plans.nested_containers import (
     CONTAINERS,

@@ -153,7 +153,7 @@ def read_plans(
     """
     given = InputConventions.checked(options.units, options.anchor)
     if options.reading is not None:
-        from petmjx.plans.reading_files import read_reading
+        from petmjx.plans.readings import read_reading
 
         read_reading(options.reading)  # read here, so that a wrong argument is reported once, not for each file
     loading = _PlanLoader(options, given, max_boxes, extent_mm, reading)
@@ -272,7 +272,7 @@ class _PlanLoader:
         Raises:
             InputError: the table lacks columns.
         """
-        from petmjx.plans.python_objects import sources_of_frame
+        from petmjx.plans.python_objects_and_texts import sources_of_frame
         from petmjx.plans.table_files import frame_table
 
         foreign = partial(self._read_foreign, FRAME, partial(sources_of_frame, frame))
@@ -286,7 +286,7 @@ class _PlanLoader:
         Raises:
             InputError: the object contains no plans.
         """
-        from petmjx.plans.python_objects import sources_of_object
+        from petmjx.plans.python_objects_and_texts import sources_of_object
 
         if (fault := self._read_foreign(OBJECT, partial(sources_of_object, value))) is not None:
             raise InputError(f"{OBJECT}: {fault}") from None
@@ -295,7 +295,7 @@ class _PlanLoader:
     def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
         """Read a Parquet file with other column names than petmjx's. Returns an error if the file cannot be read, else
         None."""
-        from petmjx.plans.python_objects import sources_of_frame
+        from petmjx.plans.python_objects_and_texts import sources_of_frame
         from petmjx.plans.table_files import parquet_frame
 
         return self._read_foreign(source, lambda: sources_of_frame(parquet_frame(path)))
@@ -318,8 +318,7 @@ class _PlanLoader:
             path: the file; None: an object.
         """
         from petmjx.plans.foreign_plans import plans_of_sources
-        from petmjx.plans.reading_files import wishes_of, wishes_of_reading
-        from petmjx.plans.readings import CHOOSER, AmbiguousFile
+        from petmjx.plans.readings import CHOOSER, AmbiguousFile, wishes_of, wishes_of_reading
 
         try:
             boxes = find_boxes()

@@ -16,12 +16,13 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.plans.column_names import TITLE_WORDS, plain_text, words_of
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.header_names import (
+from petmjx.plans.header_and_total_rows import (
     count_known_names,
     distinct_names,
     geometric_columns,
     has_places,
     header_rows,
+    is_total,
     is_unit_cell,
     names_in_rows,
     names_unit,
@@ -29,7 +30,6 @@ from petmjx.plans.header_names import (
 )
 from petmjx.plans.raw_cells import cell_text, decimal_of, is_number
 from petmjx.plans.raw_tables import RawTable
-from petmjx.plans.total_rows import is_total
 
 
 def tables_of_rows(

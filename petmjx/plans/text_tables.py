@@ -15,7 +15,7 @@ from typing import Final
 
 from petmjx.common.errors import InputError
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.header_names import LEAST_KNOWN, SEARCHED_ROWS, count_known_names
+from petmjx.plans.header_and_total_rows import LEAST_KNOWN, SEARCHED_ROWS, count_known_names
 from petmjx.plans.raw_tables import MOST_ROWS, RawTable
 from petmjx.plans.table_sections import tables_of_rows
 

@@ -18,12 +18,12 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans
 from petmjx.plans.plan_writer import save_plans
+from petmjx.repairs.candidates import State
 from petmjx.repairs.changes import Change, Kind, applied, cost_of
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import run_searches
-from petmjx.repairs.states import State
 from petmjx.repairs.trials import OF_RUN, SEARCHED, Asked, Question, Share, TimeLimit, Trial, TrialStream
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place

@@ -19,11 +19,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from petmjx.repairs.candidates import Candidates
+from petmjx.repairs.candidates import (
+    AT_ONCE,
+    Candidate,
+    Candidates,
+    Node,
+    State,
+    batch_of,
+    key_of,
+    n_counted,
+    shortest,
+    way_of,
+)
 from petmjx.repairs.changes import Film, Kind, LeaveOut, applied
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.proposals import Limits, lifted_with
-from petmjx.repairs.states import AT_ONCE, Candidate, Node, State, batch_of, key_of, n_counted, shortest, way_of
 from petmjx.repairs.trials import ERROR_WORLDS, Steps, Together, Trial
 
 BEAM: Final = 4

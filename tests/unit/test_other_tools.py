@@ -18,8 +18,7 @@ import petmjx
 from petmjx.cli.main import main
 from petmjx.common.errors import InputError
 from petmjx.plans.plausibility import Layout, layout_cost, same_layouts
-from petmjx.plans.reading_files import read_reading, reading_toml
-from petmjx.plans.readings import CHOOSER
+from petmjx.plans.readings import CHOOSER, read_reading, reading_toml
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
 

@@ -21,6 +21,7 @@ from petmjx.engines.attempt_runner import run_engine
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
+from petmjx.repairs.candidates import Candidate, State, batch_of, key_of
 from petmjx.repairs.changes import Exchange, Film, Kind, LeaveOut, Move, Order, Place, Sheet, Turn, applied, with_change
 from petmjx.repairs.drafts import Draft, Rules
 from petmjx.repairs.proposals import Limits, Target, proposals
@@ -29,7 +30,6 @@ from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import Tasks, run_searches
-from petmjx.repairs.states import Candidate, State, batch_of, key_of
 from petmjx.repairs.trials import Answer, Asked, OutOfTime, Question, Steps, TimeLimit, Together, Trial, TrialStream
 
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
