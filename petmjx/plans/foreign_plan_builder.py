@@ -46,13 +46,11 @@ class ForeignPlans:
         table: the usable plans, as a table of placements in millimetres and kilograms; None if no plan is usable.
         refused: the plans and rows that are unusable.
         reading: how the file was read: the meaning of each column, units, and the packing order.
-        containers: plan id → size of its container along x, y and z, mm; NaN if unknown.
     """
 
     table: Table | None
     refused: tuple[RefusedPlan, ...]
     reading: Reading
-    containers: Mapping[str, FloatArray]
 
 
 class PlanBuilder:
@@ -104,7 +102,7 @@ class PlanBuilder:
         if HALF_EXTENTS in reading.columns:
             self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and its like are half sizes")
         self._note_quantities()
-        size, low, containers = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
+        size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
         self.decks = pallet_rows(self.columns, plans, size, low)
         for row, fault in range_faults(self.columns, reading, candidate).items():
             self.faults.setdefault(row, fault)
@@ -142,11 +140,11 @@ class PlanBuilder:
             density_kg_m3=assumed_density(self.columns, self.wishes),
         )
         table = self._table(list(good_rows.values()), sequences, names, size, low, mass) if good_rows else None
-        return ForeignPlans(table, tuple(refused), reading, containers)
+        return ForeignPlans(table, tuple(refused), reading)
 
     def _float(self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]) -> bool:
         """Whether there is a plan in which no box stands on the deck."""
-        _, low, _ = placed_boxes(self.columns, reading, candidate, plans, self.wishes, [])
+        _, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, [])
         return any(np.nanmin(low[rows, 2], initial=np.inf) > DEFAULT_TOLERANCE_MM for rows in plans.values())
 
     def _check_words(self, reading: Reading, candidate: Candidate) -> None:

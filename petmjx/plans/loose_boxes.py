@@ -49,25 +49,21 @@ def statics_of(plans: Sequence[Plan]) -> Statics:
     )
     columns = np.zeros((3, len(examined)))
     for column, plan in enumerate(examined):
-        loose, ties = _looked_at(plan)
+        loose, ties = loose_and_ties(plan)
         giving = 0 if plan.stiffness_n_mm is None else int(np.isfinite(plan.stiffness_n_mm).sum())
         columns[:, column] = min((loose + 1) / plan.n_boxes, 1.0), ties / plan.n_boxes, giving
     return Statics(*(np.resize(values, len(plans)) for values in columns))
 
 
-def first_loose(plan: Plan) -> int:
-    """The first box, in packing order, whose centre of mass is not over its supports; n if there is none.
+def loose_and_ties(plan: Plan) -> tuple[int, int]:
+    """The first loose box, in packing order; n if there is none. Also returns the number of ties: all supports of all
+    boxes, without the first support of each box.
 
-    The supports of a box are the highest tops of earlier boxes under it, or the carrier. The centre of mass is over the
-    supports if it lies within the bounding rectangle of their contact areas. The convex hull of the contact areas can
-    be smaller than this rectangle, so a rule with the hull would find more loose boxes.
+    A box is loose if its centre of mass is not over its supports. The supports of a box are the highest tops of earlier
+    boxes under it, or the carrier. The centre of mass is over the supports if it lies within the bounding rectangle of
+    their contact areas. The convex hull of the contact areas can be smaller than this rectangle, so a rule with the
+    hull would find more loose boxes.
     """
-    return _looked_at(plan)[0]
-
-
-def _looked_at(plan: Plan) -> tuple[int, int]:
-    """The first loose box (``first_loose``), and the number of ties: all supports of all boxes, without the first
-    support of each box."""
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]
     numbers = np.arange(plan.n_boxes)

@@ -66,21 +66,18 @@ def placed_boxes(
     plans: Mapping[str, NDArray[np.int64]],
     wishes: Wishes,
     notes: list[str],
-) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
-    """(n, 3) sizes and (n, 3) corners along the plan's axes, and the sizes of the containers, all in mm. Adds
-    notes to ``notes``."""
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) sizes and (n, 3) corners along the plan's axes, mm. Adds notes to ``notes``."""
     factor = LENGTH_UNITS[reading.length_units[1]]
     n = columns.n_boxes
     size, low = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
     containers: dict[str, FloatArray] = {}
     layout = layout_of(columns, candidate)
     for name, rows in plans.items():
-        container = (
-            layout_of(columns, candidate, container_of(columns.source.boxes.containers, name)).container * factor
-        )
-        if wishes.deck_mm is not None and np.isnan(container[:2]).any():
-            container = np.array([*wishes.deck_mm, np.nan])
-        containers[name] = container
+        container = container_of(columns.source.boxes.containers, name)
+        containers[name] = layout_of(columns, candidate, container).container * factor
+        if wishes.deck_mm is not None and np.isnan(containers[name][:2]).any():
+            containers[name] = np.array([*wishes.deck_mm, np.nan])
         size[rows], low[rows] = layout.size[rows] * factor, layout.low[rows] * factor
     usable = np.array([row not in columns.faults for row in range(n)])
     good_rows = {name: rows[usable[rows]] for name, rows in plans.items() if usable[rows].any()}
@@ -90,7 +87,7 @@ def placed_boxes(
         for name, rows in good_rows.items()
     }
     notes += sorted(filter(None, moved))
-    return size, low, containers
+    return size, low
 
 
 def _deck_heights(

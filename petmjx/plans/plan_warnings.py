@@ -130,7 +130,6 @@ def check_layout(
     corner_mm: FloatArray,
     size_mm: FloatArray,
     carrier_extent_mm: tuple[float, float] | None = None,
-    tolerance_mm: float = DEFAULT_TOLERANCE_MM,
 ) -> PlanWarnings:
     """Count and name the odd boxes of one plan.
 
@@ -139,11 +138,11 @@ def check_layout(
             box is used as the carrier's extent, so a box can only be outside by being below the carrier's top.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
-    side_by_side, overlapping = _overlaps(low, high, tolerance_mm)
-    n_pairs = int((np.count_nonzero(overlapping) - np.count_nonzero(_thick_enough(low, high, tolerance_mm))) // 2)
-    outside = _outside(low, high, carrier_extent_mm, tolerance_mm)
+    side_by_side, overlapping = _overlaps(low, high)
+    n_pairs = int((np.count_nonzero(overlapping) - np.count_nonzero(_thick_enough(low, high))) // 2)
+    outside = _outside(low, high, carrier_extent_mm)
     gap = _gaps(low, high, side_by_side)
-    floating = np.flatnonzero(gap > tolerance_mm)
+    floating = np.flatnonzero(gap > DEFAULT_TOLERANCE_MM)
     first_pairs = np.argwhere(np.triu(overlapping, k=1))[:MOST_NAMED] if n_pairs else ()
     return PlanWarnings(
         plan_id,
@@ -183,10 +182,10 @@ def _are_odd(
 ) -> NDArray[np.bool_]:
     """(plans,) whether each plan has odd boxes. Corners and sizes are (plans, n, 3)."""
     low, high = np.moveaxis(corner_mm, -1, 0), np.moveaxis(corner_mm + size_mm, -1, 0)
-    side_by_side, overlapping = _overlaps(low, high, DEFAULT_TOLERANCE_MM)
-    n_thick = np.count_nonzero(_thick_enough(low, high, DEFAULT_TOLERANCE_MM), axis=1)
+    side_by_side, overlapping = _overlaps(low, high)
+    n_thick = np.count_nonzero(_thick_enough(low, high), axis=1)
     overlap = np.count_nonzero(overlapping, axis=(1, 2)) != n_thick
-    is_outside = _outside(low, high, carrier_extent_mm, DEFAULT_TOLERANCE_MM)
+    is_outside = _outside(low, high, carrier_extent_mm)
     floats = _gaps(low, high, side_by_side) > DEFAULT_TOLERANCE_MM
     is_odd: NDArray[np.bool_] = overlap | (is_outside | floats).any(axis=1)
     return is_odd
@@ -199,7 +198,7 @@ def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -
         in_order: whether only boxes placed earlier can be supports; if not, all boxes can.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
-    side_by_side, _ = _overlaps(low, high, DEFAULT_TOLERANCE_MM)
+    side_by_side, _ = _overlaps(low, high)
     return _gaps(low, high, side_by_side, in_order)
 
 
@@ -215,7 +214,7 @@ def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
     return deepest
 
 
-def _overlaps(low: FloatArray, high: FloatArray, tolerance_mm: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _overlaps(low: FloatArray, high: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """(…, n, n) whether two boxes overlap when seen from above, and whether they overlap in all directions. The
     matrices are symmetric. The diagonals, which compare a box with itself, are true for boxes that are thicker than the
     tolerance.
@@ -223,24 +222,23 @@ def _overlaps(low: FloatArray, high: FloatArray, tolerance_mm: float) -> tuple[N
     Args:
         low, high: (3, …, n) ends of the boxes along the axes.
     """
-    side_by_side = overlap(low[0], high[0], tolerance_mm) & overlap(low[1], high[1], tolerance_mm)
-    return side_by_side, side_by_side & overlap(low[2], high[2], tolerance_mm)
+    along_x, along_y, along_z = (overlap(low[axis], high[axis], DEFAULT_TOLERANCE_MM) for axis in range(3))
+    side_by_side = along_x & along_y
+    return side_by_side, side_by_side & along_z
 
 
-def _thick_enough(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
+def _thick_enough(low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
     """(…, n) whether boxes are larger than the tolerance along all axes."""
-    thick_enough: NDArray[np.bool_] = (high - low).min(axis=0) > tolerance_mm
+    thick_enough: NDArray[np.bool_] = (high - low).min(axis=0) > DEFAULT_TOLERANCE_MM
     return thick_enough
 
 
-def _outside(
-    low: FloatArray, high: FloatArray, carrier_extent_mm: tuple[float, float] | None, tolerance_mm: float
-) -> NDArray[np.bool_]:
+def _outside(low: FloatArray, high: FloatArray, carrier_extent_mm: tuple[float, float] | None) -> NDArray[np.bool_]:
     """(…, n) whether a box reaches beyond the carrier or below its top."""
-    outside: NDArray[np.bool_] = low[2] < -tolerance_mm
+    outside: NDArray[np.bool_] = low[2] < -DEFAULT_TOLERANCE_MM
     if carrier_extent_mm is not None:
-        outside |= (low[:2] < -tolerance_mm).any(axis=0)
-        outside |= (high[0] > carrier_extent_mm[0] + tolerance_mm) | (high[1] > carrier_extent_mm[1] + tolerance_mm)
+        length, width = (extent + DEFAULT_TOLERANCE_MM for extent in carrier_extent_mm)
+        outside |= (low[:2] < -DEFAULT_TOLERANCE_MM).any(axis=0) | (high[0] > length) | (high[1] > width)
     return outside
 
 

@@ -200,16 +200,13 @@ def read_parquet(path: Path) -> Table:
 
 
 def parquet_frame(path: Path) -> pa.Table:
-    """Read all columns of a Parquet file. A column that contains a table becomes several columns: "position.x".
+    """Read all columns of a Parquet file. Columns may contain tables.
 
     Raises:
         TableError: the file is damaged or too large. The error does not name the file.
         OSError: the file cannot be read.
     """
-    _, rows = _parquet(path, lambda names: names, nested=True)
-    while any(pa.types.is_struct(field.type) for field in rows.schema):
-        rows = rows.flatten()
-    return rows
+    return _parquet(path, lambda names: names, nested=True)[1]
 
 
 def _parquet(
