@@ -3,7 +3,6 @@ problems of packing research, and the boxes of plans."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,11 +19,13 @@ from petmjx.plans.item_columns import BOX_PROPERTIES, ItemColumns, has_sizes_of_
 from petmjx.plans.item_joins import bytes_of, with_items_of
 from petmjx.plans.item_orders import DELI, EURO, PG, SIZES, ForeignOrders, OrderReading, orders_of_items
 from petmjx.plans.known_forms import BoxSource, rows_of
+from petmjx.plans.numpy_arrays import loaded_array
 from petmjx.plans.order_generator import Item, Order, target_named
 from petmjx.plans.order_texts import SET_ITEMS, order_source
 from petmjx.plans.python_objects_and_texts import sources_of_frame
 from petmjx.plans.raw_cells import cell_number, cell_triple
 from petmjx.plans.raw_tables import BoxList, RawTable
+from petmjx.plans.workbooks import sheets_of_xlsx
 
 _PG: Final = {
     "length": "Length_cm", "width": "Width_cm", "height": "Height_cm", "weight": "Gross weight", "plan": "Pallet No",
@@ -147,8 +148,8 @@ def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
     if bytes(data[:6]) != b"\x93NUMPY":
         return None
     try:
-        array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError):
+        array = loaded_array(data)
+    except InputError:
         return None  # the next reader reports the error
     if array.ndim not in (2, 3) or array.shape[-1] != 3 or array.dtype.kind not in "fiu":
         return None
@@ -167,16 +168,10 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
     """The articles of RoboBPP's ``deli.xlsx``, whose columns have Chinese names; None for any other file."""
     if bytes(data[:2]) != b"PK":
         return None
-    from openpyxl import load_workbook
-
-    from petmjx.plans.workbooks import check_archive
-
-    check_archive(data)
     try:
-        book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-        rows = list(book.worksheets[0].iter_rows(values_only=True))
-    except Exception:  # a damaged workbook may raise any exception; the first reader reports the damage
-        return None
+        rows = next(iter(sheets_of_xlsx(data).values()), [])
+    except InputError:
+        return None  # the first reader reports the damage
     head = next((number for number, row in enumerate(rows[:60]) if set(_DELI) <= set(row)), None)
     if head is None:
         return None

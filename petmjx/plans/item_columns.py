@@ -269,9 +269,8 @@ class _ItemExtraction(ColumnExtraction):
         ):
             return ""
         for index, name in enumerate(self.table.header):
-            if self.meanings[index] is not None or index in self.taken or set(words_of(name)) & _NO_QUANTITY:
-                continue
-            if name in BOX_PROPERTIES:
+            is_other = name in BOX_PROPERTIES or set(words_of(name)) & _NO_QUANTITY
+            if self.meanings[index] is not None or index in self.taken or is_other:
                 continue
             numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
             values = [number.value for number in numbers if number is not None and not number.unit]
@@ -314,9 +313,8 @@ class _ItemExtraction(ColumnExtraction):
             if number is not None and number.value.is_integer() and smallest <= number.value <= MOST_PIECES:
                 values[row] = number.value
                 continue
-            shown = "is missing" if cell in (None, "") else f'got "{printable_name(cell_text(cell))}"'
-            limits = f"must be a whole number from {smallest} to {MOST_PIECES:,}"
-            self.bad(row, index, shown if cell in (None, "") else f"{limits}, {shown}")
+            shown = f'from {smallest} to {MOST_PIECES:,}, got "{printable_name(cell_text(cell))}"'
+            self.bad(row, index, "is missing" if cell in (None, "") else f"must be a whole number {shown}")
         return values
 
     def strengths(self) -> FloatArray | None:
@@ -330,11 +328,10 @@ class _ItemExtraction(ColumnExtraction):
                 continue
             number = cell_number(cell, self.table.decimal)
             if number is None or number.unit:
-                fault: str | None = number_fault_of(cell, self.table.decimal)
-            else:
-                values[row] = number.value
-                fault = sparse_fault(STRENGTH, number.value)
-            if fault is not None:
+                self.bad(row, index, number_fault_of(cell, self.table.decimal))
+                continue
+            values[row] = number.value
+            if (fault := sparse_fault(STRENGTH, number.value)) is not None:
                 self.bad(row, index, fault.removeprefix(f"{STRENGTH} "))
         return values
 

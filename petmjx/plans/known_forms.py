@@ -71,7 +71,7 @@ PY3DBP: Final = KnownForm("py3dbp", anchor="corner", rule="py3dbp", sizes="item"
 _UPRIGHT: Final = KnownForm("", anchor="corner", up="z", sizes="placed")
 PACKINGSOLVER: Final = replace(_UPRIGHT, name="packingsolver's certificate")
 JAVA: Final = replace(_UPRIGHT, name="3d-bin-container-packing")
-D_WAVE: Final = KnownForm("the solution of D-Wave's example", anchor="corner", sizes="placed", up="z")
+D_WAVE: Final = replace(_UPRIGHT, name="the solution of D-Wave's example")
 PACKVIUM: Final = replace(_UPRIGHT, name="packvium's result")
 BENCHMARK: Final = KnownForm("centres and dimensions as placed", anchor="centre", up="z", sizes="placed")
 SCENE: Final = KnownForm("a MuJoCo scene (MJCF)", "m", "kg", "centre", "z", "placed")
@@ -208,9 +208,7 @@ def _container_in(boxes: BoxList, row: int) -> Mapping[str, float]:
 def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
     """Remove the posts that the fork of py3dbp puts into the corners of its container. Also returns the number of
     removed posts."""
-    if "type" not in boxes.table.header:
-        return boxes, 0
-    kinds = boxes.table.column("type")
+    kinds = boxes.table.column("type") if "type" in boxes.table.header else []
     box_rows = [index for index, kind in enumerate(kinds) if kind != "corner"]
     return (rows_of(boxes, box_rows), len(kinds) - len(box_rows)) if box_rows else (boxes, 0)
 
@@ -237,11 +235,10 @@ def _certificate(boxes: BoxList) -> BoxSource:
     for row, kind in zip(table.rows, kinds, strict=True):
         if kind != "BIN":
             continue
-        sizes = [cell_number(row[upper[name]], table.decimal) for name in ("LX", "LY", "LZ")]
-        if all(sizes):
-            containers[cell_text(row[upper["BIN"]])] = {
-                axis: number.value for axis, number in zip("xyz", sizes, strict=True) if number is not None
-            }
+        numbers = [cell_number(row[upper[name]], table.decimal) for name in ("LX", "LY", "LZ")]
+        sizes = {axis: number.value for axis, number in zip("xyz", numbers, strict=True) if number is not None}
+        if len(sizes) == 3:
+            containers[cell_text(row[upper["BIN"]])] = sizes
         copies = cell_number(row[upper["COPIES"]]) if "COPIES" in upper else None
         if copies is not None and copies.value > 1:
             notes.append(
@@ -266,14 +263,13 @@ def _of_d_wave(boxes: BoxList) -> BoxSource:
     bins = next((index for index, name in enumerate(table.header) if name.lower().startswith("bin")), None)
     if x is None or bins is None or len({row[bins] for row in table.rows}) < 2:
         return BoxSource(boxes, D_WAVE)
+    numbers = [cell_number(row[x], table.decimal) for row in table.rows]
     first: dict[Any, float] = {}
-    for row in table.rows:
-        number = cell_number(row[x], table.decimal)
+    for row, number in zip(table.rows, numbers, strict=True):
         if number is not None:
             first[row[bins]] = min(first.get(row[bins], np.inf), number.value)
     rows = []
-    for row in table.rows:
-        number = cell_number(row[x], table.decimal)
+    for row, number in zip(table.rows, numbers, strict=True):
         moved = row[x] if number is None else number.value - first[row[bins]]
         rows.append((*row[:x], moved, *row[x + 1 :]))
     note = "bins stand one behind the other along x: each is moved to x = 0"

@@ -91,17 +91,14 @@ class Plan:
                 fields[name] = array_of(values, name, (), may_lack=True)
                 if ((fields[name] < known.low) | (fields[name] > known.high)).any():
                     raise InputError(f"{name} must be from {known.low:g} to {known.high:g}")
-        kinds = tuple(list_of(self.kinds, "kinds", str, "text"))
+        names = {
+            name: tuple(list_of(getattr(self, name), name, str, "text"))
+            for name in ("kinds", "product_groups", "materials")
+        }
+        kinds = names["kinds"]
         if not set(kinds) <= {"", *KINDS}:
             raise InputError(f"kinds must be {KINDS_IN_WORDS} for each box")
-        if kinds:
-            fields["kinds"] = kinds
-        groups = tuple(list_of(self.product_groups, "product_groups", str, "text"))
-        if groups:
-            fields["product_groups"] = groups
-        materials = tuple(list_of(self.materials, "materials", str, "text"))
-        if materials:
-            fields["materials"] = materials
+        fields |= {name: values for name, values in names.items() if values}
         if self.mass_center_mm is not None:
             fields["mass_center_mm"] = array_of(self.mass_center_mm, "mass_center_mm", (3,))
         n_boxes = len(fields["mass_kg"])
@@ -119,8 +116,8 @@ class Plan:
         for box, name in enumerate(kinds):
             if (fault := pallet_fault(name, self.size_mm[box])) is not None:
                 raise InputError(f"box {box}: {fault}")
-        object.__setattr__(self, "product_groups", groups)
-        object.__setattr__(self, "materials", materials)
+        object.__setattr__(self, "product_groups", names["product_groups"])
+        object.__setattr__(self, "materials", names["materials"])
         object.__setattr__(self, "kinds", kinds if set(kinds) - {"", KINDS[0]} else ())
 
     @classmethod

@@ -23,11 +23,20 @@ from petmjx.plans.text_tables import tables_of_text
 
 
 def tables_of_xlsx(data: bytes | bytearray) -> list[RawTable]:
-    """The tables of a workbook (.xlsx), at least one per sheet with content. In place of a formula, its result is
-    returned, as the file stores it.
+    """The tables of a workbook (.xlsx), at least one per sheet with content.
 
     Raises:
         InputError: the file is damaged or too large, or contains no table. The error does not name the file.
+    """
+    return _tables_of_sheets(sheets_of_xlsx(data))
+
+
+def sheets_of_xlsx(data: bytes | bytearray) -> dict[str, list[list[Any]]]:
+    """Name → rows of each visible sheet of a workbook (.xlsx). In place of a formula, its result is returned, as the
+    file stores it.
+
+    Raises:
+        InputError: the file is damaged or too large. The error does not name the file.
     """
     from openpyxl import load_workbook  # loading openpyxl takes a third of a second
 
@@ -40,7 +49,7 @@ def tables_of_xlsx(data: bytes | bytearray) -> list[RawTable]:
         raise
     except Exception as error:  # openpyxl may raise any exception for a damaged workbook
         raise InputError(f"is not a whole workbook (.xlsx): {type(error).__name__}") from error
-    return _tables_of_sheets(sheets)
+    return sheets
 
 
 def _cells(sheet: Any) -> Iterator[list[Any]]:

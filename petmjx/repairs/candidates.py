@@ -18,7 +18,7 @@ from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import SAFE_MM, balances
 from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_change
 from petmjx.repairs.drafts import Draft, Rules
-from petmjx.repairs.proposals import MOST_TARGETS, Limits, Proposal, Target, proposals, targets
+from petmjx.repairs.proposals import MOST_TARGETS, Proposal, Target, proposals, targets
 from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.trials import Asked, Steps, Trial
@@ -210,15 +210,15 @@ class Candidates:
 
     # ------------------------------------------------------------------ proposals
 
-    def _ranked(self, state: State, limits: Limits, *, anew: bool = False) -> list[Candidate]:
+    def _ranked(self, state: State, kinds: frozenset[Kind], *, anew: bool = False) -> list[Candidate]:
         """Allowed changes of a plan, or ways to build it anew, the most promising first."""
         causes = self._causes(state)
         first = next((cause for cause in causes if cause.depth_mm > 0), causes[0]) if causes else None
         if anew:
-            leaves_out = Kind.LEAVE_OUT in limits.kinds
+            leaves_out = Kind.LEAVE_OUT in kinds
             some = rebuilds(state.draft, self.rules, self.sim, causes, state.trial.n_held, leaves_out=leaves_out)
         else:
-            some = (p for cause in causes for p in proposals(state.draft, self.rules, cause, limits))
+            some = (p for cause in causes for p in proposals(state.draft, self.rules, cause, kinds, self.options))
         drafts: list[Draft] = []
         origins: list[Proposal] = []
         for proposal in some:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from petmjx.common.units import FloatArray
 from petmjx.repairs.balance import ROOM_MM, Balance
 from petmjx.repairs.changes import Change, Exchange, Kind, LeaveOut, Move, Order, Place, Sheet, Turn
 from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
+from petmjx.repairs.repair_options import RepairOptions
 
 Proposal = tuple[Change, ...]
 
@@ -66,22 +67,6 @@ class Target(NamedTuple):
     is_squeezed: bool = False
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Limits and inputs of proposals.
-
-    Attributes:
-        kinds: kinds of changes that are allowed.
-        most_move_mm: the longest move of a box along x or y.
-        sheet_mm, sheet_kg_m2: thickness and mass of a tie sheet.
-    """
-
-    kinds: frozenset[Kind]
-    most_move_mm: float
-    sheet_mm: float
-    sheet_kg_m2: float
-
-
 def targets(
     draft: Draft, rules: Rules, balance: Balance, culprit: int | None, fallen: Collection[int], n_placed: int
 ) -> list[Target]:
@@ -120,23 +105,25 @@ def targets(
     return list(different.values())[:MOST_TARGETS]
 
 
-def proposals(draft: Draft, rules: Rules, target: Target, limits: Limits) -> Iterator[Proposal]:
-    """Changes that may help with a cause. Some cannot be made; ``Rules.allow`` finds out."""
-    nearby_boxes = _near(draft, rules, target)
+def proposals(
+    draft: Draft, rules: Rules, target: Target, kinds: frozenset[Kind], options: RepairOptions
+) -> Iterator[Proposal]:
+    """Changes of some kinds that may help with a cause. Some cannot be made; ``Rules.allow`` finds out."""
+    nearby_boxes, most_mm = _near(draft, rules, target), options.most_move_mm
     makers: tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...] = (
         (Kind.ORDER, lambda: _orders(draft, target)),
         (Kind.ORDER, lambda: _earlier(draft, target)),
-        (Kind.MOVE, lambda: _clearances(draft, rules, target, limits.most_move_mm)),
-        (Kind.MOVE, lambda: _moves(draft, nearby_boxes, target, limits.most_move_mm)),
-        (Kind.MOVE, lambda: _pushes(draft, rules, target, limits.most_move_mm)),
+        (Kind.MOVE, lambda: _clearances(draft, rules, target, most_mm)),
+        (Kind.MOVE, lambda: _moves(draft, nearby_boxes, target, most_mm)),
+        (Kind.MOVE, lambda: _pushes(draft, rules, target, most_mm)),
         (Kind.TURN, lambda: _turns(draft, nearby_boxes)),
         (Kind.EXCHANGE, lambda: _exchanges(draft, rules, nearby_boxes)),
         (Kind.PLACE, lambda: itertools.chain(_places(draft, rules, nearby_boxes), _props(draft, rules, target))),
-        (Kind.SHEET, lambda: _sheets(draft, limits.sheet_mm, limits.sheet_kg_m2)),
+        (Kind.SHEET, lambda: _sheets(draft, options.sheet_mm, options.sheet_kg_m2)),
         (Kind.LEAVE_OUT, lambda: _omissions(draft, rules, nearby_boxes)),
     )
     for kind, make in makers:
-        if kind in limits.kinds:
+        if kind in kinds:
             yield from make()
 
 

@@ -33,7 +33,7 @@ from petmjx.repairs.candidates import (
 )
 from petmjx.repairs.changes import Film, Kind, LeaveOut, applied
 from petmjx.repairs.drafts import Draft
-from petmjx.repairs.proposals import Limits, lifted_with
+from petmjx.repairs.proposals import lifted_with
 from petmjx.repairs.trials import ERROR_WORLDS, Steps, Together, Trial
 
 BEAM: Final = 4
@@ -201,7 +201,6 @@ class Search(Candidates):
         """Two lists: plans that stand after changes of these kinds, and the most promising of the plans that still
         fall."""
         options = self.options
-        limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
         last, alone = self.n_trials + most_trials, self.n_trials + int(ALONE * most_trials)
         unknown = [state for state in start if math.isinf(state.faults)]
         counts = iter((yield from self._faults(unknown, math.inf)))
@@ -221,7 +220,7 @@ class Search(Candidates):
                 standing = yield from self._nearly(nodes)
                 if standing:
                     break
-            queues = self._queues(useful, limits, anew=is_late)
+            queues = self._queues(useful, kinds, anew=is_late)
             batch = batch_of(queues, min(self._scale * (2 * AT_ONCE if is_late else AT_ONCE), last - self.n_trials))
             if not batch:  # no queue is left, or fewer trials are left than there are queues
                 break
@@ -247,7 +246,7 @@ class Search(Candidates):
         if standing and self.options.worlds and options.profile is None:
             fewest = len(standing[0].changes)
             nodes = sorted((n for n in nodes if len(n.state.changes) == fewest - 1), key=lambda node: node.key)
-            further = yield from self._judged(batch_of(self._queues(nodes, limits, anew=False), MORE_TO_COMPARE))
+            further = yield from self._judged(batch_of(self._queues(nodes, kinds, anew=False), MORE_TO_COMPARE))
             judged += [state for state in further if state.trial.stands]
             standing = yield from self._compared(standing, [one for one in judged if len(one.changes) == fewest])
         nodes.sort(key=lambda node: (node.n_expected, node.key))
@@ -283,21 +282,21 @@ class Search(Candidates):
         scored = yield from self._scored(chosen[:MOST_NEARLY])
         return shortest([state for state in scored if state.trial.stands])
 
-    def _queues(self, nodes: Sequence[Node], limits: Limits, *, anew: bool) -> list[list[Candidate]]:
+    def _queues(self, nodes: Sequence[Node], kinds: frozenset[Kind], *, anew: bool) -> list[list[Candidate]]:
         """For each of the best nodes, its ranked changes that were not judged yet. With ``anew``: the ways to build
         these plans anew, unless that was done before."""
-        if anew and Kind.PLACE in limits.kinds:
+        if anew and Kind.PLACE in kinds:
             chosen = [node for node in nodes if not node.is_anew][:MOST_ANEW]
             queues = []
             for node in chosen:
                 node.is_anew = True
-                queues.append(self._ranked(node.state, limits, anew=True))
+                queues.append(self._ranked(node.state, kinds, anew=True))
             if any(queues):
                 return queues
         queues = []
         for node in nodes:
             if node.queue is None:
-                node.queue = self._ranked(node.state, limits)
+                node.queue = self._ranked(node.state, kinds)
             if node.queue:
                 queues.append(node.queue)
                 node.n_judged += AT_ONCE
@@ -414,14 +413,13 @@ class Search(Candidates):
         kinds = options.kinds - {Kind.FILM, Kind.LEAVE_OUT}
         if options.profile is not None or not kinds:
             return
-        limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
         self._seen.clear()
         nodes, best = [Node(state) for state in compared], compared[0]
         last = self.n_trials + int(STRENGTHENED * options.trials)
         while nodes and best.n_good < wanted and self.n_trials < last:
             node = min(nodes, key=lambda node: (node.n_judged // AT_ONCE - node.state.n_good, node.state.cost))
             if node.queue is None:
-                node.queue = self._ranked(node.state, limits)
+                node.queue = self._ranked(node.state, kinds)
             if not node.queue:
                 nodes.remove(node)
                 continue

@@ -24,7 +24,7 @@ from petmjx.repairs.balance import ROOM_MM, balances
 from petmjx.repairs.candidates import Candidate, State, batch_of, key_of
 from petmjx.repairs.changes import Exchange, Film, Kind, LeaveOut, Move, Order, Place, Sheet, Turn, applied, with_change
 from petmjx.repairs.drafts import Draft, Rules
-from petmjx.repairs.proposals import Limits, Target, proposals
+from petmjx.repairs.proposals import Target, proposals
 from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
@@ -598,8 +598,8 @@ def test_a_box_that_is_lowered_between_two_others_gets_room() -> None:
     (balance,) = balances([draft], Simulation())
     assert balance.squeezed == (2,)
     assert balance.weakness == pytest.approx(1 - 2 / ROOM_MM)
-    limits = Limits(frozenset({Kind.ORDER, Kind.MOVE}), 150.0, 3.0, 0.5)
-    some = [*proposals(draft, rules, Target(2, 2, is_squeezed=True), limits)]
+    kinds = frozenset({Kind.ORDER, Kind.MOVE})
+    some = [*proposals(draft, rules, Target(2, 2, is_squeezed=True), kinds, RepairOptions())]
     assert set(some) > {(Order(2, 0),), (Order(2, 1),), (Order(1, 2, after=True),), (Move(1, 7.0, 0.0),)}
     assert (Move(0, -7.0, 0.0),) in some, "whether a box may reach so far is for the rules to say"
     drafts = [one for p in ((Order(2, 1),), (Move(1, 7.0, 0.0),)) if (one := applied(draft, p)) is not None]
@@ -610,8 +610,9 @@ def test_a_box_that_is_left_out_pushes_no_others() -> None:
     draft = Draft.of(make_plan(boxes=[((200, 200, 200), (200 * k, 0, 0), 5) for k in range(3)]))
     gap, rules = draft.without(1), Rules(make_plan(), Simulation(), 2000.0, 0)
     assert gap is not None
-    limits = Limits(frozenset({Kind.MOVE}), 150.0, 3.0, 0.5)
-    of_row, of_gap = ({*proposals(one, rules, Target(0, 0), limits)} for one in (draft, gap))
+    of_row, of_gap = (
+        {*proposals(one, rules, Target(0, 0), frozenset({Kind.MOVE}), RepairOptions())} for one in (draft, gap)
+    )
     assert (Move(0, 45.0, 0.0, (1, 2)),) in of_row
     assert (Move(0, 45.0, 0.0),) in of_gap
     assert not any(move.others for (move,) in of_gap if isinstance(move, Move))
