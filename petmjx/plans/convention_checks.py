@@ -280,7 +280,7 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
 
 
 def _find_conventions(
-    plans: Sequence[Plan], odd: Iterable[PlanWarnings], carrier_extent_mm: tuple[float, float] | None = None
+    plans: Sequence[Plan], odd: Iterable[PlanWarnings], carrier_extent_mm: tuple[float, float] | None
 ) -> list[str]:
     """A line for each convention that plans appear to follow instead of petmjx's.
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, overload
+from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.common.atomic_write import atomic_write
 from petmjx.common.checked_records import reason, shown_value
@@ -71,14 +71,12 @@ def read_orders(
             ``on_bad_order`` is None.
     """
     name = printable(str(path))
-    data = _own_bytes(path, name)
-    if data is None:
-        orders = _foreign(path, name, reading)
-        if orders is not None:
-            warn(filter(None, [orders.line]))
-            yield from _good_orders(orders, on_bad_order)
-            return
-        data = _own_bytes(path, name, is_own=True)
+    data, is_own = _read(path, name)
+    if not is_own and (orders := _foreign(path, name, reading)) is not None:
+        warn(filter(None, [orders.line]))
+        yield from _good_orders(orders, on_bad_order)
+        return
+    _check_entries(data, name)
     order_ids: set[str] = set()
     for entry in scan_plans(data):
         where = f"{name}: order {printable_name(entry.plan_id)}"
@@ -121,50 +119,48 @@ def keep_orders(source: Path, path: Path) -> None:
     Raises:
         InputError: a file cannot be read or written.
     """
-    if _own_bytes(source, printable(str(source))) is None:
+    name = printable(str(source))
+    data, is_own = _read(source, name)
+    if not is_own:
         write_orders(path, read_orders(source, lambda error: None))
         return
+    _check_entries(data, name)
     with atomic_write(path) as file:
         shutil.copyfile(source, file)
 
 
-@overload
-def _own_bytes(path: Path, name: str, is_own: Literal[True]) -> bytearray: ...
-
-
-@overload
-def _own_bytes(path: Path, name: str) -> bytearray | None: ...
-
-
-def _own_bytes(path: Path, name: str, is_own: bool = False) -> bytearray | None:
-    """The bytes of a file of orders if it has BED-BPP's form; None if it has another form.
-
-    Args:
-        is_own: whether the file is known to be JSON in BED-BPP's form.
+def _read(path: Path, name: str) -> tuple[bytearray, bool]:
+    """The text of a file of orders, and whether it has BED-BPP's form.
 
     Raises:
-        InputError: the file is damaged or has no order.
+        InputError: the file cannot be read, or is damaged.
     """
     try:
         data, fault = read_text_bytes(path)
         if fault is not None and not data:
             content, packing_fault = unpacked_bytes(path)
             if packing_fault is None and is_of_other_tools(content):
-                return None
+                return data, False
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from error
     if fault is not None:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
     like_json = data.lstrip().startswith((b"{", b"["))
-    if not is_own and data.strip() and not (like_json and looks_like_own_json(data)):
-        return None
+    return data, not data.strip() or (like_json and looks_like_own_json(data))
+
+
+def _check_entries(data: bytearray, name: str) -> None:
+    """Check that a text is a JSON object with at least one entry.
+
+    Raises:
+        InputError: the text is damaged, or has no order.
+    """
     try:
         n_orders = sum(1 for _ in scan_plans(data, "order id → order", "order"))
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
     if n_orders == 0:
         raise InputError(f"{name}: holds no order")
-    return data
 
 
 def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrders | None:

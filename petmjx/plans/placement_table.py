@@ -356,6 +356,14 @@ class _TableReader:
     given: InputConventions
     gaps: list[str] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        """Number the plans in order of appearance: ``_codes`` (n,) has the number of each row's plan, −1 if its plan id
+        is unusable; ``_plan_ids`` has the ids of the plans."""
+        names, usable = self._texts["plan_id"]
+        coded = pa.array(names, pa.large_string(), mask=~usable | (names == "")).dictionary_encode()
+        self._codes: NDArray[np.int64] = np.asarray(coded.indices.fill_null(-1)).astype(np.int64)
+        self._plan_ids: list[str] = coded.dictionary.to_pylist()
+
     def plans(self) -> Generator[PlanFields | RefusedPlan, None, None]:
         yield from self._rows_of_no_plan()
         try:
@@ -418,14 +426,11 @@ class _TableReader:
 
     @cached_property
     def _whole(self) -> dict[str, tuple[NDArray[np.int64], NDArray[np.bool_]]]:
-        columns = {}
-        for name in ("sequence", "order_sequence", "orientation"):
-            if name in self.table.columns:
-                integers, usable = self.table.columns[name].whole()
-                columns[name] = (
-                    integers,
-                    usable & ((integers == 0) | (integers == 1)) if name == "orientation" else usable,
-                )
+        names = ("sequence", "order_sequence", "orientation")
+        columns = {name: self.table.columns[name].whole() for name in names if name in self.table.columns}
+        if "orientation" in columns:
+            turns, usable = columns["orientation"]
+            columns["orientation"] = turns, usable & ((turns == 0) | (turns == 1))
         return columns
 
     @cached_property
@@ -460,24 +465,6 @@ class _TableReader:
         """Name of a column → (n,) whether each row lacks a value."""
         names = [name for name in (*NEEDED, *OPTIONAL) if name in self.table.columns]
         return {name: self.table.columns[name].missing(number=name not in NAMES) for name in names}
-
-    @cached_property
-    def _coded(self) -> tuple[NDArray[np.int64], list[str]]:
-        """(n,) the number of each row's plan, −1 if its plan id is unusable; and the ids of the plans.
-
-        Plans are numbered in order of appearance.
-        """
-        names, usable = self._texts["plan_id"]
-        coded = pa.array(names, pa.large_string(), mask=~usable | (names == "")).dictionary_encode()
-        return np.asarray(coded.indices.fill_null(-1)).astype(np.int64), coded.dictionary.to_pylist()
-
-    @property
-    def _codes(self) -> NDArray[np.int64]:
-        return self._coded[0]
-
-    @property
-    def _plan_ids(self) -> list[str]:
-        return self._coded[1]
 
     @cached_property
     def _order(self) -> NDArray[np.int64]:
