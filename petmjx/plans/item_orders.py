@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,13 +112,19 @@ class ForeignOrders:
     line: str
 
 
-@dataclass(frozen=True)
-class _Units:
-    """The units of an order's numbers, and whether a weight is that of a whole row."""
+class _Units(NamedTuple):
+    """One choice of the units of an order's numbers.
 
+    Attributes:
+        cost: how implausible the units are; a smaller cost is better.
+        length, mass: the units.
+        of_rows: whether a weight is that of a whole row.
+    """
+
+    cost: float
     length: str
     mass: str
-    of_rows: bool = False
+    of_rows: bool
 
 
 def orders_of_items(columns: ItemColumns, source: str, reading: OrderReading) -> ForeignOrders:
@@ -259,37 +265,36 @@ class _OrderBuilder:
         if weighed:
             mass_unit = wishes.masses or columns.weight_unit or self.form.masses
             masses = {mass_unit: 0.0} if mass_unit else dict(MASS_PRIOR)
+        several = columns.quantity is not None and bool((columns.quantity[is_good] > 1).any())
         of_rows = [False]
         if weighed and columns.weight_is == "row":
             of_rows = [True]
-        elif weighed and columns.weight_is == "" and self._has_quantities(is_good):
+        elif weighed and columns.weight_is == "" and several:
             of_rows = [False, True]
-        costs = sorted(
-            (self._unit_cost(length, mass, rows, is_good) + prior_cost + extra, length, mass, rows)
-            for length, prior_cost in lengths.items()
-            for mass, extra in masses.items()
+        choices = sorted(
+            _Units(self._unit_cost(length, mass, rows, is_good) + length_cost + mass_cost, length, mass, rows)
+            for length, length_cost in lengths.items()
+            for mass, mass_cost in masses.items()
             for rows in of_rows
         )
-        of_boxes, of_whole = (next((entry for entry in costs if entry[3] == rows), None) for rows in (False, True))
-        if of_boxes is not None and of_whole is not None and of_whole[0] + ROW_LEAD < of_boxes[0]:
+        of_boxes, of_whole = (
+            next((units for units in choices if units.of_rows == rows), None) for rows in (False, True)
+        )
+        if of_boxes is not None and of_whole is not None and of_whole.cost + ROW_LEAD < of_boxes.cost:
             name = columns.columns["weight"]
             raise InputError(
                 f"{TWO_WAYS} {printable_name(name)} is of one box, or of all boxes of a row; say which "
                 f"with --columns weight={name} or --columns 'total weight={name}'"
             )
-        best = of_boxes or costs[0]
-        close = [entry for entry in costs if entry[3] == best[3] and entry[0] < best[0] + TIE]
-        if (other := next((entry for entry in close if entry[1] != best[1]), None)) is not None:
+        best = of_boxes or choices[0]
+        close = (units for units in choices if units.of_rows == best.of_rows and units.cost < best.cost + TIE)
+        if (other := next((units for units in close if units.length != best.length), None)) is not None:
             ways = (
                 f"lengths in {UNIT_WORDS.get(unit, unit)} ({self._shown(unit, is_good)})"
-                for unit in (best[1], other[1])
+                for unit in (best.length, other.length)
             )
             raise InputError(f"{TWO_WAYS} {', or '.join(ways)}; say which with --units")
-        return _Units(best[1], best[2], best[3])
-
-    def _has_quantities(self, good: NDArray[np.bool_]) -> bool:
-        quantity = self.columns.quantity
-        return quantity is not None and bool((quantity[good] > 1).any())
+        return best
 
     def _unit_cost(self, length: str, mass: str, of_rows: bool, good: NDArray[np.bool_]) -> float:
         columns, factor = self.columns, LENGTH_UNITS[length]
