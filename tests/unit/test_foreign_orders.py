@@ -344,7 +344,6 @@ def test_an_option_is_the_unit_of_cells_without_units_alone(unit: str, other_mm:
     assert [item.length_mm for item in order.items] == pytest.approx([400] * 3 + [other_mm] * 2)
 
 
-
 def test_no_places_in_a_column_of_places(tmp_path: Path) -> None:
     for cells in (",,", "0,0,0"):
         (tmp_path / "a.csv").write_text(
