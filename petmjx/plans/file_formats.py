@@ -178,17 +178,12 @@ def point_fault(field: str, value: object) -> str | None:
     if not isinstance(value, str) or "." not in value or len(value) > _LONGEST_NUMBER or number_hint(value):
         return None
     plain = value.strip()
-    with_comma = plain.replace(".", ",")
-    if _POINTS.fullmatch(plain):
-        joined_digits = plain.replace(".", "")
-        if plain.count(".") > 1:
-            return f'{field} must be a number, got "{plain}": it has marks between its thousands; write {joined_digits}'
-        return (
-            f'{field} must be a number, got "{plain}": other numbers of this file have decimal commas; '
-            f"write {joined_digits} or {with_comma}, whichever it is"
-        )
-    if number_in(plain) is None:
+    fault = f'{field} must be a number, got "{plain}"'
+    with_comma, joined_digits = plain.replace(".", ","), plain.replace(".", "")
+    has_groups = _POINTS.fullmatch(plain) is not None
+    if has_groups and plain.count(".") > 1:
+        return f"{fault}: it has marks between its thousands; write {joined_digits}"
+    if not has_groups and number_in(plain) is None:
         return None
-    return (
-        f'{field} must be a number, got "{plain}": other numbers of this file have decimal commas; write {with_comma}'
-    )
+    ways = f"{joined_digits} or {with_comma}, whichever it is" if has_groups else with_comma
+    return f"{fault}: other numbers of this file have decimal commas; write {ways}"

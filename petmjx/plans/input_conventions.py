@@ -74,8 +74,7 @@ class InputConventions:
     @property
     def sizes(self) -> Limits:
         """The allowed range of sizes."""
-        factor, name = LENGTHS_MM[plan_units(self.units)[0]]
-        return Limits(SMALLEST_MM / factor, LARGEST_MM / factor, name)
+        return self._lengths(SMALLEST_MM, LARGEST_MM)
 
     @property
     def weights(self) -> Limits:
@@ -86,8 +85,11 @@ class InputConventions:
     @property
     def coordinates(self) -> Limits:
         """The allowed range of coordinates."""
+        return self._lengths(-FARTHEST_MM, FARTHEST_MM)
+
+    def _lengths(self, low_mm: float, high_mm: float) -> Limits:
         factor, name = LENGTHS_MM[plan_units(self.units)[0]]
-        return Limits(-FARTHEST_MM / factor, FARTHEST_MM / factor, name)
+        return Limits(low_mm / factor, high_mm / factor, name)
 
     def corner_mm(self, coordinates_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
         """(n, 3) front-left-bottom corners, mm, computed from the points in the input and the extents of the boxes as

@@ -38,13 +38,10 @@ def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | No
         return joined
     if best.boxes.has_places and not best.boxes.has_sizes:
         for other in sources[1:]:
-            if (
-                other.boxes.has_sizes
-                and (joined := with_items_of(best, other, other.boxes.path or "the other table")) is not None
-            ):
+            name = other.boxes.path or "the other table"
+            if other.boxes.has_sizes and (joined := with_items_of(best, other, name)) is not None:
                 return joined
-    if path is not None and best.boxes.has_places and not best.boxes.has_sizes:
-        return _with_articles_beside(best, path)
+        return best if path is None else _with_articles_beside(best, path)
     if best.form == PACKINGSOLVER and path is not None:
         return _with_items_beside(best, path)
     return best

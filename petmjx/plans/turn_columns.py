@@ -56,54 +56,41 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
         return None
     cells = _with_yes_and_no(cells)
     letters = [letters_of(cell) for cell in cells]
-    codes = np.full(len(cells), -1, np.int64)
-    if sum(turn is not None for turn in letters) * 2 > len(filled_cells):
-        array = np.zeros((len(cells), 3), np.int64)
-        for row, turn in enumerate(letters):
-            if turn is None:
+    if sum(order is not None for order in letters) * 2 > len(filled_cells):
+        codes, array = np.full(len(cells), -1, np.int64), np.zeros((len(cells), 3), np.int64)
+        for row, order in enumerate(letters):
+            if order is None:
                 on_fault(row, _shown_turn(cells[row], "three letters"))
             else:
-                array[row], codes[row] = turn, 0
+                array[row], codes[row] = order, 0
         return Turns(name, ("letters",), codes, array)
     values = _in_degrees([_turn_number(cell, decimal) for cell in cells])
-    used = {value for value in values if value is not None}
-    integers = {value for value in used if float(value).is_integer()}
-    in_degrees = sum(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
+    integers = {value for value in values if value is not None and float(value).is_integer()}
+    in_degrees = any(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
+    turns: list[int | None]
     if in_degrees or name.lower() in ("yaw", "angle", "winkel"):
         rules: tuple[str, ...] = ("degrees",)
-        allowed = [value is not None and value % 90 == 0 for value in values]
-        codes = np.array(
-            [
-                int(value // 90) % 4 if ok and value is not None else -1
-                for value, ok in zip(values, allowed, strict=True)
-            ]
-        )
         kind = "a multiple of 90 degrees"
-    elif max(integers, default=0) <= 1:
-        rules, kind = ("swap", "py3dbp"), "0 or 1"
-        allowed = [value in (0, 1) for value in values]
-    elif 0 in integers or max(integers) <= 5:
-        from_1 = () if 0 in integers else ("py3dbp from 1", "permutations from 1")
-        rules, kind = ("py3dbp", "permutations", *from_1), "0 to 5"
-        allowed = [value is not None and value in range(6) for value in values]
+        turns = [None if value is None or value % 90 else int(value // 90) % 4 for value in values]
     else:
-        rules, kind = ("py3dbp from 1", "permutations from 1"), "1 to 6"
-        allowed = [value is not None and value in range(1, 7) for value in values]
-    if rules != ("degrees",):
-        codes = np.array(
-            [int(value) if ok and value is not None else -1 for value, ok in zip(values, allowed, strict=True)],
-            np.int64,
-        )
-    if sum(allowed) * 2 <= len(filled_cells):
+        if max(integers, default=0) <= 1:
+            rules, kind, allowed = ("swap", "py3dbp"), "0 or 1", range(2)
+        elif 0 in integers or max(integers) <= 5:
+            from_1 = () if 0 in integers else ("py3dbp from 1", "permutations from 1")
+            rules, kind, allowed = ("py3dbp", "permutations", *from_1), "0 to 5", range(6)
+        else:
+            rules, kind, allowed = ("py3dbp from 1", "permutations from 1"), "1 to 6", range(1, 7)
+        turns = [int(value) if value is not None and value in allowed else None for value in values]
+    if sum(turn is not None for turn in turns) * 2 <= len(filled_cells):
         texts = [cell_text(cell) for cell in cells]
         words = tuple(sorted({*texts}))
         rules = ("swap", "swap back") if len(words) == 2 else ()
         codes = np.array([text == words[-1] for text in texts], np.int64)
         return Turns(name, rules, codes, words=words) if len(words) > 1 else None
-    for row, ok in enumerate(allowed):
-        if not ok:
+    for row, turn in enumerate(turns):
+        if turn is None:
             on_fault(row, _shown_turn(cells[row], kind))
-    return Turns(name, rules, codes)
+    return Turns(name, rules, np.array([-1 if turn is None else turn for turn in turns], np.int64))
 
 
 def are_yes_or_no(cells: Sequence[Any]) -> bool:
