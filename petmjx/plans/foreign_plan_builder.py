@@ -63,9 +63,61 @@ class PlanBuilder:
         self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
         self.faults: dict[int, str] = {}
         self.decks: set[int] = set()  # rows that describe a pallet, not a box
-        self.counters: set[str] = set()  # columns used as packing order
 
     def plans(self) -> ForeignPlans:
+        names, lost, reading, candidate = self._choice()
+        plans = rows_by_name(names)
+        self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
+        self._check_words(reading, candidate)
+        if HALF_EXTENTS in reading.columns:
+            self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and its like are half sizes")
+        self._note_quantities()
+        size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
+        self.decks = pallet_rows(self.columns, plans, size, low)
+        for row, fault in range_faults(self.columns, reading, candidate).items():
+            self.faults.setdefault(row, fault)
+        mass = masses_kg(self.columns, reading.masses, size, self.wishes, self.faults, self.notes)
+        refused: list[RefusedPlan] = []
+        sequences: dict[str, NDArray[np.int64]] = {}
+        orders: dict[str, str] = {}
+        counters: set[str] = set()  # columns used as packing order
+        for name, rows in plans.items():
+            if name in lost:
+                refusal: str | None = ": ".join(lost[name])
+            else:
+                refusal = fault_of_rows(rows.tolist(), self.faults, self._place_of)
+                refusal = refusal or repeated_number(self.columns, rows)
+            if refusal is not None:
+                refused.append(RefusedPlan(name, f"{self.source}: plan {printable_name(name)}, {refusal}"))
+                continue
+            sequences[name], orders[name], counter = packing_order(
+                self.columns, rows, low[rows], size[rows], self.notes
+            )
+            counters |= {counter} - {""}
+        order_source = self._order_note(orders)
+        if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
+            self.notes.append(f"not read: {first_names(self.columns.unread, 4)}")
+        if set(orders.values()) == {"sequence"} and len(counters) == 1:
+            reading = replace(reading, columns={**reading.columns, "sequence": counters.pop()})
+        reading = replace(
+            reading,
+            order=order_source,
+            notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
+            unused=self._unused(reading) if self.boxes.table.has_header else (),
+            odd=density_lines(self.columns, size, mass),
+            density_kg_m3=assumed_density(self.columns, self.wishes),
+        )
+        good_rows = [plans[name] for name in sequences]
+        table = self._table(good_rows, [*sequences.values()], names, size, low, mass) if sequences else None
+        return ForeignPlans(table, tuple(refused), reading)
+
+    def _choice(self) -> tuple[list[str], dict[str, tuple[str, str]], Reading, Candidate]:
+        """(n,) the name of each row's plan; the plans that lack rows (``names_with_lost_rows``); and the most plausible
+        reading, with its candidate.
+
+        Raises:
+            InputError: the file can be read in several ways, or no row is good.
+        """
         self.columns = replace(self.columns, faults={**far_cells(self.columns, self.wishes), **self.columns.faults})
         search = PalletSearch(self.columns, self.wishes)
         unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
@@ -95,52 +147,8 @@ class PlanBuilder:
             self.boxes = replace(self.boxes, parts=())
             self.columns = replace(self.columns, source=replace(self.columns.source, boxes=self.boxes))
             names = plan_names(self.columns, self.source, self.notes)
-            plans = rows_by_name(names)
-            reading, candidate = choose_reading(self.columns, plans, self.wishes)
-        self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
-        self._check_words(reading, candidate)
-        if HALF_EXTENTS in reading.columns:
-            self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and its like are half sizes")
-        self._note_quantities()
-        size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
-        self.decks = pallet_rows(self.columns, plans, size, low)
-        for row, fault in range_faults(self.columns, reading, candidate).items():
-            self.faults.setdefault(row, fault)
-        mass = masses_kg(self.columns, reading.masses, size, self.wishes, self.faults, self.notes)
-        refused: list[RefusedPlan] = []
-        good_rows: dict[str, NDArray[np.int64]] = {}
-        sequences: list[NDArray[np.int64]] = []
-        orders: list[str] = []
-        for name, rows in plans.items():
-            location = f"{self.source}: plan {printable_name(name)}"
-            if name in lost:
-                refused.append(RefusedPlan(name, f"{location}, {': '.join(lost[name])}"))
-                continue
-            refusal = fault_of_rows(rows.tolist(), self.faults, self._place_of) or repeated_number(self.columns, rows)
-            if refusal is not None:
-                refused.append(RefusedPlan(name, f"{location}, {refusal}"))
-                continue
-            sequence, order, counter = packing_order(self.columns, rows, low[rows], size[rows], self.notes)
-            good_rows[name] = rows
-            sequences.append(sequence)
-            orders.append(order)
-            if counter:
-                self.counters.add(counter)
-        order = self._order_note(orders, list(good_rows))
-        if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
-            self.notes.append(f"not read: {first_names(self.columns.unread, 4)}")
-        if set(orders) == {"sequence"} and len(self.counters) == 1:
-            reading = replace(reading, columns={**reading.columns, "sequence": next(iter(self.counters))})
-        reading = replace(
-            reading,
-            order=order,
-            notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
-            unused=self._unused(reading) if self.boxes.table.has_header else (),
-            odd=density_lines(self.columns, size, mass),
-            density_kg_m3=assumed_density(self.columns, self.wishes),
-        )
-        table = self._table(list(good_rows.values()), sequences, names, size, low, mass) if good_rows else None
-        return ForeignPlans(table, tuple(refused), reading)
+            reading, candidate = choose_reading(self.columns, rows_by_name(names), self.wishes)
+        return names, lost, reading, candidate
 
     def _float(self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]) -> bool:
         """Whether there is a plan in which no box stands on the deck."""
@@ -197,15 +205,19 @@ class PlanBuilder:
             if name not in used and name.rpartition("[")[0] not in used and name not in self.columns.unit_columns
         )
 
-    def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
+    def _order_note(self, orders: Mapping[str, str]) -> str:
         """Returns the source of the packing order ("sequence", "rows" or "height"). Adds a note if no column gives the
-        packing order."""
-        sorted_plans = [name for name, order in zip(names, orders, strict=False) if order == "height"]
+        packing order.
+
+        Args:
+            orders: name of a plan → source of its packing order.
+        """
+        sorted_plans = [name for name, order in orders.items() if order == "height"]
         if sorted_plans:
             plans_text = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"
             self.notes.append(f"rows are not in packing order{plans_text}: boxes are placed from the ground up")
             return "height"
-        if "rows" in orders or not orders:
+        if "rows" in orders.values() or not orders:
             self.notes.append("no sequence: the order of rows")
             return "rows"
         return "sequence"
