@@ -209,11 +209,11 @@ class Question:
             raise InputError(f"{other}: a repair has the option worlds instead, the number of worlds with errors")
         if "errors" in sure and not options.worlds:
             raise InputError("errors needs worlds > 0")
-        self.sim, self._run = Simulation(**of_simulation), RunOptions(**of_run)
+        self.sim, run = Simulation(**of_simulation), RunOptions(**of_run)
         self._of_simulation, self._errors, self._options = of_simulation, sure.get("errors"), options
-        self._engine, self._second = _engines(self._run)
-        self._owns = isinstance(self._run.engine, str)
-        self.threads = self._run.threads or cpu_threads()
+        self._engine, self._second = _engines(run)
+        self._owns = isinstance(run.engine, str)
+        self.threads = run.threads or cpu_threads()
         self._run = RunOptions(engine=self._engine)
         self._engines = Engines(self._engine, Progress())
         self._quick = [_quick(self.sim)] * 2  # index 0: without errors; index 1: with errors

@@ -116,7 +116,7 @@ def test_of_many_plans_some_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> No
         seen.append(plan.plan_id)
         return 0, 1
 
-    monkeypatch.setattr("petmjx.plans.loose_boxes._looked_at", look)
+    monkeypatch.setattr("petmjx.plans.loose_boxes.loose_and_ties", look)
     plans = [boxes((0, 0, 0), (0, 0, 200))] * (3 * MOST_LOOKED_AT)
     statics = statics_of(plans)
     assert statics.placed_share.tolist() == statics.ties.tolist() == [0.5] * len(plans)
