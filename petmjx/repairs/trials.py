@@ -240,9 +240,13 @@ class Question:
         """Number of turns of film around plans before they are changed."""
         return self.sim.wrap.turns
 
-    def trials(self, asked: Sequence[Asked]) -> list[Trial]:
-        """The trial of each draft."""
-        stream = TrialStream(self)
+    def trials(self, asked: Sequence[Asked], limit: TimeLimit | None = None) -> list[Trial]:
+        """The trial of each draft.
+
+        Raises:
+            OutOfTime: the time is up.
+        """
+        stream = TrialStream(self, limit)
         stream.put(None, asked)
         return next(answer.trials for answer in stream.answers() if answer is not None)
 
