@@ -164,7 +164,7 @@ class TimeLimit:
 
     seconds: float = math.inf
     compiled_s: float = 0.0
-    _began_s: float = field(default_factory=time.monotonic)
+    _began_s: float = field(default_factory=lambda: time.monotonic())
 
     def check(self, share: float = 1.0) -> None:
         """Raise ``OutOfTime`` if this share of the time is over."""
