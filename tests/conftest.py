@@ -108,6 +108,15 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.freeze()
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """What a file of tests has left stays, too. Otherwise, Python looks for garbage among all programs of JAX that are
+    kept, and a single look takes up to ten seconds."""
+    if nextitem is None or nextitem.path != item.path:
+        gc.collect()
+        gc.freeze()
+
+
 LONGEST_FIRST = (
     "test_option_types",
     "test_warp_company",
