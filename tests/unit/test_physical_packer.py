@@ -138,22 +138,23 @@ def judged(utilisation: float, standing: int, boxes: int = 2, verdict: Verdict =
     return Evaluation(finalist(utilisation, boxes), make_plan("p", stack(boxes)), verdict, 16, standing)
 
 
+THE_FULLEST_FALLS = (0.8, 16, 2, Verdict.UNSTABLE)
+
+
 @pytest.mark.parametrize(
-    ("maximise", "taken"),
-    [("utilisation", 0.6), ("share", 0.5)],
+    ("packings", "maximise", "taken"),
+    [
+        ([(0.7, 11), (0.6, 12), (0.5, 16), THE_FULLEST_FALLS], "utilisation", 0.6),
+        ([(0.7, 11), (0.6, 12), (0.5, 16), THE_FULLEST_FALLS], "share", 0.5),
+        ([(0.9, 16, 1), (0.5, 12, 2)], "utilisation", 0.5),
+        ([(0.7, 11), (0.6, 3), THE_FULLEST_FALLS], "utilisation", 0.7),
+    ],
+    ids=["the fullest that stands", "the surest", "more boxes are worth any utilisation", "none stands often enough"],
 )
-def test_what_is_maximised_decides_among_those_that_stand(maximise: Any, taken: float) -> None:
-    packings = [judged(0.7, 11), judged(0.6, 12), judged(0.5, 16), judged(0.8, 16, verdict=Verdict.UNSTABLE)]
-    assert choose(packings, OPTIONS.changed(maximise=maximise)).finalist.utilisation == taken
-
-
-def test_more_boxes_are_worth_any_utilisation() -> None:
-    assert choose([judged(0.9, 16, boxes=1), judged(0.5, 12)], OPTIONS).finalist.utilisation == 0.5
-
-
-def test_if_none_stands_often_enough_the_surest_is_taken() -> None:
-    packings = [judged(0.7, 11), judged(0.6, 3), judged(0.8, 16, verdict=Verdict.UNSTABLE)]
-    assert choose(packings, OPTIONS).finalist.utilisation == 0.7
+def test_one_packing_is_chosen(packings: list[tuple[Any, ...]], maximise: Any, taken: float) -> None:
+    """A packing has a utilisation, how many of 16 worlds stand, and perhaps a number of boxes and a verdict."""
+    evaluations = [judged(*packing) for packing in packings]
+    assert choose(evaluations, OPTIONS.changed(maximise=maximise)).finalist.utilisation == taken
 
 
 def tried(

@@ -99,15 +99,11 @@ def test_a_large_interrupted_run_is_resumed(old_runs: Path) -> None:
     assert_ranked(resumed, range(20))
 
 
-def test_shards_are_merged(old_runs: Path) -> None:
-    merged = petmjx.merge_runs([old_runs / "two", old_runs / "one"], old_runs / "merged")
-    assert_same_tables(merged, petmjx.load_run(old_runs / "whole"))
-    assert_ranked(merged, range(5))
-
-
-def test_a_shard_is_merged_with_one_of_today(old_runs: Path) -> None:
-    new = scored(out=old_runs / "new", shard="2/2").path
-    merged = petmjx.merge_runs([old_runs / "one", new], old_runs / "merged")
+@pytest.mark.parametrize("of_today", [False, True])
+def test_shards_are_merged(of_today: bool, old_runs: Path) -> None:
+    """Two old shards are merged, in any order, and so are an old shard and one of today."""
+    second = scored(out=old_runs / "new", shard="2/2").path if of_today else old_runs / "two"
+    merged = petmjx.merge_runs([second, old_runs / "one"], old_runs / "merged")
     assert_same_tables(merged, petmjx.load_run(old_runs / "whole"))
     assert_ranked(merged, range(5))
 
