@@ -45,7 +45,7 @@ CULPRITS = {"00100408": 24, "00100001": 8, "00100002": 3, "00100003": 16, "00100
 @pytest.mark.parametrize(
     ("schedule", "interval_s"),
     # the adaptive schedule uses the interval only where a box does not come to rest
-    [(Schedule.ADAPTIVE, 0.7), (Schedule.FIXED, 0.7), (Schedule.FIXED, 0.2)],
+    [(Schedule.ADAPTIVE, 0.7), (Schedule.FIXED, 0.2)],
 )
 @pytest.mark.parametrize("physics", ["pallet", "reference"])
 @pytest.mark.parametrize("plan_id", ["packing_plan_a", *CULPRITS])
