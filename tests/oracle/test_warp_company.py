@@ -177,7 +177,7 @@ def test_a_job_without_room_in_the_table_has_another_one(
     monkeypatch.setattr(table_jobs, "_roomy", lambda needs: needs)
     needs_another = TableJobs.needs_another
     monkeypatch.setattr(TableJobs, "needs_another", lambda self, table, _: needs_another(self, table, blocks))
-    wide, scenes = make_scene(9), tiny_scenes()
+    wide, scenes = make_scene(9), tiny_scenes(TINY[:3])
     alone = simulate(shared_engine(), {"nine": wide}, SHORT)
     jobs = [Job(scene) for scene in scenes.values()]
     run = some.run(LateStream(jobs, [Job(wide), *jobs, jobs[0]]), SHORT)
@@ -387,14 +387,14 @@ def test_worlds_that_come_later_may_be_larger_than_all_before(schedule: str, mon
     """A later world may have the same size, with more boxes than all worlds before. It does not join a table that has
     room, since the run's times are made for its largest plan. A later world may also have a size for which the run has
     no blocks."""
-    sizes_apart(monkeypatch, 8)
-    scenes = {n: make_scene(n) for n in (5, 7, 9)}
+    sizes_apart(monkeypatch, 4)
+    scenes = {n: make_scene(n) for n in (3, 4, 6)}
     sim = SHORT.changed(schedule=schedule)
     alone = simulate(engine(), {str(n): scene for n, scene in scenes.items()}, sim)
-    stream, numbers = feedback_stream([Job(scenes[5])]), []
+    stream, numbers = feedback_stream([Job(scenes[3])]), []
     for outcome in engine().run(stream, sim):
         numbers.append(outcome.job)
-        assert_equal_worlds({str((5, 7, 9)[outcome.job]): outcome}, alone)
+        assert_equal_worlds({str((3, 4, 6)[outcome.job]): outcome}, alone)
         if outcome.job == 0:
-            put(stream, Job(scenes[7]), Job(scenes[9]))
+            put(stream, Job(scenes[4]), Job(scenes[6]))
     assert sorted(numbers) == [0, 1, 2]
