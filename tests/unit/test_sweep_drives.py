@@ -60,17 +60,15 @@ def test_early_stop_changes_no_answer_of_eumos_s_test(tmp_path: Path) -> None:
     more than EUMOS's test allows."""
     plans = [leaning("low"), leaning("tall", 6, 20.0)]
     grid = EUMOS_GRID.replace("from = 0.05, to = 0.8, step = 0.05", "from = 0.2, to = 0.8, step = 0.2")
-    file = write_sweep(tmp_path, QUICK.replace("early_stop = false", "") + grid)
     engine = Recorder(2)
-    run = SweepRun(SweepPlan(load_sweep(file, plans_given=True), plans), engine)
-    list(run.worlds())
-    allowed_m = {job.scene.n_boxes: job.drive.allowed_sway_m for job in engine.batches[1][0] if job.drive}
+    ended, full_run = (
+        petmjx.sweep(write_sweep(tmp_path, text + grid), plans, engine=engine)
+        for text in (QUICK.replace("early_stop = false", ""), QUICK)
+    )
+    jobs = [job for batch, sim in engine.batches if sim.early_stop for job in batch]
+    allowed_m = {job.scene.n_boxes: job.drive.allowed_sway_m for job in jobs if job.drive}
     height_m = {plan.n_boxes: (plan.corner_mm + plan.size_mm)[:, 2].max() / 1000 for plan in plans}
     assert allowed_m == {n: pytest.approx(0.1 * height, rel=1e-3) for n, height in height_m.items()}
-
-    ended, full_run = (
-        petmjx.sweep(write_sweep(tmp_path, text), plans, engine="mujoco") for text in (file.read_text(), QUICK + grid)
-    )
     for column in ("verdict", "culprit", "first_sign_s", "eumos_passed"):
         pd.testing.assert_series_equal(ended.worlds[column], full_run.worlds[column])
     fell = (ended.worlds["flags"] & int(Flag.EARLY_STOP)) > 0

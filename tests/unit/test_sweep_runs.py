@@ -103,12 +103,12 @@ COARSE_SEARCH = SEARCH + "tolerance = 0.05\n"
 @pytest.mark.parametrize("text", [MIXED, COARSE_SEARCH], ids=["grid", "search"])
 def test_threads_order_and_batches_change_nothing(text: str, tmp_path: Path) -> None:
     file = write_sweep(tmp_path, text)
-    plans = [leaning("a"), leaning("b", 3, 90.0), leaning("falls", 2, -380.0)]
+    plans = [leaning("stands", 3, 90.0), leaning("falls", 2, -380.0)]
     one = petmjx.sweep(file, plans, engine="mujoco", threads=1)
     other = petmjx.sweep(
         file, plans[::-1], engine="mujoco", threads=3, batching=Batching(placements=2, worlds=5, drives=3)
     )
-    assert len(one.worlds) > 30
+    assert len(one.worlds) > 20
     for mine, theirs in zip(sorted_tables(one), sorted_tables(other), strict=True):
         pd.testing.assert_frame_equal(mine, theirs, check_exact=True)
 

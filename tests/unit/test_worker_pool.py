@@ -90,10 +90,10 @@ class Killer:
 
 def run(kind: str, folder: Path, **options: Any) -> petmjx.RunResults:
     if kind == "score":
-        return petmjx.score(PLANS[:40], out=folder / "out", **options)
+        return petmjx.score(PLANS[:20], out=folder / "out", **options)
     file = folder / f"{kind}.toml"
     file.write_text({"grid": GRID, "search": SEARCH}[kind])
-    return petmjx.sweep(file, PLANS[3:7], out=folder / "out", **options)
+    return petmjx.sweep(file, PLANS[4:7], out=folder / "out", **options)
 
 
 @pytest.mark.parametrize("kind", ["score", "grid", "search"])
@@ -120,7 +120,7 @@ def test_workers_that_are_killed_change_no_table(
     kind: str, pool: WorkerPool, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     alone = run(kind, tmp_path_factory.mktemp("alone"), engine=MujocoEngine(1))
-    killer = Killer(pool, every=15)
+    killer = Killer(pool, every=8)
     shared = run(kind, tmp_path_factory.mktemp("shared"), engine=pool, watcher=killer)
     assert killer.killed >= 1
     assert_same(shared, tables(alone))
