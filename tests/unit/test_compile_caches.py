@@ -15,7 +15,7 @@ from petmjx.common.compile_caches import VARIABLES, cache_folder, temporary_fold
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import why_no_warp_on_cpu
 from petmjx.engines.engine_choice import choose
-from petmjx.show.doctor_report import _caches
+from petmjx.show.doctor_report import _cache
 
 
 @pytest.fixture(autouse=True)
@@ -92,7 +92,7 @@ def test_else_a_temporary_one_takes_its_place_and_doctor_says_why(
     assert folder.stat().st_mode & 0o777 == 0o700
     assert reason in why_not_written("warp")
     assert why_no_folder("warp") is None
-    (line,) = (line for name, line in _caches().items() if name == "Warp kernels")
+    line = _cache("warp")
     assert line.startswith(f"{folder / 'warp'} (since ")
     assert reason in line
 
@@ -130,4 +130,4 @@ def test_without_any_folder_auto_takes_mujoco_and_says_why(tmp_path: Path, monke
     engine, reason = choose({"mujoco": 9.0, "mjx-warp-cpu": 1.0, "mjx-warp": 99.0}, 1, why_no_gpu=lambda: "no GPU")
     assert engine == "mujoco"
     assert reason == f"mjx-warp-cpu would be faster but cannot run: {why}"
-    assert _caches()["Warp kernels"] == why
+    assert _cache("warp") == why
