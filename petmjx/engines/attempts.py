@@ -36,7 +36,7 @@ from petmjx.engines.attempt_threads import ThreadSimulator
 from petmjx.engines.contact_penetration import stiffened_physics
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.protocol import Capability, Engine, Progress
-from petmjx.engines.subprocess.attempt_host import SideSimulator, SubprocessSimulator
+from petmjx.engines.subprocess.attempt_process import SideSimulator, SubprocessSimulator
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Attempts, Simulation, Solver

@@ -19,8 +19,7 @@ from petmjx.engines import attempt_runner, attempt_stream, attempts
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.protocol import Engine, Progress
-from petmjx.engines.subprocess.check_pool import CheckPool
-from petmjx.engines.subprocess.check_process import Look
+from petmjx.engines.subprocess.check_pool import CheckPool, Look
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.engines.world_results import WorldResult
 from petmjx.options.simulation import Simulation, Solver

@@ -14,9 +14,10 @@ from typing import Final, Generic, TypeVar
 import numpy as np
 
 from petmjx.common.machine import cpu_threads
+from petmjx.common.text import one_line
+from petmjx.common.units import FloatArray
 from petmjx.engines.outcome_checks import outcome_checks
-from petmjx.engines.subprocess.check_process import Look
-from petmjx.engines.subprocess.task_pipe import Child
+from petmjx.engines.subprocess.task_pipe import Child, serve
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
@@ -48,6 +49,16 @@ _ANY_DRIVE: Final = Drive(Excitation("any", ACCELERATION, np.zeros((0, 3))))
 """Stands for the drive (motion of the carrier) of a job that is sent to a check process. Checks need to know only
 whether the job has a drive."""
 
+NICE: Final = 5
+"""Niceness of a check process: its threads have a lower priority than the threads of the run."""
+
+Look = tuple[Sequence[Outcome], Sequence[Job], Simulation]
+"""The arguments of ``outcome_checks``."""
+
+Answer = tuple[Sequence[Outcome], Sequence[tuple[FloatArray, FloatArray]]]
+"""Outcomes without their boxes, and two arrays for the boxes of each outcome: distances of loads from edges in the
+plan, and at rest, m."""
+
 Key = TypeVar("Key")
 
 
@@ -60,7 +71,7 @@ def max_check_processes(threads: int) -> int:
 class _CheckProcess(Generic[Key]):
     """A check process and its unfinished checks, with a key for each outcome. The process answers in order."""
 
-    child: Child = field(default_factory=lambda: Child("petmjx.engines.subprocess.check_process"))
+    child: Child = field(default_factory=lambda: Child(__name__))
     unanswered: deque[tuple[list[Key], Look]] = field(default_factory=deque)
 
 
@@ -182,3 +193,20 @@ class CheckPool(Generic[Key]):
         """End the processes. Unfinished checks are dropped."""
         while self._check_pool:
             self._check_pool.pop().child.end()
+
+
+def main() -> None:
+    """The work of a check process, which needs neither JAX nor Warp."""
+    serve(NICE, _checked)
+
+
+def _checked(look: Look) -> Answer | str:
+    """The answer of a check process. If the check raises an error, the answer is a line of text."""
+    try:
+        outcomes = outcome_checks(*look)
+        edges = [(outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m) for outcome in outcomes]
+    except Exception as error:
+        return one_line(error)
+    for outcome in outcomes:
+        del outcome.boxes  # the run still has these data, and unpickling them takes long
+    return outcomes, edges

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import pickle
 import time
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from petmjx.common.text import one_line
 from petmjx.engines.kernel_notes import CPU_KERNEL, note_kernels
-from petmjx.engines.subprocess.task_pipe import next_of, own_pipes
+from petmjx.engines.subprocess.task_pipe import serve
 
 NICE: Final = 0
 """Niceness of the process. A run waits for its kernels, so they are as urgent as the run itself."""
@@ -87,17 +85,14 @@ def compile_kernel(build: KernelBuild) -> None:
 
 
 def main() -> None:
-    """Compile kernels one after another."""
-    builds, answers = own_pipes(NICE)
-    while (build := next_of(builds)) is not None:
-        begin, fault = time.perf_counter(), ""
-        try:
-            compile_kernel(build)
-        except Exception as error:
-            fault = one_line(error)
-        try:
-            pickle.dump(BuildAnswer(build, time.perf_counter() - begin, fault), answers)
-            answers.flush()
-        except BrokenPipeError:
-            break
-    os._exit(0)
+    """The work of the process: compile kernels one after another."""
+    serve(NICE, _built)
+
+
+def _built(build: KernelBuild) -> BuildAnswer:
+    begin, fault = time.perf_counter(), ""
+    try:
+        compile_kernel(build)
+    except Exception as error:
+        fault = one_line(error)
+    return BuildAnswer(build, time.perf_counter() - begin, fault)
