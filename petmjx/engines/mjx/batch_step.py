@@ -89,10 +89,6 @@ class PaddedModel:
         self._boxes = geom_bodies(template, range(capacity))[self._links.geoms]
         """(contact, 2) the box to which each geom of a contact belongs; negative: no box"""
 
-    def _model_of(self, fields: dict[str, jax.Array]) -> Any:
-        """The model of one world."""
-        return self.model.tree_replace(fields)
-
     def no_forces(self, worlds: int) -> Float[Array, "world constraint"]:
         """Constraint forces before the first step: all zero."""
         return jnp.zeros((worlds, *self._data._impl.efc_force.shape))
@@ -132,7 +128,7 @@ class PaddedModel:
     ) -> tuple[Any, Float[Array, " geom"], Bodies, Problem, Float[Array, "contact 3"], Landing | None]:
         """What the solver needs to know about one world: contacts, heights of geoms, bodies, the problem, and the
         reference accelerations of contacts."""
-        model, links = self._model_of(fields), self._links
+        model, links = self.model.tree_replace(fields), self._links
         bodies = Bodies.of(model, inputs)
         data = mjx.collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))
         if faces is not None:
@@ -154,7 +150,7 @@ class PaddedModel:
         """A step with the solver of MJX."""
 
         def stepped(fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array) -> tuple[Any, Any]:
-            model, data = self._model_of(fields), self._data.replace(**inputs)
+            model, data = self.model.tree_replace(fields), self._data.replace(**inputs)
             data = mjx.solve(model, mjx.fwd_acceleration(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data))))
             lost = ~jnp.isfinite(data.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, data.qacc)

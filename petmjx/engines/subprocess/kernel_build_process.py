@@ -36,7 +36,7 @@ class KernelBuild(NamedTuple):
     Attributes:
         gpu: the GPU; None: the CPU of this machine.
         size: name of a block size: ``usual``, ``large``, ``few`` or ``last``. On a CPU, one kernel serves all.
-        hands, lands: features of a kernel for GPUs, as in ``petmjx.engines.warp.block_launch.Launch``.
+        hands, lands: features of a kernel for GPUs, as in ``petmjx.engines.warp.block_launch.Features``.
     """
 
     gpu: GpuLimits | None
@@ -69,17 +69,18 @@ def compile_kernel(build: KernelBuild) -> None:
     from petmjx.common.warp_setup import set_up_warp
 
     set_up_warp()
-    from petmjx.engines.warp.block_launch import FEW_BOXES, LAST, SIZES, Launch, kernel
+    from petmjx.engines.warp.block_launch import FEW_BOXES, LAST, SIZES, Features, Launch, kernel
     from petmjx.engines.warp.kernels.pause import pause
 
     usual, large = SIZES
     size = {"usual": usual, "large": large, "few": FEW_BOXES, "last": LAST}[build.size]
+    features = Features(hands=build.hands, lands=build.lands)
     if build.gpu is None:
-        launch = Launch.of(size, build.hands, lands=build.lands, device=wp.get_device("cpu"))
+        launch = Launch.of(size, features, wp.get_device("cpu"))
         wp.compile_aot_module(kernel(launch).module, device="cpu")
         note_kernels(CPU_KERNEL)
         return
-    launch = Launch.of(size, build.hands, lands=build.lands, device=build.gpu)
+    launch = Launch.of(size, features, build.gpu)
     for module in (kernel(launch).module, pause.module):
         wp.compile_aot_module(module, arch=build.gpu.arch)
 

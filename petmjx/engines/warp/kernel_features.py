@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 from petmjx.common.errors import InputError
 from petmjx.engines.mjx.host_to_device import round_up
-from petmjx.engines.warp.block_launch import size_for
+from petmjx.engines.warp.block_launch import Features, size_for
 from petmjx.engines.warp.world_arrays import MAX_BOXES
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
+from petmjx.world.scene import Scene
 
 
 def wants_hands(job: Job) -> bool:
@@ -25,6 +27,16 @@ def has_compliance(job: Job) -> bool:
 def is_wrapped(job: Job) -> bool:
     """Whether a job has a drive (motion of the carrier) in which stretch film holds the boxes."""
     return job.drive is not None and job.scene.wrap.holds
+
+
+def features_of(scenes: Sequence[Scene], sim: Simulation) -> Features:
+    """The features that worlds with these scenes need, in their placements and in drives (motions of the carrier)."""
+    return Features(
+        hands=any(not scene.placing.appears for scene in scenes),
+        gives=any(scene.stiffness is not None for scene in scenes),
+        wraps=any(scene.wrap.holds for scene in scenes),
+        lands=sim.physics.has_landings,
+    )
 
 
 def size_of(job: Job) -> int:

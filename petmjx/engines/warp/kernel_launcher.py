@@ -77,6 +77,12 @@ class BlockPool:
     least: int = 0
     last: bool = False
 
+    @classmethod
+    def of(cls, launch: Launch, blocks: int, n_boxes: int, boards: int, room: int) -> BlockPool:
+        """A pool whose buffers have room for the contacts and pairs of ``room`` boxes in each world."""
+        shapes = room + boards - 1
+        return cls(launch, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+
     @property
     def is_extra(self) -> bool:
         """Whether another pool also has room for the worlds of this pool."""

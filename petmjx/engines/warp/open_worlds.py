@@ -25,8 +25,10 @@ from petmjx.engines.open_worlds import OpenWorlds, Reading, Readings
 from petmjx.engines.step_clock import Clock
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.engines.warp import world_arrays
+from petmjx.engines.warp.block_launch import Features
+from petmjx.engines.warp.kernel_features import features_of
 from petmjx.engines.warp.next_boxes import NewBox, ReadingInputs, new_box, reading_inputs, readings_of
-from petmjx.engines.warp.open_simulator import OpenState, Simulator, Traits
+from petmjx.engines.warp.open_simulator import OpenState, Simulator
 from petmjx.engines.warp.world_table import MAX_GROWTH, OVERFLOW_BITS
 from petmjx.options.simulation import Simulation
 from petmjx.world.growing_scenes import NextBoxes, Stacks
@@ -69,7 +71,7 @@ class WarpWorlds(OpenWorlds):
         self.width = round_up(most_boxes)
         self.boards = max(len(scene.carrier.half_size) for scene in scenes)
         self._timetable = build_timetable(sim, self.width)
-        self._room, self._traits = 1, Traits.of(self._blank.scene)
+        self._room, self._features = 1, features_of([self._blank.scene], sim)
         self._most_rows = 1
         self._make_simulator()
         worlds = self._constants(scenes, padded_rows(len(scenes)))
@@ -229,15 +231,15 @@ class WarpWorlds(OpenWorlds):
     def roomier(self, times: int) -> Simulator:
         """The pure functions with buffers that are ``times`` as large as the default. Jitted programs cannot enlarge
         buffers, so they need large buffers from the beginning."""
-        return Simulator(self._sim, self._timetable, self.width, self.boards, times, self._threads, self._traits)
+        sizes = self.width, self.boards, times, self._threads
+        return Simulator(self._sim, self._timetable, *sizes, features=self._features)
 
     def _know(self, scenes: Sequence[Scene]) -> None:
         """Compile the kernels again if these scenes have features that the kernels lack."""
-        traits = self._traits
-        for scene in scenes:
-            traits |= Traits.of(scene)
-        if traits != self._traits:
-            self._traits = traits
+        needed = features_of(scenes, self._sim)
+        features = Features(*(has or needs for has, needs in zip(self._features, needed, strict=True)))
+        if features != self._features:
+            self._features = features
             self._make_simulator()
 
     def _constants(self, scenes: Sequence[Scene], rows: int) -> Worlds:
@@ -276,12 +278,7 @@ _jitted_fork = jax.jit(fork)
 @jax.jit
 def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> OpenState:
     """Copies of these worlds. Only the first ``count`` copies can continue."""
-    state = take_rows(open_.state, rows)
-    padding = jnp.arange(len(rows)) >= count
-    return OpenState(
-        take_rows(open_.worlds, rows),
-        state._replace(status=jnp.where(padding, Status.FINISHED, state.status)),
-    )
+    return OpenState(take_rows(open_.worlds, rows), _without_padding(take_rows(open_.state, rows), count))
 
 
 def _coarsely_padded(count: int) -> int:
@@ -289,7 +286,7 @@ def _coarsely_padded(count: int) -> int:
     return int(4 ** ((count - 1).bit_length() + 1 >> 1)) if count > 1 else 1
 
 
-def _without_padding(state: State, count: int) -> State:
+def _without_padding(state: State, count: int | Int[Array, ""]) -> State:
     """The states, changed so that only the first ``count`` worlds can continue."""
     padding = jnp.arange(len(state.status)) >= count
     return state._replace(status=jnp.where(padding, Status.FINISHED, state.status))

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Int
 
 from petmjx.engines.warp.block_launch import LAST, Launch
 from petmjx.engines.warp.kernel_launcher import BlockPool
-from petmjx.engines.warp.small_world_blocks import compacted_queue
+from petmjx.engines.warp.small_world_blocks import with_first_queue
 
 MOST_EXPECTED: Final = 16
 """Largest number of worlds that get blocks for last worlds while other worlds still wait: the worlds that are expected
@@ -43,7 +43,7 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
     one = pool.launch
     if one.per_sm == 1:
         return None
-    launch = Launch.of(LAST, *one.traits)
+    launch = Launch.of(LAST, one.features)
     return replace(pool, launch=launch, blocks=min(lanes or launch.blocks, launch.blocks), last=True)
 
 
@@ -67,7 +67,7 @@ def tail_queues(
     queue = order[-1]
     mine = (queue >= 0) & chosen[queue]
     mine &= mine.sum() <= last.lanes
-    return jnp.concatenate([compacted_queue(queue, mine)[None], order[:-1], compacted_queue(queue, ~mine)[None]])
+    return with_first_queue(order, mine)
 
 
 def expected_tail(
