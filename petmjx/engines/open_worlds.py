@@ -165,12 +165,13 @@ def _check_grown(before: Scene, after: Scene) -> None:
         raise ValueError(f"the first {n} boxes of the scene must be the boxes that the world already has")
     if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
         raise ValueError("the scene must have the same carrier as the world")
-    if not np.array_equal(filled_up(before.pair_friction), filled_up(after.pair_friction)):
-        raise ValueError("the scene must have the same friction for pairs of surfaces as the world")
-    if not np.array_equal(filled_up_shares(before.pair_kinetic), filled_up_shares(after.pair_kinetic)):
-        raise ValueError("the scene must have the same kinetic friction for pairs of surfaces as the world")
-    if not np.array_equal(filled_up_landings(before.pair_landing), filled_up_landings(after.pair_landing)):
-        raise ValueError("the scene must have the same landing values for pairs of surfaces as the world")
+    for name, filled, noun in (
+        ("pair_friction", filled_up, "friction"),
+        ("pair_kinetic", filled_up_shares, "kinetic friction"),
+        ("pair_landing", filled_up_landings, "landing values"),
+    ):
+        if not np.array_equal(filled(getattr(before, name)), filled(getattr(after, name))):
+            raise ValueError(f"the scene must have the same {noun} for pairs of surfaces as the world")
 
 
 class OpenWorlds(ABC):

@@ -12,7 +12,7 @@ from support.fake_stepper import fake_scene
 
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.units import FloatArray
-from petmjx.engines.cost_model import CREEPING, MEASURED, ON_DEVICE
+from petmjx.engines.cost_model import CREEPING, DISPLACED_COST, MEASURED
 from petmjx.engines.remote.chunk_dealer import MOST_JOBS, Chunk, Deal
 from petmjx.engines.remote.worker_resources import Node, Place, places, threads_beside
 from petmjx.options.simulation import Simulation
@@ -192,7 +192,7 @@ def test_on_a_device_as_on_a_cpu_placements_take_longer_with_more_boxes_with_err
     one, two, with_errors, placed_and_driven, driven = MEASURED.of_jobs_on_device(jobs, sim).tolist()
     assert one < two < placed_and_driven
     assert placed_and_driven == pytest.approx(two + driven)
-    assert with_errors == pytest.approx(ON_DEVICE.displaced * two)
+    assert with_errors == pytest.approx(DISPLACED_COST * two)
 
 
 NODES = (Node(8, 2), Node(4, 0), Node(0, 0))

@@ -113,7 +113,7 @@ class OpenWorld(WorldRun):
         self.go_on()
         self._stream_number, self._pauses = index, False
         self._job = replace(self._job, drive=drive)
-        self._waits.settles = self._settles
+        self._waits.settles = self._job.settles
         if self.paused and self._lingers():
             self.paused = False
             self._waits.begin(self._waits.since, self._scene.n_boxes, all_placed=True, restless=False)
