@@ -97,7 +97,9 @@ class WorkerStartup:
         """The engine of the run, if it is known before the plans are known; otherwise None."""
         if self._options.engine != AUTO:
             return str(self._options.engine)
-        return "mjx-warp" if self._worth_gpus and _why_no_gpu(self._options, nodes) is None else None
+        workers = self._options.asked_workers
+        assert workers is not None
+        return "mjx-warp" if self._worth_gpus and why_no_gpus(nodes, workers) is None else None
 
 
 def resolve_workers(
@@ -147,22 +149,16 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
     used = gpus if workers == AUTO else min(gpus, int(workers))  # a GPU that several workers share is counted once
     seconds = costs.seconds(work, max(threads, 1), max(used, 1))
 
-    def why_no_gpu() -> str | None:
-        return _why_no_gpu(options, nodes)
-
-    def why_no_kernel() -> str | None:
-        return "not chosen for workers"  # with ``mjx-warp-cpu``, each worker would have to compile the kernels
-
     name, reason = engine, "as asked for"
     if engine == AUTO:
-        name, reason = choose(seconds, threads, used, why_no_gpu, why_no_kernel)
+        name, reason = choose(
+            seconds,
+            threads,
+            used,
+            why_no_gpu=lambda: why_no_gpus(nodes, workers),
+            why_no_kernel=lambda: "not chosen for workers",  # each worker would have to compile the kernels
+        )
     return name, reason, seconds.get(name)
-
-
-def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
-    """The reason why ``auto`` cannot give each worker a GPU or a share of a GPU; None if it can."""
-    assert options.asked_workers is not None
-    return why_no_gpus(nodes, options.asked_workers)
 
 
 def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
