@@ -14,18 +14,12 @@ from petmjx.engines.mjx.body_dynamics import Bodies, Links
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.mjx_import import mjx
 from petmjx.engines.mjx.newton import BlockSolver, Problem
-from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
+from petmjx.engines.mjx.padded_template import padded_template
 from petmjx.engines.mjx.slip import SlipLaw
 from petmjx.engines.mjx.top_forces import contact_force_z, pressed_box
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
-
-LINE_SEARCH_ITERATIONS = 30
-"""Largest number of line search iterations. Under ``vmap``, MJX's own solver (used with pyramidal cones) always takes
-the largest number of iterations. With 10 iterations, the force on a box differed from that in C MuJoCo by more than 50
-N in 2.2 % of the steps of small piles: the solver had given up while boxes landed. With 30 iterations, this happened in
-0.2 % of the steps."""
 
 
 class StepResult(NamedTuple):
@@ -63,16 +57,7 @@ class PaddedModel:
     """
 
     def __init__(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> None:
-        template = padded_template(
-            capacity,
-            boards,
-            sim.physics,
-            held=held,
-            solver=sim.solver,
-            tolerance=max(sim.solver_tolerance or 0.0, FLOAT32_TOLERANCE),
-            iterations=sim.solver_iterations or MAX_ITERATIONS,
-            line_search_iterations=LINE_SEARCH_ITERATIONS,
-        )
+        template = padded_template(capacity, boards, sim, held=held)
         # Nothing is damped. If damping were enabled, MJX would compute the accelerations of each step twice.
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         self.capacity, self.held = capacity, held

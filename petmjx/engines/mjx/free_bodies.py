@@ -77,6 +77,4 @@ class _Program:
         self.chunk = jax.jit(BatchRollout(rules, self.model).chunk, compiler_options=compiler_options())
 
 
-@functools.lru_cache(4)
-def _program(sim: Simulation, k: int, boards: int) -> _Program:
-    return _Program(sim, k, boards)
+_program = functools.lru_cache(4)(_Program)

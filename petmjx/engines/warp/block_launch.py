@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -52,17 +52,18 @@ class Call:
 
     Attributes:
         threads: number of threads of a block.
-        arguments: function that takes the number of the first block, and returns the kernel's arguments.
+        before, after: the arguments of the kernel before and after the number of the first block.
     """
 
     kernel: Any
     blocks: int
     threads: int
-    arguments: Callable[[int], Sequence[Any]]
+    before: Sequence[Any]
+    after: Sequence[Any]
 
     def launch(self, first: int, blocks: int, **options: Any) -> None:
         """Launch ``blocks`` blocks, beginning with the block number ``first``."""
-        dim, inputs = (blocks, self.threads), list(self.arguments(first))
+        dim, inputs = (blocks, self.threads), [*self.before, first, *self.after]
         wp.launch(self.kernel, dim=dim, inputs=inputs, block_dim=self.threads, **options)
 
 
@@ -256,6 +257,11 @@ class Features(NamedTuple):
     gives: bool = False
     wraps: bool = False
     lands: bool = False
+
+    @classmethod
+    def joined(cls, sets: Iterable[Features]) -> Features:
+        """The features that are in any of these sets."""
+        return cls(*map(any, zip(cls(), *sets, strict=True)))
 
 
 NO_FEATURES: Final = Features()

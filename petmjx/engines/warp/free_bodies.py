@@ -114,9 +114,7 @@ class _Program:
         return of_flat(after), workspace, frames
 
 
-@functools.lru_cache(8)
-def _program(sim: Simulation, pool: BlockPool, slice_ns: int) -> _Program:
-    return _Program(sim, pool, slice_ns)
+_program = functools.lru_cache(8)(_Program)
 
 
 def _block_pool(

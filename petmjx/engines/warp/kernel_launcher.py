@@ -16,7 +16,6 @@ import itertools
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -181,14 +180,8 @@ class KernelLauncher:
             row += world_arrays.buffer_rows(pool.sizes)
             before = model, worlds, self.lanes, self.slice_ns
             after = *pool.launch.feature_arguments, state, work, frames, counts
-            arguments = partial(_with_block, before, after)
-            calls.append(Call(kernel(pool.launch), pool.blocks, pool.launch.threads, arguments))
+            calls.append(Call(kernel(pool.launch), pool.blocks, pool.launch.threads, before, after))
         launch_all(calls, arrays["clock"], self.slice_ns)
-
-
-def _with_block(before: tuple[Any, ...], after: tuple[Any, ...], first_block: int) -> tuple[Any, ...]:
-    """The arguments of a kernel, including the number of its first block."""
-    return *before, first_block, *after
 
 
 def _of_frames(name: str) -> str:

@@ -26,7 +26,7 @@ from petmjx.engines.step_clock import Clock
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Features
-from petmjx.engines.warp.kernel_features import features_of
+from petmjx.engines.warp.kernel_features import needs_of
 from petmjx.engines.warp.next_boxes import NewBox, ReadingInputs, new_box, reading_inputs, readings_of
 from petmjx.engines.warp.open_simulator import OpenState, Simulator
 from petmjx.engines.warp.world_table import MAX_GROWTH, OVERFLOW_BITS
@@ -71,7 +71,8 @@ class WarpWorlds(OpenWorlds):
         self.width = round_up(most_boxes)
         self.boards = max(len(scene.carrier.half_size) for scene in scenes)
         self._timetable = build_timetable(sim, self.width)
-        self._room, self._features = 1, features_of([self._blank.scene], sim)
+        self._room = 1
+        self._features = needs_of(self._blank.scene, driven=True)._replace(lands=sim.physics.has_landings)
         self._most_rows = 1
         self._make_simulator()
         worlds = self._constants(scenes, padded_rows(len(scenes)))
@@ -236,8 +237,7 @@ class WarpWorlds(OpenWorlds):
 
     def _know(self, scenes: Sequence[Scene]) -> None:
         """Compile the kernels again if these scenes have features that the kernels lack."""
-        needed = features_of(scenes, self._sim)
-        features = Features(*(has or needs for has, needs in zip(self._features, needed, strict=True)))
+        features = Features.joined([self._features, *(needs_of(scene, driven=True) for scene in scenes)])
         if features != self._features:
             self._features = features
             self._make_simulator()
