@@ -5,15 +5,13 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.host_to_device import let_go
-from petmjx.engines.mjx.jax_setup import compiler_options
-from petmjx.engines.mjx.rollout import BatchRollout
+from petmjx.engines.mjx.rollout import BatchRollout, Program
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import Worlds, padded_rows
@@ -68,13 +66,8 @@ class _NoRules(Rules):
         return state
 
 
-class _Program:
-    """``BatchRollout.chunk``, jitted, with the model that it steps."""
-
-    def __init__(self, sim: Simulation, k: int, boards: int) -> None:
-        self.model = PaddedModel(k, boards, sim, held=True)
-        rules = _NoRules(sim, build_timetable(sim, k), k, driven=False)
-        self.chunk = jax.jit(BatchRollout(rules, self.model).chunk, compiler_options=compiler_options())
-
-
-_program = functools.lru_cache(4)(_Program)
+@functools.lru_cache(4)
+def _program(sim: Simulation, k: int, boards: int) -> Program:
+    model = PaddedModel(k, boards, sim, held=True)
+    rules = _NoRules(sim, build_timetable(sim, k), k, driven=False)
+    return Program(model, BatchRollout(rules, model).jitted())

@@ -194,30 +194,32 @@ class MujocoWorlds(OpenWorlds):
         return [self._worlds[world].read() for world in worlds]
 
     def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings:
-        def tried(row: int, world: int) -> tuple[Reading, Scene]:
-            scene = self._blank.with_box(self._scenes[world], boxes, row)
-            return self._worlds[world].tried(scene, until_lost=until_lost), scene
+        def tried(row: int) -> tuple[Reading, Scene]:
+            scene = self._blank.with_box(self._scenes[worlds[row]], boxes, row)
+            return self._worlds[worlds[row]].tried(scene, until_lost=until_lost), scene
 
-        trials = self._map(lambda pair: tried(*pair), enumerate(worlds))
+        trials = self._map(tried, range(len(worlds)))
         return Readings.of([reading for reading, _ in trials], [scene for _, scene in trials])
 
     def _try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None]
     ) -> list[Outcome]:
-        def end(number: int, world: int, scene: Scene, drive: Drive | None) -> Outcome:
-            twin = self._worlds[world].fork()
-            twin.put(scene)
-            return twin.finish(number, drive)
-
-        numbered = zip(range(len(worlds)), worlds, scenes, drives, strict=True)
-        return self._map(lambda pair: end(*pair), numbered)
+        return self._ends([*zip(worlds, scenes, drives, strict=True)])
 
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
-        def end(number: int, world: int, drive: Drive | None) -> Outcome:
-            return self._worlds[world].fork().finish(number, drive)
+        return self._ends([(world, None, drive) for world, drive in zip(worlds, drives, strict=True)])
 
-        numbered = zip(range(len(worlds)), worlds, drives, strict=True)
-        return self._map(lambda pair: end(*pair), numbered)
+    def _ends(self, forks: Sequence[tuple[int, Scene | None, Drive | None]]) -> list[Outcome]:
+        """The outcomes of copies (*forks*) of worlds, which first get the additional boxes of a scene, if any."""
+
+        def end(number: int) -> Outcome:
+            world, scene, drive = forks[number]
+            twin = self._worlds[world].fork()
+            if scene is not None:
+                twin.put(scene)
+            return twin.finish(number, drive)
+
+        return self._map(end, range(len(forks)))
 
     def _begin(self, scene: Scene) -> OpenWorld:
         return OpenWorld(scene, self._sim, self._stop.is_set, self._templates)
