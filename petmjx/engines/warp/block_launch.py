@@ -4,12 +4,8 @@ On a GPU, the hardware's scheduler runs the blocks. On a CPU, each block runs in
 
 The number of boxes of a world determines its block. In a step of forty boxes, threads mostly wait for one another's
 results (latency), so a multiprocessor should simulate a second world meanwhile. A step of two hundred boxes is work for
-many threads. So there are blocks of two sizes, and each size has its own kernel.
-
-In a step of a few boxes, threads do little but wait, so a multiprocessor must step many of these worlds together. A
-third kernel has sixteen worlds in a block, one per warp (32 threads). Pallets of all sizes begin in these blocks. A run
-ends with its longest worlds. The simulation of a world is faster if the world has a multiprocessor to itself, so a
-fourth kernel simulates the last worlds of a run.
+many threads. So there are blocks of two sizes, each with its own kernel. Two further kernels are for worlds of few
+boxes (small_world_blocks.py), and for the last worlds of a run (tail_blocks.py).
 
 All kernels add numbers in the same order. So a world may move to another kernel after any step, with bit-identical
 results.

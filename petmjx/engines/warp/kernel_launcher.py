@@ -1,12 +1,9 @@
-"""Launches the kernels of mjx-warp, in a call from JAX in which each world advances at its own pace.
+"""Launches the kernels of mjx-warp, in a call from JAX in which each world advances at its own pace (docs/batching.md).
 
 The thread blocks for worlds of one size form a block pool, which has its own kernel
-(petmjx/engines/warp/block_launch.py). All pools run at the same time on the same tables of worlds. A block takes a
-world from the queue of its pool. The block simulates this world until the world ends, the world's drive (motion of the
-carrier) begins, or the time slice is over. Then the block takes the next world. No world waits for another: a step
-takes only the time that the boxes and the solver of its own world need. States are in the tables of
-petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next call. So results do not depend on the
-blocks, on the order of worlds, or on the length of a slice.
+(petmjx/engines/warp/block_launch.py) and its own queue of worlds. All pools run at the same time on the same tables of
+worlds. States are in the tables of petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next
+call. So results do not depend on the blocks, on the order of worlds, or on the length of a slice.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Thread blocks for small worlds, which are worlds that have few boxes so far.
+"""Thread blocks for small worlds, which are worlds that have few boxes so far (docs/batching.md).
 
-A block for small worlds simulates several worlds, each with one warp (a group of 32 threads)
-(``block_launch.FEW_BOXES``). The steps of a small world are bit-identical to the steps in a block that simulates only
-this world. A world moves to a block that simulates only this world when it has more boxes, or when too few small worlds
-are left. So the choice of blocks affects only the speed.
+A block for small worlds simulates several worlds, each with one warp of 32 threads (``block_launch.FEW_BOXES``). A
+world moves to a block of its own when it has more boxes, or when too few small worlds are left. The choice of blocks
+affects only the speed.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""Thread blocks for the last worlds of a run. A block for last worlds has a GPU multiprocessor to itself, and more
-threads than a usual block.
+"""Thread blocks for the last worlds of a run (docs/batching.md). A block for last worlds fills a GPU multiprocessor
+(``block_launch.LAST``).
 
 A run ends with its longest worlds. Two blocks that share a multiprocessor are slower than one block alone, so sharing
-delays the end of the run. Worlds that are expected to be among the last ones therefore get blocks that fill a
-multiprocessor (``block_launch.LAST``). When no more worlds are left than there are multiprocessors, all worlds of the
-smaller size get such blocks. In all blocks, the steps of a world are bit-identical; only the speed differs.
+delays the end of the run. The choice of blocks affects only the speed.
 """
 
 from __future__ import annotations
