@@ -108,6 +108,17 @@ class Readings:
             dropped=padded([reading.dropped for reading in readings], False),
         )
 
+    def of_world(self, row: int) -> Reading:
+        """The reading of one world."""
+        of_boxes = ("pos", "quat", "top_force_n", "max_tilt_deg", "max_top_force_n", "dropped")
+        return Reading(
+            time_s=float(self.time_s[row]),
+            ended=bool(self.ended[row]),
+            flags=Flag(int(self.flags[row])),
+            culprit=int(self.culprit[row]),
+            **{name: getattr(self, name)[row, : self.placed[row]] for name in of_boxes},
+        )
+
     @classmethod
     def joined(cls, parts: Sequence[Readings]) -> Readings:
         """The readings of the worlds of all parts, part after part."""
@@ -304,8 +315,8 @@ class OpenWorlds(ABC):
 
     def read(self, worlds: Sequence[int]) -> list[Reading]:
         """The ``Reading`` of each of these worlds."""
-        _check_worlds(worlds, len(self), distinct=False)
-        return self._read(worlds)
+        readings = self.readings(worlds)
+        return [readings.of_world(row) for row in range(len(worlds))]
 
     def readings(self, worlds: Sequence[int]) -> Readings:
         """The readings of these worlds, as arrays."""
@@ -344,8 +355,8 @@ class OpenWorlds(ABC):
     def _put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
         self._put(worlds, self.with_next(worlds, boxes))
 
-    def _readings(self, worlds: Sequence[int]) -> Readings:
-        return Readings.of(self._read(worlds), [self._scenes[world] for world in worlds])
+    @abstractmethod
+    def _readings(self, worlds: Sequence[int]) -> Readings: ...
 
     @abstractmethod
     def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings: ...
@@ -357,9 +368,6 @@ class OpenWorlds(ABC):
 
     @abstractmethod
     def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None: ...
-
-    @abstractmethod
-    def _read(self, worlds: Sequence[int]) -> list[Reading]: ...
 
     @abstractmethod
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]: ...

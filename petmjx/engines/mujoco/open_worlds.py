@@ -190,8 +190,8 @@ class MujocoWorlds(OpenWorlds):
         for world, twin in zip(into, twins, strict=True):
             self._worlds[world] = twin
 
-    def _read(self, worlds: Sequence[int]) -> list[Reading]:
-        return [self._worlds[world].read() for world in worlds]
+    def _readings(self, worlds: Sequence[int]) -> Readings:
+        return Readings.of([self._worlds[world].read() for world in worlds], [self._scenes[world] for world in worlds])
 
     def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings:
         def tried(row: int) -> tuple[Reading, Scene]:
