@@ -70,7 +70,7 @@ class WorldRun:
         cancelled: Callable[[], bool],
         budget: Budget | None = None,
     ) -> None:
-        self._stepper = Stepper(sim, budget)
+        self._stepper, self._budget = Stepper(sim, budget), budget
         self._begun, self._stream_number = False, stream_number
         self._job = job
         self._sim = sim
@@ -430,7 +430,7 @@ class WorldRun:
             boxes=boxes,
             n_at_sign=n_at_sign,
             solver=self._sim.solver.value,
-            message=self._stepper.why_it_ended if reason is Reason.TIMEOUT else "",
+            message=self._budget.words if self._budget is not None and reason is Reason.TIMEOUT else "",
         )
         if self._recorder is not None:
             self._recorder.look(self._step, live)

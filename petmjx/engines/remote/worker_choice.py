@@ -9,6 +9,7 @@ import atexit
 import threading
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import replace
 
 from petmjx.common.text import count_text
 from petmjx.engines.cost_model import Costs, Work
@@ -118,16 +119,16 @@ def resolve_workers(
     """
     cluster, pool = ahead.take() if ahead is not None else (_run_cluster(options), None)
     try:
-        name, reason, seconds = _pool_choice(options, cluster.nodes, work, costs)
-        if pool is not None and pool.name != name:
+        choice = _pool_choice(options, cluster.nodes, work, costs)
+        if pool is not None and pool.name != choice.name:
             pool.dismiss()
             pool = None
-        pool = pool or _pool(name, options, cluster)
+        pool = pool or _pool(choice.name, options, cluster)
         pool.wait_for_first()
     except BaseException:
         (pool or cluster).close()
         raise
-    return pool, Choice(name, f"{reason}, in {count_text(pool.size, 'worker')}", seconds)
+    return pool, replace(choice, reason=f"{choice.reason}, in {count_text(pool.size, 'worker')}")
 
 
 def _run_cluster(options: RunOptions) -> Cluster:
@@ -138,8 +139,8 @@ def _run_cluster(options: RunOptions) -> Cluster:
     return Cluster(options.ray)
 
 
-def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) -> tuple[str, str, float | None]:
-    """The name of the engine, the reason for its choice, and the expected time of the run, s."""
+def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) -> Choice:
+    """The engine of the workers."""
     workers, engine = options.asked_workers, str(options.engine)
     assert workers is not None
     threads = sum(node.cpus for node in nodes)
@@ -158,7 +159,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
             why_no_gpu=lambda: why_no_gpus(nodes, workers),
             why_no_kernel=lambda: "not chosen for workers",  # each worker would have to compile the kernels
         )
-    return name, reason, seconds.get(name)
+    return Choice(name, reason, seconds.get(name))
 
 
 def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
