@@ -21,8 +21,8 @@ from petmjx.common.units import FloatArray, seconds_to_steps
 from petmjx.engines.mujoco.box_motion import tilt_deg
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco.live_world import BodyState, LiveWorld
-from petmjx.engines.mujoco.settled_state import SettledState
 from petmjx.engines.mujoco.top_forces import VERTICAL_COSINE, contact_normal_and_tangents
+from petmjx.engines.mujoco.world_run import SettledState
 from petmjx.engines.verdict import Verdict
 from petmjx.options.physics import PHYSICS, Cone
 from petmjx.options.simulation import LONGEST_S, Check, Simulation

@@ -7,8 +7,8 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-from petmjx.engines.subprocess.attempt_host import LOOK_S
 from petmjx.engines.subprocess.attempt_process import Answer, Task, answer_to
+from petmjx.engines.subprocess.task_pipe import arrived
 
 
 class ThreadSimulator:
@@ -35,16 +35,10 @@ class ThreadSimulator:
 
     def ended(self, *, wait: bool) -> Iterator[Answer]:
         """See ``SideSimulator.ended``."""
-        while self._unanswered:
-            try:
-                answer = self._answers.get(timeout=LOOK_S) if wait else self._answers.get_nowait()
-            except queue.Empty:
-                if wait:
-                    continue
-                return
-            wait = False
-            self._unanswered -= 1
-            yield answer
+        if self._unanswered:
+            for answer in arrived(self._answers, wait=wait):
+                self._unanswered -= 1
+                yield answer
 
     def close(self) -> None:
         """See ``SideSimulator.close``. Worlds that are being simulated stop after their current time slice (a short

@@ -1,25 +1,15 @@
 """Attempts at a world (its repeated simulations): their settings, the outcomes that require them, and their engines.
 
-The rules are in docs/rules.md, section 9.
+docs/rules.md, section 9, lists the attempts, and tells which engine makes them. docs/batching.md, "Attempts beside a
+run", tells where they run.
 
-The first attempts are those of the PET-Physics paper: up to two attempts with Newton's method, then up to two with
-conjugate gradients (CG). An attempt with half the timestep follows. Two further attempts, with stiffer contacts, are
-for worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``). An optional last attempt
-simulates boxes as soft bodies, like the third attempt of the reference implementation. In the reference implementation
-of the paper, the second attempt only repeats the first, deterministic simulation. In petmjx, a second attempt gives the
-solver up to ``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``. More iterations and a smaller
-tolerance help if the solver stopped too early.
+The first attempts are those of the PET-Physics paper. In the paper's reference implementation, the second attempt only
+repeats the first, deterministic simulation. In petmjx, a second attempt gives the solver up to ``CAREFUL_ITERATIONS``
+iterations and the tolerance ``CAREFUL_TOLERANCE``, which help if the solver stopped too early.
 
-The MJX engines compute in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is the *fallback* of
-the MJX engines (``FALLBACKS``). C MuJoCo makes the attempts that need double precision. C MuJoCo also simulates worlds
-with soft boxes, attempts with conjugate gradients, and worlds for which an engine returned no outcome because of an
-error. ``mujoco`` itself and engines that users wrote have no fallback.
-
-A GPU needs the same time for one world as for many worlds. So in a run on ``mjx-warp``, CPU threads make the attempts
-that few worlds need, while the GPU continues (petmjx/engines/subprocess). The attempts that few worlds need are those
-on C MuJoCo, and those with stiffer contacts, which ``mjx-warp-cpu`` makes with the same kernels as the GPU. In a run on
-``mjx-warp-cpu``, additional threads make the attempts with stiffer contacts (petmjx/engines/attempt_threads.py). Which
-engine makes an attempt depends only on the world and the options.
+C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``): it simulates the worlds that they cannot simulate, and
+those for which they returned no outcome because of an error. ``mujoco`` itself and engines that users wrote have no
+fallback.
 """
 
 from __future__ import annotations
@@ -36,7 +26,7 @@ from petmjx.engines.attempt_threads import ThreadSimulator
 from petmjx.engines.contact_penetration import stiffened_physics
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.protocol import Capability, Engine, Progress
-from petmjx.engines.subprocess.attempt_host import SideSimulator, SubprocessSimulator
+from petmjx.engines.subprocess.attempt_process import SideSimulator, SubprocessSimulator
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Attempts, Simulation, Solver

@@ -311,12 +311,12 @@ def has_penetrated(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:
     force = np.where(placed, outcome.boxes.max_top_force_n, 0.0)
     limit_m = sim.thresholds.shift_m
     bound_m = BOUND_SHARE * limit_m
+    otherwise = _failed_otherwise(outcome, limit_m)
+    sinking = contact_penetration_m(scene, sim.physics, force, enough_m=bound_m if otherwise else 0.0)
+    too_deep = bool((sinking > bound_m).any())
+    if too_deep or otherwise:
+        return too_deep
     shift = outcome.boxes.shift_m[placed]
-    except_down = (np.abs(shift) > limit_m) & (shift > [-np.inf, -np.inf, 0.0])
-    only_down = outcome.reason is Reason.SHIFT and not except_down.any()
-    sinking = contact_penetration_m(scene, sim.physics, force, enough_m=0.0 if only_down else bound_m)
-    if not only_down or (sinking > bound_m).any():
-        return bool((sinking > bound_m).any())
     without = shift.copy()
     without[:, 2] += np.where(shift[:, 2] < 0, sinking[placed], 0.0)
     return bool((np.abs(shift) > limit_m).any() and not (np.abs(without) > limit_m).any())

@@ -52,11 +52,11 @@ SURE: Final = 1.0
 with a load beyond an edge would also fall on hard contacts. So soft contacts may be the cause only if some other load
 is nearer to its edge than that other load's loss."""
 
-KNIFE_EDGE_M: Final = 0.0004
+BEYOND_M: Final = 0.0004
 """A load that is farther beyond an edge than this distance, m, surely acts beyond the edge. The distance is half a
 millimetre in the plan, minus the amount by which simulated boxes are smaller than planned."""
 
-NEAR_M: Final = 0.001
+ROCKING_M: Final = 0.001
 """A load that acts less than this distance (m) inside the edge may have tipped over because of soft contacts, even if
 its loss is smaller: a box rocks by some tenths of a millimetre when the next box is placed."""
 
@@ -100,7 +100,7 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
         return turned
 
     own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
-    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # a box whose load acts beyond the edge also tips over on hard contacts
+    own_lean[edge_m < -BEYOND_M] = 0.0  # a box whose load acts beyond the edge also tips over on hard contacts
     below, shift = _tilt_from_below(bearing, own_lean)
     loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
     return ContactTilt(loss + below * height, below + own_lean, shift)
@@ -171,11 +171,11 @@ def contact_tilt_suspects(
             return True
         pile = _pile_of(under, first + outcome.culprit) if outcome.culprit >= 0 else [*range(first, end)]
         edges, losses = edge[pile], lean.loss_m[pile]
-        beyond = bool((edges < -KNIFE_EDGE_M).any())
+        beyond = bool((edges < -BEYOND_M).any())
         reach = (SURE if beyond else most_safety) * losses
-        least = KNIFE_EDGE_M
+        least = BEYOND_M
         if not (beyond or has_errors):  # in worlds with errors, boxes are not at their planned places
-            reach, least = np.maximum(reach, NEAR_M), 0.0
+            reach, least = np.maximum(reach, ROCKING_M), 0.0
         return bool(((edges > least) & (edges <= reach)).any())
 
     return [

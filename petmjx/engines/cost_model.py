@@ -24,10 +24,9 @@ from petmjx.options.placing import Way
 from petmjx.options.simulation import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.world.job import Drive, Job
 
-STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.072}
-"""Steps of a schedule as a share of the fixed schedule's steps, for physics ``pallet``. The value is the mean of 2,000
-generated plans and of 63 third-party plans of 16 to 241 boxes. Physics ``reference`` takes three to four times as many
-steps."""
+STEP_SHARE = 0.072
+"""Steps of the adaptive schedule as a share of the fixed schedule's steps, for physics ``pallet``. The value is the
+mean of 2,000 generated plans and of 63 third-party plans of 16 to 241 boxes."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
 """Number of steps of the soft starts, which come before the first box of a placement. The steps of soft starts are not
@@ -120,29 +119,10 @@ GIVING_STEPS = 1.4
 so soft that it does not come to rest takes up to fifteen times as many steps."""
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Cost of placements with errors on a device, relative to a placement without errors.
-
-    Attributes:
-        displaced: factor for placements in which boxes appear at places with errors, and may slip into gaps between
-            other boxes.
-        carried: factor for placements in which boxes are carried to their places.
-    """
-
-    displaced: float
-    carried: float
-
-    def of(self, job: Job) -> float:
-        """The factor for the placement of a job."""
-        if job.scene.placing.carries:
-            return self.carried
-        return self.displaced if job.has_errors else 1.0
-
-
-ON_DEVICE = Errors(displaced=2.8, carried=4.5)
-"""Cost of a placement with errors on a device, relative to a placement without errors. 8,000 worlds of 500 plans took
-35 s, and 4,000 worlds of 250 plans by hand took 30 s; 10,003 worlds without errors took 17 s."""
+DISPLACED_COST, CARRIED_COST = 2.8, 4.5
+"""Cost of a placement with errors on a device, relative to a placement without errors: of boxes that appear at places
+with errors, and may slip into gaps between other boxes; and of boxes that are carried to their places. 8,000 worlds of
+500 plans took 35 s, and 4,000 worlds of 250 plans by hand took 30 s; 10,003 worlds without errors took 17 s."""
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
@@ -295,11 +275,12 @@ class Work:
         """(n,) expected steps of one placement of each plan, not counting the soft start."""
         return way.steps * self.share * self._placing_steps + way.falls * self.fall_steps
 
-    def as_planned(self, errors: Errors) -> float:
+    @property
+    def on_device(self) -> float:
         """Cost of all placements of a plan on a device, with and without errors, in units of the cost of one placement
         of this plan without errors whose boxes are not carried."""
-        planned = errors.carried if self.sim.placing.carries else 1.0
-        return planned * self.planned + errors.displaced * self.displaced + errors.carried * self.carried
+        planned = CARRIED_COST if self.sim.placing.carries else 1.0
+        return planned * self.planned + DISPLACED_COST * self.displaced + CARRIED_COST * self.carried
 
     @property
     def _placing_steps(self) -> FloatArray:
@@ -309,7 +290,7 @@ class Work:
             return self.fixed_steps
         if self.sim.check is Check.STATIC:
             return np.minimum(self.fixed_steps, QUIET_STEPS)
-        share = STEP_SHARE[self.sim.schedule] * (REFERENCE_STEPS if self.sim.physics.falls_into_place else 1.0)
+        share = STEP_SHARE * (REFERENCE_STEPS if self.sim.physics.falls_into_place else 1.0)
         return np.minimum(share * np.where(self.compliant > 0, GIVING_STEPS, 1.0), 1.0) * self.fixed_steps
 
     def _placing(self, power: float, *, grows: bool) -> FloatArray:
@@ -478,7 +459,7 @@ class Costs:
         if not n_plans:
             starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}
             return {"mujoco": 0.0, "mjx-jax": 0.0} | starts
-        placements = work.as_planned(ON_DEVICE)
+        placements = work.on_device
         jax_placing, jax_driving = work._placing(JAX_POWER, grows=False), work._driving(JAX_POWER, work.drive_steps)
         return {
             "mujoco": self.mujoco.seconds(work, threads),
@@ -493,17 +474,13 @@ class Costs:
         """(n,) expected time of each job on one CPU thread, s. ``costs``: costs of the engine; None: of ``mujoco``."""
         costs = costs or self.mujoco
         work, drive_steps = _expected_work(jobs, sim)
-        planned_s, displaced_s, carried_s = (costs.placing_s(work, way) for way in work.ways)
-        carried = np.array([job.scene.placing.carries for job in jobs], dtype=bool)
-        displaced = np.array([job.has_errors for job in jobs], dtype=bool)
-        placing_s = np.where(carried, carried_s, np.where(displaced, displaced_s, planned_s))
-        return np.where(_starts(jobs), 0.0, placing_s) + costs.driving_s(work, drive_steps)
+        placing_s = _of_placements(jobs, *(costs.placing_s(work, way) for way in work.ways))
+        return placing_s + costs.driving_s(work, drive_steps)
 
     def of_jobs_on_device(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
         """(n,) expected time of each job in a thread block of ``mjx-warp``; the unit is one step of one box."""
         work, drive_steps = _expected_work(jobs, sim)
-        placements = np.where(_starts(jobs), 0.0, [ON_DEVICE.of(job) for job in jobs])
-        placing = placements * work._placing(WARP_POWER, grows=True)
+        placing = _of_placements(jobs, 1.0, DISPLACED_COST, CARRIED_COST) * work._placing(WARP_POWER, grows=True)
         return np.asarray(placing + work._driving(WARP_POWER, drive_steps))
 
     def _phase_s(self, worlds: float, work: float) -> float:
@@ -527,9 +504,16 @@ def _expected_work(jobs: Sequence[Job], sim: Simulation) -> tuple[Work, FloatArr
     return work, drive_steps
 
 
-def _starts(jobs: Sequence[Job]) -> NDArray[np.bool_]:
-    """(n,) whether each job starts from a state, and so has no placement."""
-    return np.array([job.start is not None for job in jobs], dtype=bool)
+def _of_placements(
+    jobs: Sequence[Job], planned: FloatArray | float, displaced: FloatArray | float, carried: FloatArray | float
+) -> FloatArray:
+    """(n,) for each job, one of the three values: for boxes that appear at their places without errors, for boxes that
+    appear with errors, or for boxes that are carried. The result is 0 for jobs that start from a state, and so have no
+    placement."""
+    carries = np.array([job.scene.placing.carries for job in jobs], dtype=bool)
+    has_errors = np.array([job.has_errors for job in jobs], dtype=bool)
+    starts = np.array([job.start is not None for job in jobs], dtype=bool)
+    return np.where(starts, 0.0, np.where(carries, carried, np.where(has_errors, displaced, planned)))
 
 
 MEASURED = Costs()

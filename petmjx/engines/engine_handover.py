@@ -107,11 +107,7 @@ class HandoverEngine(Engine, Generic[Faster]):
         first_attempt = sim == self._sim and sim.solver is Solver.NEWTON
         run = _Shared(self, JobStream.of(jobs), sim, progress, first_attempt=first_attempt)
         while run.take(wait=True):
-            yield from run.on_mujoco() if run.next_is_mujoco else run.on_faster()
-
-    def _slower(self) -> float:
-        """CPU time of the finished worlds, divided by their expected time."""
-        return self._spent_s / self._expected_s if self._expected_s > 0 else 1.0
+            yield from run.on_mujoco() if run.for_mujoco else run.on_faster()
 
     def _hands_over(self, waiting: Callable[[], Sequence[Job]], sim: Simulation, progress: Progress) -> bool:
         """Whether the jobs that have not begun go to the kernels. If the result is True, the engine with the kernels
@@ -120,7 +116,7 @@ class HandoverEngine(Engine, Generic[Faster]):
         Args:
             waiting: function that returns the jobs that have not begun.
         """
-        slower = self._slower()
+        slower = self._spent_s / self._expected_s if self._expected_s > 0 else 1.0
         if self._stays or self._worlds < LEAST_WORLDS or slower < SLOWER:
             return False
         if not (jobs := waiting()):
@@ -146,7 +142,11 @@ class HandoverEngine(Engine, Generic[Faster]):
 
 
 class _Shared(Generic[Faster]):
-    """The jobs of one run, divided between C MuJoCo and the kernels."""
+    """The jobs of one run, divided between C MuJoCo and the kernels.
+
+    Attributes:
+        for_mujoco, for_faster: the jobs that wait for C MuJoCo and for the kernels.
+    """
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ class _Shared(Generic[Faster]):
         self._engine, self._jobs, self._sim, self._progress = engine, jobs, sim, progress
         self._first_attempt = first_attempt
         self._taken = 0
-        self._mujoco, self._faster = deque[_Numbered](), deque[_Numbered]()
+        self.for_mujoco, self.for_faster = deque[_Numbered](), deque[_Numbered]()
 
     def take(self, *, wait: bool = False) -> bool:
         """Take the jobs that can begin now; returns whether there are any. Jobs that C MuJoCo cannot begin yet stay in
@@ -169,18 +169,13 @@ class _Shared(Generic[Faster]):
         Args:
             wait: whether to wait for jobs if there are none.
         """
-        wait = wait and not self.next_is_mujoco and not self._faster
+        wait = wait and not self.for_mujoco and not self.for_faster
         room = 2 * self._engine.threads
-        most = room - len(self._mujoco) if self._engine._faster is None else sys.maxsize
+        most = room - len(self.for_mujoco) if self._engine._faster is None else sys.maxsize
         for job in self._jobs.take(most, least=room if wait else 1, wait=wait):
-            (self._mujoco if self._is_for_mujoco(job) else self._faster).append((self._taken, job))
+            (self.for_mujoco if self._is_for_mujoco(job) else self.for_faster).append((self._taken, job))
             self._taken += 1
-        return self.next_is_mujoco or bool(self._faster)
-
-    @property
-    def next_is_mujoco(self) -> bool:
-        """Whether jobs wait for C MuJoCo."""
-        return bool(self._mujoco)
+        return bool(self.for_mujoco or self.for_faster)
 
     def _is_for_mujoco(self, job: Job) -> bool:
         stays = self._engine._faster is None or self._engine._stays
@@ -190,79 +185,76 @@ class _Shared(Generic[Faster]):
         )
         return stays or starts_from_own_state or job.scene.soft is not None or not self._first_attempt
 
-    def on_mujoco(self) -> Iterator[Outcome]:
-        """Simulate jobs on C MuJoCo. C MuJoCo gets only jobs that it can begin at once, so that the other jobs can
-        still go to the kernels."""
-        mujoco = self._engine._mujoco
-        stream = JobStream[_Numbered]()
+    def _simulated(
+        self, engine: Engine, waiting: deque[_Numbered], room: int, stream: JobStream[_Numbered]
+    ) -> Iterator[tuple[Outcome | None, Job | None]]:
+        """The outcomes of jobs on an engine, each with its job. (None, None): the engine pauses.
+
+        Args:
+            waiting: the jobs, to which the caller may add jobs between two outcomes.
+            room: largest number of jobs that the engine gets before their outcomes have come.
+            stream: an empty stream, from which the engine takes the jobs.
+        """
 
         def feed() -> None:
-            while self._mujoco and len(stream.in_flight) + stream.ready < 2 * mujoco.threads:
-                stream_number, job = self._mujoco.popleft()
-                stream.put(ready_for(mujoco.name, job), (stream_number, job))
+            while waiting and len(stream.in_flight) + stream.ready < room:
+                stream_number, job = waiting.popleft()
+                stream.put(ready_for(engine.name, job), (stream_number, job))
 
         feed()
         stream.close()  # further jobs are added only between outcomes
-        spent_s = self._progress.thread_s
-        with closing(mujoco.run(stream, self._sim, self._progress)) as outcomes:  # type: ignore[type-var]  # a generator
+        with closing(run_engine(engine, stream, self._sim, self._progress, sys.maxsize)) as outcomes:
             for outcome in outcomes:
+                job = None
                 if outcome is not None:
                     outcome.job, job = stream.answered(outcome.job)
-                    outcome.engine = mujoco.name
-                    self._count(job, self._progress.thread_s - spent_s)
-                    spent_s = self._progress.thread_s
-                yield outcome
+                    outcome.engine = engine.name
+                yield outcome, job
                 self.take()
-                if outcome is not None and self._first_attempt:
-                    self._reconsider()
                 feed()
 
-    def _count(self, job: Job, seconds: float) -> None:
-        """Add the time of a finished first attempt, and its expected time, to the engine's sums."""
-        engine = self._engine
-        if self._first_attempt:
-            engine._worlds += 1
-            engine._spent_s += seconds
-            engine._expected_s += float(engine._costs.of_jobs([job], self._sim)[0])
+    def on_mujoco(self) -> Iterator[Outcome]:
+        """Simulate jobs on C MuJoCo. C MuJoCo gets only jobs that it can begin at once, so that the other jobs can
+        still go to the kernels."""
+        engine, spent_s = self._engine, self._progress.thread_s
+        room = 2 * engine.threads
+        with closing(self._simulated(engine._mujoco, self.for_mujoco, room, JobStream())) as outcomes:  # type: ignore[type-var]  # a generator
+            for outcome, job in outcomes:
+                if job is not None and self._first_attempt:
+                    engine._worlds += 1
+                    engine._spent_s += self._progress.thread_s - spent_s
+                    engine._expected_s += float(engine._costs.of_jobs([job], self._sim)[0])
+                spent_s = self._progress.thread_s
+                yield outcome  # type: ignore[misc]  # None is allowed only with ``Progress.pauses``
+                if job is not None and self._first_attempt:
+                    self._reconsider()
 
     def _reconsider(self) -> None:
+        """If the kernels are faster, let them have the jobs that have not begun."""
         if self._engine._faster is None and self._engine._hands_over(self._waiting, self._sim, self._progress):
-            left = [numbered for numbered in self._mujoco if self._is_for_mujoco(numbered[1])]
-            self._faster += [numbered for numbered in self._mujoco if not self._is_for_mujoco(numbered[1])]
-            self._mujoco.clear()
-            self._mujoco += left
+            left = [numbered for numbered in self.for_mujoco if self._is_for_mujoco(numbered[1])]
+            self.for_faster += [numbered for numbered in self.for_mujoco if not self._is_for_mujoco(numbered[1])]
+            self.for_mujoco.clear()
+            self.for_mujoco += left
 
     def _waiting(self) -> list[Job]:
         """The jobs that have not begun."""
-        return [job for _, job in self._mujoco] + self._jobs.peek(sys.maxsize)
+        return [job for _, job in self.for_mujoco] + self._jobs.peek(sys.maxsize)
 
     def on_faster(self) -> Iterator[Outcome]:
         """Simulate jobs in the kernels. If the kernels fail, C MuJoCo simulates the jobs without an outcome."""
         faster, progress = self._engine._faster, self._progress
         assert faster is not None
         stream = JobStream[_Numbered](feedback=self._jobs.feedback, bounds=self._jobs.bounds)
-
-        def feed() -> None:
-            while self._faster:
-                stream_number, job = self._faster.popleft()
-                stream.put(ready_for(faster.name, job), (stream_number, job))
-
-        feed()
-        stream.close()  # further jobs are added only between outcomes
         try:
-            with closing(run_engine(faster, stream, self._sim, progress, sys.maxsize)) as outcomes:
-                for outcome in outcomes:
-                    if outcome is not None:
-                        outcome.job, _ = stream.answered(outcome.job)
-                        outcome.engine = faster.name
-                    yield outcome
-                    self.take()
-                    feed()
+            with closing(self._simulated(faster, self.for_faster, sys.maxsize, stream)) as outcomes:  # type: ignore[type-var]  # a generator
+                for outcome, _ in outcomes:
+                    yield outcome  # type: ignore[misc]  # None is allowed only with ``Progress.pauses``
         except Exception as error:
             self._engine._stays = True
             stream.take(sys.maxsize)
             unanswered = stream.in_flight.values()
             left = count_text(len(unanswered), "world")
             progress.notes[f"{faster.name} failed ({one_line(error)}); {left}: went to {self._engine.name}"] = None
-            self._mujoco += [*unanswered, *self._faster]
-            self._faster.clear()
+            self.for_mujoco += [*unanswered, *self.for_faster]
+            self.for_faster.clear()

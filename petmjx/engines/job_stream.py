@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable
 from itertools import chain, islice
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
@@ -146,11 +146,6 @@ class JobStream(Generic[Tag]):
             for job in jobs:
                 follows = bool(self._following) and self._following[0][0] is job
                 self._pop(self._following if follows else self._waiting)
-
-    def __iter__(self) -> Iterator[Job]:
-        """Take one job after another; wait for each job."""
-        while jobs := self.take(1):
-            yield jobs[0]
 
     def peek(self, most: int, *, least: int = 1, wait: bool = False) -> list[Job]:
         """Return the jobs that ``take`` would take, and leave them in the stream."""

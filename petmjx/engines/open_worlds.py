@@ -108,6 +108,17 @@ class Readings:
             dropped=padded([reading.dropped for reading in readings], False),
         )
 
+    def of_world(self, row: int) -> Reading:
+        """The reading of one world."""
+        of_boxes = ("pos", "quat", "top_force_n", "max_tilt_deg", "max_top_force_n", "dropped")
+        return Reading(
+            time_s=float(self.time_s[row]),
+            ended=bool(self.ended[row]),
+            flags=Flag(int(self.flags[row])),
+            culprit=int(self.culprit[row]),
+            **{name: getattr(self, name)[row, : self.placed[row]] for name in of_boxes},
+        )
+
     @classmethod
     def joined(cls, parts: Sequence[Readings]) -> Readings:
         """The readings of the worlds of all parts, part after part."""
@@ -165,12 +176,13 @@ def _check_grown(before: Scene, after: Scene) -> None:
         raise ValueError(f"the first {n} boxes of the scene must be the boxes that the world already has")
     if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
         raise ValueError("the scene must have the same carrier as the world")
-    if not np.array_equal(filled_up(before.pair_friction), filled_up(after.pair_friction)):
-        raise ValueError("the scene must have the same friction for pairs of surfaces as the world")
-    if not np.array_equal(filled_up_shares(before.pair_kinetic), filled_up_shares(after.pair_kinetic)):
-        raise ValueError("the scene must have the same kinetic friction for pairs of surfaces as the world")
-    if not np.array_equal(filled_up_landings(before.pair_landing), filled_up_landings(after.pair_landing)):
-        raise ValueError("the scene must have the same landing values for pairs of surfaces as the world")
+    for name, filled, noun in (
+        ("pair_friction", filled_up, "friction"),
+        ("pair_kinetic", filled_up_shares, "kinetic friction"),
+        ("pair_landing", filled_up_landings, "landing values"),
+    ):
+        if not np.array_equal(filled(getattr(before, name)), filled(getattr(after, name))):
+            raise ValueError(f"the scene must have the same {noun} for pairs of surfaces as the world")
 
 
 class OpenWorlds(ABC):
@@ -303,8 +315,8 @@ class OpenWorlds(ABC):
 
     def read(self, worlds: Sequence[int]) -> list[Reading]:
         """The ``Reading`` of each of these worlds."""
-        _check_worlds(worlds, len(self), distinct=False)
-        return self._read(worlds)
+        readings = self.readings(worlds)
+        return [readings.of_world(row) for row in range(len(worlds))]
 
     def readings(self, worlds: Sequence[int]) -> Readings:
         """The readings of these worlds, as arrays."""
@@ -343,8 +355,8 @@ class OpenWorlds(ABC):
     def _put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
         self._put(worlds, self.with_next(worlds, boxes))
 
-    def _readings(self, worlds: Sequence[int]) -> Readings:
-        return Readings.of(self._read(worlds), [self._scenes[world] for world in worlds])
+    @abstractmethod
+    def _readings(self, worlds: Sequence[int]) -> Readings: ...
 
     @abstractmethod
     def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings: ...
@@ -356,9 +368,6 @@ class OpenWorlds(ABC):
 
     @abstractmethod
     def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None: ...
-
-    @abstractmethod
-    def _read(self, worlds: Sequence[int]) -> list[Reading]: ...
 
     @abstractmethod
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]: ...

@@ -18,7 +18,7 @@ from petmjx.engines.mjx.mjx_import import mjx
 from petmjx.engines.mjx.newton import BlockSolver, Problem
 from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, contact_geoms, padded_template
 from petmjx.engines.mujoco.live_world import LiveWorld
-from petmjx.options.simulation import Simulation, Solver
+from petmjx.options.simulation import Simulation
 
 SIM = Simulation(physics={"skin_m": 0.0})
 ROUNDING = 2e-5
@@ -33,9 +33,7 @@ def single(values: FloatArray) -> jax.Array:
 
 def test_bodies_and_rows_are_those_of_mjx(ranks_may_differ: None) -> None:
     """Boxes that lie askew on two boards of a held carrier and on one another, and sink in."""
-    template = padded_template(
-        3, 2, SIM.physics, held=True, solver=Solver.NEWTON, tolerance=1e-6, iterations=1, line_search_iterations=1
-    )
+    template = padded_template(3, 2, SIM, held=True)
     template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
     model, start = mjx.put_model(template, impl="jax"), mjx.make_data(template, impl="jax")
     links, rng = Links(model), np.random.default_rng(7)

@@ -105,6 +105,15 @@ def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) ->
         assert reading.ended == (outcome.verdict is Verdict.UNSTABLE and outcome.sim_time_s == reading.time_s)
 
 
+def test_readings_have_the_middles_of_boxes_whose_mass_is_elsewhere(engine: MujocoEngine | MjxWarpEngine) -> None:
+    scene = scenes()["brickwork"]
+    scene = replace(scene, mass_center=np.tile([0.03, -0.02, 0.01], (scene.n_boxes, 1)))
+    worlds = engine.open([scene], SIM)
+    worlds.go_on()
+    (outcome,) = worlds.finish([0])
+    np.testing.assert_allclose(worlds.readings([0]).pos[0], outcome.boxes.pos, atol=1e-4)
+
+
 def test_pallets_that_tremble_end_as_a_run_of_all_their_boxes_does(engine: MujocoEngine | MjxWarpEngine) -> None:
     """The first wait lasts the longest time, and the boxes tremble to its end. Later waits are short, but for the
     last."""

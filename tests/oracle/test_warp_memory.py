@@ -41,8 +41,8 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.warp import block_pool, kernel_launcher
 from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import kernel_launcher
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
@@ -118,7 +118,7 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
     """One world has its outcome already, one world waits for its drive (motion of the carrier), and one world needs
     more contacts than fit into memory. If no more jobs may come, a slice is already running when that is seen, and the
     drive ends in that slice."""
-    monkeypatch.setattr(block_pool, "CONTACTS_PER_BOX", 2)
+    monkeypatch.setattr(kernel_launcher, "CONTACTS_PER_BOX", 2)
     small_device(monkeypatch, lambda _, nconmax: nconmax <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
     one_box = tiny("hand-one-box")

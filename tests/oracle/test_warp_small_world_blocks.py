@@ -36,8 +36,8 @@ from petmjx.engines.warp.small_world_blocks import small_world_pool, small_world
 from petmjx.engines.warp.solver import newton
 from petmjx.engines.warp.world_arrays import PANEL
 
-FEW = Launch(4, 256, 2, 0, 6, hands=False, worlds=8)
-ONE = BlockPool(Launch(4, SIZES[0].threads, 2, 0, 37, hands=False), 4, 40, 1, 420, 336)
+FEW = Launch(4, 256, 2, 0, 6, worlds=8)
+ONE = BlockPool(Launch(4, SIZES[0].threads, 2, 0, 37), 4, 40, 1, 420, 336)
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from petmjx.engines.warp.solver.newton import DRIVER_BYTES, own_bytes
 from petmjx.engines.warp.tail_blocks import MOST_EXPECTED, expected_tail, tail_pool, tail_queues
 from petmjx.options.simulation import Simulation
 
-ONE = BlockPool(Launch(4, SIZES[0].threads, 2, 0, 37, hands=False), 4, 40, 1, 420, 336)
+ONE = BlockPool(Launch(4, SIZES[0].threads, 2, 0, 37), 4, 40, 1, 420, 336)
 TWO_LAST = replace(ONE, blocks=2, last=True)
 
 

@@ -162,9 +162,7 @@ def test_contacts_in_mjx_jax_and_mujoco_are_alike() -> None:
     mujoco.mj_collision(model, data)
     Beds(scene, SIM.physics, model, geom_bodies(model, world.order)).press(model, data)
     physics = SIM.physics.changed(skin_m=0.0)
-    template = padded_template(
-        3, 1, physics, held=False, solver=SIM.solver, tolerance=1e-6, iterations=1, line_search_iterations=1
-    )
+    template = padded_template(3, 1, SIM.changed(physics=physics), held=False)
     mjx_model, start = mjx.put_model(template, impl="jax"), mjx.make_data(template, impl="jax")
     beds = JaxBeds(mjx_model, physics)
     worlds = upload_worlds([Job(scene)], 1, 3, {}, SIM)

@@ -202,16 +202,7 @@ def test_the_laws_of_mjx_jax_are_those_of_mujoco(name: str, held: bool) -> None:
     take most of a minute to compile."""
     scene = SCENES[name]
     boards, capacity = len(scene.carrier.half_size), 4
-    template = padded_template(
-        capacity,
-        boards,
-        SIM.physics,
-        held=held,
-        solver=SIM.solver,
-        tolerance=1e-6,
-        iterations=1,
-        line_search_iterations=1,
-    )
+    template = padded_template(capacity, boards, SIM, held=held)
     worlds = upload_worlds([Job(scene)], 1, capacity, {}, SIM)
     inverse = 1 / worlds.mass
     contact_laws = laws(worlds, template, inverse.at[:, 0].set(0.0) if held else inverse, SIM.physics)

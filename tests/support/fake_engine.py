@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
-from petmjx.engines.mujoco.settled_state import SettledState
-from petmjx.engines.mujoco.world_run import WorldRun
+from petmjx.engines.mujoco.world_run import SettledState, WorldRun
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation

@@ -16,7 +16,7 @@ from petmjx.engines.protocol import Progress
 from petmjx.engines.warp.block_launch import Launch, size_for
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_features import KernelFeatures
-from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, BlockPool
+from petmjx.engines.warp.kernel_launcher import MORE_BOXES, BlockPool
 from petmjx.engines.warp.time_slices import Rollout
 from petmjx.engines.warp.world_table import Run
 from petmjx.options.physics import Physics
@@ -51,8 +51,8 @@ class OneStep:
         run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), needs, Progress())
         self.table = MjxWarpEngine(1, allow_cpu=True)._load(run, [Job(scene)], [0], 1)
         boards = len(scene.carrier.half_size)
-        room, launch = scene.n_boxes + boards - 1 + MORE_BOXES, Launch.here(scene.n_boxes)
-        pool = BlockPool(launch, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
+        launch = Launch.here(scene.n_boxes)
+        pool = BlockPool.of(launch, 1, scene.n_boxes, boards, scene.n_boxes + MORE_BOXES)
         self.rollout = Rollout(run, [pool], slice_ns=0)
         self.fresh = jax.tree.map(np.asarray, self.table.table)
         self.most_contacts = 0

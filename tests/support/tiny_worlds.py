@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp import block_launch
 from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp.block_launch import Launch, size_for
+from petmjx.engines.warp.block_launch import Features, Launch, size_for
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.time_slices import Rollout, Slice
@@ -109,8 +109,8 @@ def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
     monkeypatch.setattr(block_launch, "SIZES", alike)
     here = Launch.here
 
-    def sized(n_boxes: int, *features: bool) -> Launch:
-        return replace(here(n_boxes, *features), panels=most_panels(size_for(n_boxes).most_boxes))
+    def sized(n_boxes: int, features: Features) -> Launch:
+        return replace(here(n_boxes, features), panels=most_panels(size_for(n_boxes).most_boxes))
 
     monkeypatch.setattr(Launch, "here", sized)
 

@@ -14,9 +14,8 @@ from support.plans import make_plan, make_world, stack
 from support.waiting import wait_for
 
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.engines.subprocess import attempt_host
-from petmjx.engines.subprocess.attempt_host import SubprocessSimulator
-from petmjx.engines.subprocess.attempt_process import Answer, Task
+from petmjx.engines.subprocess import attempt_process
+from petmjx.engines.subprocess.attempt_process import Answer, SubprocessSimulator, Task
 from petmjx.options.simulation import Simulation
 
 SIM = Simulation()
@@ -86,7 +85,7 @@ def test_a_process_that_dies_is_told_of_and_replaced(beside: SubprocessSimulator
 def test_what_cannot_be_sent_and_what_cannot_start_is_told_of(
     beside: SubprocessSimulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(attempt_host, "_IDLE", {})
+    monkeypatch.setattr(attempt_process, "_IDLE", {})
     monkeypatch.setattr(sys, "executable", "no-such-interpreter")
     beside.begin(Task(1, "mujoco", TOWER, SIM))
     (answer,) = beside.ended(wait=True)
@@ -102,7 +101,7 @@ RUN = """
 import sys, time
 from support.plans import make_plan, make_world, stack
 from petmjx.options.simulation import Simulation
-from petmjx.engines.subprocess.attempt_host import SubprocessSimulator
+from petmjx.engines.subprocess.attempt_process import SubprocessSimulator
 from petmjx.engines.subprocess.attempt_process import Task
 
 beside = SubprocessSimulator()

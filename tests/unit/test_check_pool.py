@@ -42,7 +42,7 @@ def check_pool() -> Iterator[CheckPool[Any]]:
 
 
 def pids(check_pool: CheckPool[Any]) -> list[int]:
-    return [looker.child.pid for looker in check_pool._check_pool if looker.child.pid is not None]
+    return [process.child.pid for process in check_pool._processes if process.child.pid is not None]
 
 
 def told(outcomes: list[Outcome]) -> list[tuple[Any, ...]]:

@@ -13,7 +13,7 @@ from support.fake_stepper import fake_scene
 
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.units import FloatArray
-from petmjx.engines.cost_model import CREEPING, MEASURED, ON_DEVICE
+from petmjx.engines.cost_model import CREEPING, DISPLACED_COST, MEASURED
 from petmjx.engines.remote.chunk_dealer import MOST_JOBS, Chunk, Deal
 from petmjx.engines.remote.worker_resources import Node, Place, places, threads_beside
 from petmjx.options.simulation import Simulation
@@ -164,7 +164,7 @@ def test_placements_take_longer_with_more_boxes_with_errors_and_before_a_drive(
 def test_on_a_device_placements_with_errors_take_longer_by_their_factor() -> None:
     scene = fake_scene(1.0, 10.0, 20.0)
     without, with_errors = MEASURED.of_jobs_on_device([Job(scene), Job(scene, has_errors=True)], Simulation()).tolist()
-    assert with_errors == pytest.approx(ON_DEVICE.displaced * without)
+    assert with_errors == pytest.approx(DISPLACED_COST * without)
 
 
 def test_a_drive_that_shakes_a_pallet_down_is_over_sooner() -> None:

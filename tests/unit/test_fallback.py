@@ -19,8 +19,7 @@ from petmjx.engines import attempt_runner, attempt_stream, attempts
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.protocol import Engine, Progress
-from petmjx.engines.subprocess.check_pool import CheckPool
-from petmjx.engines.subprocess.check_process import Look
+from petmjx.engines.subprocess.check_pool import CheckPool, CheckTask
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.engines.world_results import WorldResult
 from petmjx.options.simulation import Simulation, Solver
@@ -202,15 +201,15 @@ def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypa
 
         begun = 0
 
-        def _begin(self, keys: list[Any], look: Look) -> None:
+        def _begin(self, keys: list[Any], task: CheckTask) -> None:
             self.begun += 1
             if self.begun == WORLDS:
                 raise KeyboardInterrupt
-            super()._begin(keys, look)
+            super()._begin(keys, task)
 
-        def _take(self, looker: Any, *, wait: bool, **until: Any) -> None:
+        def _take(self, process: Any, *, wait: bool, **until: Any) -> None:
             if wait:
-                super()._take(looker, wait=True, **until)
+                super()._take(process, wait=True, **until)
 
     monkeypatch.setattr(attempt_stream, "LARGE", WORLDS)
     monkeypatch.setattr(attempt_runner, "MOST_TOGETHER", 1)

@@ -25,7 +25,7 @@ from petmjx.engines.engine_choice import choose
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress
 from petmjx.options.run_options import RunOptions
-from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.options.simulation import Check, Simulation
 from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.loose_boxes import MOST_LOOKED_AT, loose_and_ties, statics_of
 from petmjx.plans.plan import Plan
@@ -128,7 +128,7 @@ def test_a_fall_worked_out_by_hand() -> None:
     """The estimate for twenty boxes of which the tenth tips over, computed by hand: the placement of ten boxes, and the
     fall, during which seven more boxes are placed."""
     work = Work(SIM, [20], placed_share=[0.5], ties=[1.0])
-    placing = 0.5 * STEP_SHARE[Schedule.ADAPTIVE] * work.fixed_steps[0]
+    placing = 0.5 * STEP_SHARE * work.fixed_steps[0]
     assert work.steps.tolist() == pytest.approx([SOFT_STARTS + placing + FALL_STEPS])
     placed, fallen = 10, 10 + FALL_BOXES
     at_rest_s = (CPU.rest_s * placed**1.25 / 2.25 + CPU.overhead_s) * (SOFT_STARTS + placing)

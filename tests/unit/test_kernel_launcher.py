@@ -29,7 +29,7 @@ def _tiny(number: int, threads: int) -> Any:
 
 def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
     kernels = {threads: _tiny(threads, threads) for threads in (128, 256)}
-    launches = [Launch(1, threads, 1, 256, 2, hands=False) for threads in (256, 128, 128)]
+    launches = [Launch(1, threads, 1, 256, 2) for threads in (256, 128, 128)]
     modules = {kernel.module for kernel in own_kernels(len(launches))}
     begun, loaded, load = Barrier(2 + len(modules), timeout=LONG_S), [], wp.Module.load
 

@@ -81,7 +81,7 @@ def test_an_engine_notes_the_kernels_that_it_loads(monkeypatch: pytest.MonkeyPat
     pytest.importorskip("warp")
     from petmjx.engines.warp import block_launch
 
-    launch = block_launch.Launch.of(block_launch.SIZES[0], hands=True)
+    launch = block_launch.Launch.of(block_launch.SIZES[0], block_launch.Features(hands=True))
     monkeypatch.setattr(block_launch.wp, "force_load", lambda *_, **__: None)
     monkeypatch.setattr(block_launch, "kernel", lambda launch: block_launch.pause)
     block_launch.load_kernels([launch])

@@ -15,7 +15,7 @@ from support.plans import on_boards
 from petmjx.engines.mjx.padded_template import override_fields, padded_template, parked_positions
 from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.options.physics import PHYSICS, Physics
-from petmjx.options.simulation import Simulation, Solver
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 from petmjx.world.mujoco_model import HeldCarrier, build_spec
 from petmjx.world.scene import Scene
@@ -35,16 +35,7 @@ def scene_of_boxes(n: int) -> Scene:
 
 
 def template(physics: Physics, *, held: bool, boards: int = 1) -> mujoco.MjModel:
-    return padded_template(
-        CAPACITY,
-        boards,
-        physics,
-        held=held,
-        solver=Solver.NEWTON,
-        tolerance=1e-6,
-        iterations=100,
-        line_search_iterations=30,
-    )
+    return padded_template(CAPACITY, boards, Simulation(physics=physics), held=held)
 
 
 def overrides(scenes: list[Scene], base: Any, *, held: bool, physics: Physics) -> dict[str, jax.Array]:

@@ -12,7 +12,7 @@ import pytest
 from support.compiles import compiled_programs
 from support.plans import make_scene
 
-from petmjx.engines.mjx import readback, repeated_rows
+from petmjx.engines.mjx import readback, scene_rows
 from petmjx.engines.mjx.frame_recorder import Recorder
 from petmjx.engines.mjx.outcomes import outcomes
 from petmjx.engines.mjx.readback import READ_BACK_ROWS, prepare_readback, read_back, reduce_metrics
@@ -89,10 +89,10 @@ def assert_same_bits(mine: np.ndarray[Any, Any], theirs: jax.Array) -> None:
     np.testing.assert_array_equal(mine.view(np.int32), np.asarray(theirs).view(np.int32))
 
 
-@pytest.mark.parametrize("count", [repeated_rows.MANY - 1, repeated_rows.MANY])
+@pytest.mark.parametrize("count", [scene_rows.MANY - 1, scene_rows.MANY])
 def test_rows_that_are_there_many_times_are_the_same_on_threads(count: int) -> None:
     rng = np.random.default_rng(count)
     arrays = [rng.random((7, *shape)) for shape in ((), (3,), (2, 4))]
     source = rng.integers(0, 7, count)
-    for array, rows in zip(arrays, repeated_rows.gather_rows(iter(arrays), source), strict=True):
+    for array, rows in zip(arrays, scene_rows.gather_rows(iter(arrays), source), strict=True):
         np.testing.assert_array_equal(rows, array[source])

@@ -51,7 +51,7 @@ def test_placements_and_drives_have_the_same_processes_beside_them(
     monkeypatch.setattr(CheckPool, "exchanged", counted)
     results = petmjx.sweep(file, plans, engine="mujoco", threads=1)
     assert len(begun) == 1
-    assert begun[0]._check_pool == []
+    assert begun[0]._processes == []
     assert sum(looks) == 2 + 4  # two placements, and the four drives of the placement that stands
     for mine, theirs in ((alone.worlds, results.worlds), (alone.boxes, results.boxes)):
         pd.testing.assert_frame_equal(mine, theirs, check_exact=True)

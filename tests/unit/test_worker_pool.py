@@ -171,11 +171,11 @@ def wait_for_two(pool: WorkerPool) -> None:
     for _ in range(3):
         deadline = time.monotonic() + 40.0
         while len(pool.pids) < 2 and time.monotonic() < deadline:
-            for hand, ref in pool._news():
-                pool._greet(hand, ref)
-        for lost in [hand for hand in pool._hands if not hand.ready]:
+            for worker, ref in pool._news():
+                pool._greet(worker, ref)
+        for lost in [worker for worker in pool._workers if not worker.ready]:
             pool._kill(lost)
-            pool._hands[pool._hands.index(lost)] = pool._start(lost.place)
+            pool._workers[pool._workers.index(lost)] = pool._start(lost.place)
         if len(pool.pids) == 2:
             return
     pytest.fail("no second worker got ready")

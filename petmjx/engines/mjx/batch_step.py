@@ -14,18 +14,12 @@ from petmjx.engines.mjx.body_dynamics import Bodies, Links
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.mjx_import import mjx
 from petmjx.engines.mjx.newton import BlockSolver, Problem
-from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
+from petmjx.engines.mjx.padded_template import padded_template
 from petmjx.engines.mjx.slip import SlipLaw
 from petmjx.engines.mjx.top_forces import contact_force_z, pressed_box
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
-
-LINE_SEARCH_ITERATIONS = 30
-"""Largest number of line search iterations. Under ``vmap``, MJX's own solver (used with pyramidal cones) always takes
-the largest number of iterations. With 10 iterations, the force on a box differed from that in C MuJoCo by more than 50
-N in 2.2 % of the steps of small piles: the solver had given up while boxes landed. With 30 iterations, this happened in
-0.2 % of the steps."""
 
 
 class StepResult(NamedTuple):
@@ -63,16 +57,7 @@ class PaddedModel:
     """
 
     def __init__(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> None:
-        template = padded_template(
-            capacity,
-            boards,
-            sim.physics,
-            held=held,
-            solver=sim.solver,
-            tolerance=max(sim.solver_tolerance or 0.0, FLOAT32_TOLERANCE),
-            iterations=sim.solver_iterations or MAX_ITERATIONS,
-            line_search_iterations=LINE_SEARCH_ITERATIONS,
-        )
+        template = padded_template(capacity, boards, sim, held=held)
         # Nothing is damped. If damping were enabled, MJX would compute the accelerations of each step twice.
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         self.capacity, self.held = capacity, held
@@ -88,10 +73,6 @@ class PaddedModel:
         self._beds = Beds(self.model, sim.physics)
         self._boxes = geom_bodies(template, range(capacity))[self._links.geoms]
         """(contact, 2) the box to which each geom of a contact belongs; negative: no box"""
-
-    def _model_of(self, fields: dict[str, jax.Array]) -> Any:
-        """The model of one world."""
-        return self.model.tree_replace(fields)
 
     def no_forces(self, worlds: int) -> Float[Array, "world constraint"]:
         """Constraint forces before the first step: all zero."""
@@ -132,7 +113,7 @@ class PaddedModel:
     ) -> tuple[Any, Float[Array, " geom"], Bodies, Problem, Float[Array, "contact 3"], Landing | None]:
         """What the solver needs to know about one world: contacts, heights of geoms, bodies, the problem, and the
         reference accelerations of contacts."""
-        model, links = self._model_of(fields), self._links
+        model, links = self.model.tree_replace(fields), self._links
         bodies = Bodies.of(model, inputs)
         data = mjx.collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))
         if faces is not None:
@@ -154,7 +135,7 @@ class PaddedModel:
         """A step with the solver of MJX."""
 
         def stepped(fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array) -> tuple[Any, Any]:
-            model, data = self._model_of(fields), self._data.replace(**inputs)
+            model, data = self.model.tree_replace(fields), self._data.replace(**inputs)
             data = mjx.solve(model, mjx.fwd_acceleration(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data))))
             lost = ~jnp.isfinite(data.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, data.qacc)

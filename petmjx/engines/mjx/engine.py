@@ -9,7 +9,7 @@ from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ from petmjx.engines.mjx.host_to_device import GRANULE, Batch, is_out_of_memory, 
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.mjx.outcomes import outcomes
 from petmjx.engines.mjx.readback import read_back
-from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout
+from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout, Program
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import device_array, padded_rows
@@ -69,14 +69,6 @@ class ProgramKey:
     carries: bool
     gives: bool
     wraps: bool
-
-
-@dataclass(frozen=True)
-class Program:
-    """A compiled ``BatchRollout.chunk``, with the model whose worlds it steps."""
-
-    model: PaddedModel
-    chunk: Any
 
 
 class Phase(NamedTuple):
@@ -270,9 +262,8 @@ class MjxJaxEngine(Engine):
             begin = time.perf_counter()
             model = self.make_model(capacity, batch.boards, sim, held=drive == ACCELERATION)
             rules = Rules(sim, build_timetable(sim, capacity), capacity, drive is not None, carries)
-            chunk = BatchRollout(rules, model, gives, wraps).compiled(
-                batch.table, model.no_forces(worlds), batch.worlds, profiles
-            )
+            arguments = batch.table, model.no_forces(worlds), batch.worlds, profiles
+            chunk = BatchRollout(rules, model, gives, wraps).jitted().lower(*arguments).compile()
             self.programs[key] = _kept[type(self), key] = Program(model, chunk)
             for oldest in list(_kept)[:-MOST_KEPT]:
                 _kept.pop(oldest, None)

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, get_type_hints
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.batch_step import PaddedModel
-from petmjx.engines.mjx.free_body_states import let_go
-from petmjx.engines.mjx.jax_setup import compiler_options
-from petmjx.engines.mjx.rollout import BatchRollout
+from petmjx.engines.mjx.host_to_device import let_go
+from petmjx.engines.mjx.rollout import BatchRollout, Program
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import Worlds, padded_rows
-from petmjx.engines.mjx.world_state import State
+from petmjx.engines.mjx.world_state import State, second_axes
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
 
@@ -52,8 +50,7 @@ def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
 def _without_carrier(worlds: Worlds, boards: int) -> Worlds:
     """The worlds without the shapes of their carriers. MJX would check each shape of a carrier in each step, even if no
     box is near."""
-    axes = {name: getattr(kind, "dim_str", "").split() for name, kind in get_type_hints(Worlds).items()}
-    of_shapes = [name for name, axes_of in axes.items() if axes_of[1:2] == ["shape"]]
+    of_shapes = [name for name, axis in second_axes(Worlds).items() if axis == "shape"]
     return worlds._replace(**{name: getattr(worlds, name)[:, boards:] for name in of_shapes})
 
 
@@ -69,15 +66,8 @@ class _NoRules(Rules):
         return state
 
 
-class _Program:
-    """``BatchRollout.chunk``, jitted, with the model that it steps."""
-
-    def __init__(self, sim: Simulation, k: int, boards: int) -> None:
-        self.model = PaddedModel(k, boards, sim, held=True)
-        rules = _NoRules(sim, build_timetable(sim, k), k, driven=False)
-        self.chunk = jax.jit(BatchRollout(rules, self.model).chunk, compiler_options=compiler_options())
-
-
 @functools.lru_cache(4)
-def _program(sim: Simulation, k: int, boards: int) -> _Program:
-    return _Program(sim, k, boards)
+def _program(sim: Simulation, k: int, boards: int) -> Program:
+    model = PaddedModel(k, boards, sim, held=True)
+    rules = _NoRules(sim, build_timetable(sim, k), k, driven=False)
+    return Program(model, BatchRollout(rules, model).jitted())

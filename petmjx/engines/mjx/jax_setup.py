@@ -55,7 +55,6 @@ def compiler_options() -> dict[str, bool]:
 
 
 def _has_option(option: str, value: bool) -> bool:
-    """Whether the installed jaxlib has a compiler option."""
     try:
         jax.jit(lambda x: x + 1).lower(0.0).compile(compiler_options={option: value})
     except jax.errors.JaxRuntimeError:

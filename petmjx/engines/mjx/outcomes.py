@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mjx.frame_recorder import Recorder
 from petmjx.engines.mjx.readback import Readback
-from petmjx.engines.mjx.repeated_rows import gather_rows
-from petmjx.engines.mjx.running_metrics import RunMetrics, of_boxes
+from petmjx.engines.mjx.running_metrics import of_boxes
+from petmjx.engines.mjx.scene_rows import gather_rows
 from petmjx.engines.mjx.world_constants import device_arrays
 from petmjx.engines.mjx.world_state import State, Status, narrow, per_box
 from petmjx.engines.step_clock import Clock
@@ -37,58 +37,46 @@ def outcomes(
         jobs: row → job of the world in this row.
         stream_numbers: row → number of this job for ``Outcome.job``.
     """
-    clock = Clock(sim.physics.timestep_s)
+    seconds = Clock(sim.physics.timestep_s).time_s
     for batch in picked:
-        state, measured = batch.on_host()
-        yield from _outcomes(batch.rows, state, measured, jobs, stream_numbers, clock, sim, recorder)
-
-
-def _outcomes(
-    rows: NDArray[np.int64],
-    host: State,
-    measured: RunMetrics,
-    jobs: Mapping[int, Job] | Sequence[Job],
-    stream_numbers: Mapping[int, int] | Sequence[int],
-    clock: Clock,
-    sim: Simulation,
-    recorder: Recorder,
-) -> Iterator[Outcome]:
-    m, seconds = host.metrics, clock.time_s
-    for i, row in enumerate(rows):
-        job = jobs[int(row)]
-        n = job.scene.n_boxes
-        driven = job.drive is not None and bool(host.driven_from[i] <= host.step[i])
-        drops, pose = m.drop_step[i, :n], np.asarray(host.qpos[i, :n], np.float64)
-        boxes = BoxMetrics.measured(
-            n,
-            **of_boxes(m, measured, i, n, driven),
-            dropped=np.asarray(drops >= 0),
-            drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops.tolist()]),
-            pos=job.scene.middles(pose[:, :3], pose[:, 3:]),
-            quat=pose[:, 3:],
-        )
-        flags = Flag(int(host.flags[i]) | (int(Flag.FORKED) if job.forks else 0))
-        verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
-        has_culprit = verdict is not Verdict.STABLE and m.culprit[i] >= 0
-        yield Outcome(
-            job=stream_numbers[int(row)],
-            verdict=verdict,
-            reason=reason,
-            culprit=int(m.culprit[i]) if has_culprit else -1,
-            first_sign_s=seconds(int(m.sign_step[i])) if has_culprit else float("nan"),
-            n_boxes=n,
-            n_placed=int(host.placed[i]),
-            sim_time_s=seconds(max(int(host.step[i]), 0)),
-            n_steps=int(host.steps_done[i]),
-            flags=flags,
-            boxes=boxes,
-            n_at_sign=int(m.sign_placed[i]) if has_culprit else 0,
-            solver=sim.solver.value,
-            state=_kept_state(job, host, i),
-            history=recorder.history(int(row), jax.tree.map(lambda a, i=i: a[i], host), seconds)
-            if job.record
-            else None,
-        )
+        host, measured = batch.on_host()
+        m = host.metrics
+        for i, row in enumerate(batch.rows.tolist()):
+            job = jobs[row]
+            n = job.scene.n_boxes
+            driven = job.drive is not None and bool(host.driven_from[i] <= host.step[i])
+            drops, pose = m.drop_step[i, :n], np.asarray(host.qpos[i, :n], np.float64)
+            boxes = BoxMetrics.measured(
+                n,
+                **of_boxes(m, measured, i, n, driven),
+                dropped=np.asarray(drops >= 0),
+                drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops.tolist()]),
+                pos=job.scene.middles(pose[:, :3], pose[:, 3:]),
+                quat=pose[:, 3:],
+            )
+            flags = Flag(int(host.flags[i]) | (int(Flag.FORKED) if job.forks else 0))
+            verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
+            has_culprit = verdict is not Verdict.STABLE and m.culprit[i] >= 0
+            history = None
+            if job.record:
+                history = recorder.history(row, jax.tree.map(lambda array, i=i: array[i], host), seconds)
+            yield Outcome(
+                job=stream_numbers[row],
+                verdict=verdict,
+                reason=reason,
+                culprit=int(m.culprit[i]) if has_culprit else -1,
+                first_sign_s=seconds(int(m.sign_step[i])) if has_culprit else float("nan"),
+                n_boxes=n,
+                n_placed=int(host.placed[i]),
+                sim_time_s=seconds(max(int(host.step[i]), 0)),
+                n_steps=int(host.steps_done[i]),
+                flags=flags,
+                boxes=boxes,
+                n_at_sign=int(m.sign_placed[i]) if has_culprit else 0,
+                solver=sim.solver.value,
+                state=_kept_state(job, host, i),
+                history=history,
+            )
 
 
 def _kept_state(job: Job, host: State, row: int) -> State | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -26,6 +27,14 @@ CHUNK_STEPS = 25
 """Number of steps in one call of a program. Between two calls, the host checks whether any world still runs."""
 
 
+@dataclass(frozen=True)
+class Program:
+    """A compiled ``BatchRollout.chunk``, with the model whose worlds it steps."""
+
+    model: PaddedModel
+    chunk: Any
+
+
 class BatchRollout:
     """Runs chunks of steps of a batch, in placements or in drives (``rules.driven``).
 
@@ -36,16 +45,9 @@ class BatchRollout:
     def __init__(self, rules: Rules, model: PaddedModel, gives: bool = False, wraps: bool = False) -> None:
         self.rules, self.model, self.gives, self.wraps = rules, model, gives, wraps
 
-    def compiled(
-        self,
-        state: State,
-        forces: Float[Array, "world constraint"],
-        worlds: Worlds,
-        profiles: Float[Array, "profile step 3"],
-    ) -> Any:
-        """``chunk``, compiled for arguments of these shapes."""
-        program = jax.jit(self.chunk, compiler_options=compiler_options())
-        return program.lower(state, forces, worlds, profiles).compile()
+    def jitted(self) -> Any:
+        """``chunk``, as a function that JAX compiles for the shapes of its arguments."""
+        return jax.jit(self.chunk, compiler_options=compiler_options())
 
     def chunk(
         self,

@@ -7,7 +7,6 @@ its own implementation of the same rules.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,16 +27,6 @@ from petmjx.world.scene import IDENTITY_QUAT
 
 UNBELIEVABLE = 1e10
 """MuJoCo considers positions and velocities beyond this value bad (mjMAXVAL)."""
-
-
-class _SampleInputs(NamedTuple):
-    """Values at the beginning of a step, which samples use. Shapes and units are those of the arguments of
-    ``Rules.after_step``."""
-
-    qpos: Float[Array, "world box 7"]
-    qacc: Float[Array, "world box 6"]
-    top_force: Float[Array, "world box"]
-    presses: Bool[Array, " world"]
 
 
 def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
@@ -211,7 +200,7 @@ class Rules:
         moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
         values = jnp.concatenate([part.reshape(len(before), -1) for part in moving], -1)
         nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
-        state = self._sample(state, worlds, _SampleInputs(seen_qpos, qacc, top_force, presses), nonfinite)
+        state = self._sample(state, worlds, seen_qpos, qacc, top_force, presses, nonfinite)
         state = state._replace(
             steps_done=state.steps_done + (before & (state.step > 0)),
             flags=state.flags | jnp.where(nonfinite, int(Flag.NONFINITE), 0),
@@ -226,7 +215,18 @@ class Rules:
         window_begins = state.running & (state.step == still_from)
         return state._replace(still_qpos=jnp.where(window_begins[:, None, None], state.qpos, state.still_qpos))
 
-    def _sample(self, state: State, worlds: Worlds, seen: _SampleInputs, nonfinite: Bool[Array, " world"]) -> State:
+    def _sample(
+        self,
+        state: State,
+        worlds: Worlds,
+        seen_qpos: Float[Array, "world box 7"],
+        qacc: Float[Array, "world box 6"],
+        top_force: Float[Array, "world box"],
+        presses: Bool[Array, " world"],
+        nonfinite: Bool[Array, " world"],
+    ) -> State:
+        """Measure the boxes, and end the worlds whose fate the measurements decide. The arguments are those of
+        ``after_step``."""
         limits, m = self.sim.thresholds, state.metrics
         counted = state.running & (state.step > 0) & ~nonfinite
         sample = counted & (state.step % self.timetable.sample_every == 0)
@@ -237,7 +237,7 @@ class Rules:
         standing = self.judged(state)
         sampled = standing & sample[:, None]
         looked = standing & (sample | look | last)[:, None]
-        qpos = jnp.where(sample[:, None, None], seen.qpos, state.qpos)
+        qpos = jnp.where(sample[:, None, None], seen_qpos, state.qpos)
         pos, quat = motion.middles(qpos, worlds.middle), qpos[..., 3:]
         tilt = motion.tilt_deg(quat)
         dropped = looked & motion.has_dropped(pos, quat, worlds.half, limits)
@@ -246,8 +246,8 @@ class Rules:
         excess = jnp.where(looked, excess, 0.0)
         signs = (m.culprit < 0) & (excess.max(-1) > 1)
         culprit = jnp.where(signs, excess.argmax(-1).astype(jnp.int32), m.culprit)
-        lin = jnp.sqrt((seen.qacc[..., :3] ** 2).sum(-1))
-        ang = jnp.sqrt((seen.qacc[..., 3:] ** 2).sum(-1))
+        lin = jnp.sqrt((qacc[..., :3] ** 2).sum(-1))
+        ang = jnp.sqrt((qacc[..., 3:] ** 2).sum(-1))
         violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
         # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So
         # samples right after a placement are never signs of an explosion. A violent sample (accelerations above the
@@ -266,10 +266,10 @@ class Rules:
             tilt=tilt,
             lin_acc=lin,
             ang_acc=ang,
-            top_force=seen.top_force,
+            top_force=top_force,
             dropped=dropped,
             sampled=sampled,
-            presses=standing & (sample | (counted & seen.presses))[:, None],
+            presses=standing & (sample | (counted & presses))[:, None],
             tilts=standing & (sample | look)[:, None],
             looked=looked,
             rested=standing & resting[:, None],

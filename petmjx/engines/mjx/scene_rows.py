@@ -3,14 +3,14 @@ than a GPU's simulation of small worlds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.processes import on_threads
-from petmjx.engines.mjx.repeated_rows import MANY, MOST_THREADS, gather_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of
 from petmjx.world.compliance import compliances, sinks_m
@@ -20,6 +20,12 @@ from petmjx.world.history import CARRIER
 from petmjx.world.release_places import NOTHING, Release, release_of, releases_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.stackable_scenes import stackable_groups, stacked_values
+
+MANY: Final = 1_000
+"""From this number of rows on, several threads copy faster than one, since NumPy releases the interpreter's lock while
+it copies."""
+
+MOST_THREADS: Final = 8
 
 Rows = dict[str, NDArray[Any]]
 """Name of a field of ``world_constants.Worlds`` → its rows, one per scene."""
@@ -41,6 +47,12 @@ def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 
     fan_out = np.array([row_of[id(scene)] for scene in scenes] + [0] * spare)
     rows = _rows_of_distinct(distinct, width, sim, boards)
     return dict(zip(rows, gather_rows(rows.values(), fan_out), strict=True))
+
+
+def gather_rows(arrays: Iterable[NDArray[Any]], source: NDArray[np.int64]) -> list[NDArray[Any]]:
+    """For each array, the rows whose numbers are in ``source``. ``source`` contains many numbers more than once."""
+    threads = MOST_THREADS if len(source) >= MANY else 1
+    return on_threads(partial(np.take, indices=source, axis=0), [*arrays], threads)
 
 
 def with_spare_rows(values: NDArray[Any], spare: int) -> NDArray[Any]:

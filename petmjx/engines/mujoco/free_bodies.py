@@ -18,23 +18,18 @@ def paths(bodies: FreeBodies, sim: Simulation, threads: int) -> FloatArray:
     """See ``petmjx.engines.protocol.Engine.paths``."""
 
     def path(world: int) -> FloatArray:
-        return _path(bodies, world, sim)
+        """(s, k, 7) the path of one world; NaN from the first step on at which its numbers are not finite."""
+        poses = np.full((len(bodies.steps), bodies.n_boxes, 7), np.nan)
+        live = LiveWorld.let_go(bodies.scenes[world], sim, bodies.velocity[world])
+        last_step = 0
+        for row, step in enumerate(bodies.steps.tolist()):
+            if step > last_step:
+                live.step(step - last_step)
+                last_step = step
+            if live.trouble() is not Flag.NONE:
+                break
+            poses[row] = live.pose
+        return poses
 
     with QUIET_MUJOCO, ThreadPoolExecutor(threads, thread_name_prefix="petmjx-world") as pool:
         return np.array(list(pool.map(path, range(len(bodies.scenes)))))
-
-
-def _path(bodies: FreeBodies, world: int, sim: Simulation) -> FloatArray:
-    """(s, k, 7) positions (m) and quaternions of the k boxes of one world, after each of the s steps
-    ``bodies.steps``."""
-    poses = np.full((len(bodies.steps), bodies.n_boxes, 7), np.nan)
-    live = LiveWorld.let_go(bodies.scenes[world], sim, bodies.velocity[world])
-    last_step = 0
-    for row, step in enumerate(bodies.steps.tolist()):
-        if step > last_step:
-            live.step(step - last_step)
-            last_step = step
-        if live.trouble() is not Flag.NONE:
-            break
-        poses[row] = live.pose
-    return poses

@@ -78,12 +78,8 @@ class Hand:
         return False
 
     def wrench(self, pose: FloatArray, velocity: FloatArray) -> FloatArray:
-        """(6,) force (N) and moment (N·m) of the hand on the box during the next step, in world axes.
-
-        A spring and a damper connect the box to the point that the box should follow. A third force accelerates the box
-        like the point that the box should follow, so that a free box follows the point exactly. The sum of these forces
-        is limited, and so is the moment. The weight of the box is added to the limited sum. While the hand sets the box
-        down, only a damper acts on the box; its force may also carry the weight.
+        """(6,) force (N) and moment (N·m) of the hand on the box during the next step, in world axes (docs/rules.md,
+        section 4).
 
         Args:
             pose: (7,) position (m) and quaternion of the box's frame.

@@ -113,7 +113,7 @@ class OpenWorld(WorldRun):
         self.go_on()
         self._stream_number, self._pauses = index, False
         self._job = replace(self._job, drive=drive)
-        self._waits.settles = self._settles
+        self._waits.settles = self._job.settles
         if self.paused and self._lingers():
             self.paused = False
             self._waits.begin(self._waits.since, self._scene.n_boxes, all_placed=True, restless=False)
@@ -190,34 +190,36 @@ class MujocoWorlds(OpenWorlds):
         for world, twin in zip(into, twins, strict=True):
             self._worlds[world] = twin
 
-    def _read(self, worlds: Sequence[int]) -> list[Reading]:
-        return [self._worlds[world].read() for world in worlds]
+    def _readings(self, worlds: Sequence[int]) -> Readings:
+        return Readings.of([self._worlds[world].read() for world in worlds], [self._scenes[world] for world in worlds])
 
     def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings:
-        def tried(row: int, world: int) -> tuple[Reading, Scene]:
-            scene = self._blank.with_box(self._scenes[world], boxes, row)
-            return self._worlds[world].tried(scene, until_lost=until_lost), scene
+        def tried(row: int) -> tuple[Reading, Scene]:
+            scene = self._blank.with_box(self._scenes[worlds[row]], boxes, row)
+            return self._worlds[worlds[row]].tried(scene, until_lost=until_lost), scene
 
-        trials = self._map(lambda pair: tried(*pair), enumerate(worlds))
+        trials = self._map(tried, range(len(worlds)))
         return Readings.of([reading for reading, _ in trials], [scene for _, scene in trials])
 
     def _try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None]
     ) -> list[Outcome]:
-        def end(number: int, world: int, scene: Scene, drive: Drive | None) -> Outcome:
-            twin = self._worlds[world].fork()
-            twin.put(scene)
-            return twin.finish(number, drive)
-
-        numbered = zip(range(len(worlds)), worlds, scenes, drives, strict=True)
-        return self._map(lambda pair: end(*pair), numbered)
+        return self._ends([*zip(worlds, scenes, drives, strict=True)])
 
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
-        def end(number: int, world: int, drive: Drive | None) -> Outcome:
-            return self._worlds[world].fork().finish(number, drive)
+        return self._ends([(world, None, drive) for world, drive in zip(worlds, drives, strict=True)])
 
-        numbered = zip(range(len(worlds)), worlds, drives, strict=True)
-        return self._map(lambda pair: end(*pair), numbered)
+    def _ends(self, forks: Sequence[tuple[int, Scene | None, Drive | None]]) -> list[Outcome]:
+        """The outcomes of copies (*forks*) of worlds, which first get the additional boxes of a scene, if any."""
+
+        def end(number: int) -> Outcome:
+            world, scene, drive = forks[number]
+            twin = self._worlds[world].fork()
+            if scene is not None:
+                twin.put(scene)
+            return twin.finish(number, drive)
+
+        return self._map(end, range(len(forks)))
 
     def _begin(self, scene: Scene) -> OpenWorld:
         return OpenWorld(scene, self._sim, self._stop.is_set, self._templates)

@@ -61,11 +61,6 @@ class SlipLaw:
         """Whether any contact may be sliding. ``velocity``: (nv,) velocities of all bodies, m/s and rad/s."""
         return self.acts and bool(velocity.dot(velocity) > SLOW_M_S**2)
 
-    def step(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Take one step with the law of sliding contacts."""
-        mujoco.mj_step1(model, data)
-        self.step2(model, data)
-
     def step2(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Take the second half of a step, as ``mj_step2`` with Euler's integrator, and apply the law of sliding
         contacts. All contacts must have three constraint rows (``condim`` 3), which follow the rows of other

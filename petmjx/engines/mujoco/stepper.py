@@ -33,11 +33,6 @@ class Stepper:
         self._budget = budget
         self._placed, self._restless = 0, True
 
-    @property
-    def why_it_ended(self) -> str:
-        """The message for a world whose time was up."""
-        return self._budget.words if self._budget is not None else ""
-
     def take(
         self, live: LiveWorld | SoftWorld, first: int, count: int, metrics: OracleMetrics | None, acts: bool
     ) -> int:

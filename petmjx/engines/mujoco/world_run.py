@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,20 +13,46 @@ from petmjx.engines.mujoco.cpu_budget import Budget
 from petmjx.engines.mujoco.drive import ActingDrive
 from petmjx.engines.mujoco.frame_recorder import WorldRecorder
 from petmjx.engines.mujoco.hand import Hand
-from petmjx.engines.mujoco.live_world import LiveWorld
+from petmjx.engines.mujoco.live_world import BodyState, LiveWorld
 from petmjx.engines.mujoco.open_models import Templates
 from petmjx.engines.mujoco.rest import Explosion, QuietRule
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
-from petmjx.engines.mujoco.settled_state import SettledState
-from petmjx.engines.mujoco.soft_boxes import SoftWorld
+from petmjx.engines.mujoco.soft_boxes import SoftState, SoftWorld
 from petmjx.engines.mujoco.stepper import Stepper
 from petmjx.engines.mujoco.timetable import NEVER, Waits
 from petmjx.engines.step_clock import Clock
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.options.simulation import SOFT_START_STEPS, Check, Simulation
 from petmjx.world.job import Drive, Job
+from petmjx.world.scene import Scene
 
 _FATAL = Flag.NONFINITE | Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW
+
+
+@dataclass(frozen=True, eq=False)
+class SettledState:
+    """The state of a world at the end of its placement, from which other worlds (*forks*) start."""
+
+    step: int
+    bodies: BodyState | SoftState | None
+    metrics: OracleMetrics
+    flags: Flag
+    ended: Outcome | None
+    """The outcome of the world, if it ended before it settled. All forks have the same outcome. If the world settled,
+    the value is None."""
+
+    def ended_as(self, stream_number: int) -> Outcome | None:
+        """The outcome of a fork, if the world ended before it settled; otherwise None."""
+        if self.ended is None:
+            return None
+        return replace(self.ended, job=stream_number, flags=self.ended.flags | Flag.FORKED, n_steps=0, state=None)
+
+    def resumed(self, scene: Scene, sim: Simulation, time_s: float) -> LiveWorld | SoftWorld:
+        """A world in this state, ready for a drive (motion of the carrier)."""
+        assert self.bodies is not None
+        if isinstance(self.bodies, SoftState):
+            return SoftWorld.resume(scene, sim, self.bodies, time_s)
+        return LiveWorld.resume(scene, sim, self.bodies, time_s)
 
 
 class WorldCancelled(Exception):
@@ -44,7 +70,7 @@ class WorldRun:
         cancelled: Callable[[], bool],
         budget: Budget | None = None,
     ) -> None:
-        self._stepper = Stepper(sim, budget)
+        self._stepper, self._budget = Stepper(sim, budget), budget
         self._begun, self._stream_number = False, stream_number
         self._job = job
         self._sim = sim
@@ -57,7 +83,7 @@ class WorldRun:
         self._static = sim.check is Check.STATIC
         self._down = np.array([0.0, 0.0, -sim.physics.gravity_m_s2])
         self._step = self._first_step = 0
-        self._waits = Waits(sim, self._clock, self._settles)
+        self._waits = Waits(sim, self._clock, job.settles)
         self._quiet = QuietRule(sim, job.scene)
         self._explosion = Explosion(sim.quiet.landing_steps)
         self._sign_step = self._n_at_sign = 0
@@ -171,11 +197,6 @@ class WorldRun:
     def _driving(self) -> bool:
         return self._drive is not None
 
-    @property
-    def _settles(self) -> bool:
-        """Whether the world settles after the placement: for a drive (motion of the carrier), or to keep its state."""
-        return self._job.settles
-
     def _next_event(self) -> int:
         step, poll = self._step, self._sim.quiet.poll_steps
         if self._live.hand is not None:
@@ -262,7 +283,7 @@ class WorldRun:
         """After a wait: place the next box, settle, or start the rest window."""
         live = self._live
         places = live.n_placed < self._scene.n_boxes
-        settles = self._settles and not self._driving and not self._waits.rests_first
+        settles = self._job.settles and not self._driving and not self._waits.rests_first
         if (places or settles) and not self._quiet.holds and not self._metrics.has_failed:
             self._flags |= Flag.MOVING
         if places:
@@ -339,7 +360,7 @@ class WorldRun:
             return
         if moves and not lost:
             self._flags |= Flag.MOVING
-        if self._settles and self._waits.rests_first and not self._driving:
+        if self._job.settles and self._waits.rests_first and not self._driving:
             self._settle()
 
     def _look_for_quiet(self) -> bool:
@@ -409,7 +430,7 @@ class WorldRun:
             boxes=boxes,
             n_at_sign=n_at_sign,
             solver=self._sim.solver.value,
-            message=self._stepper.why_it_ended if reason is Reason.TIMEOUT else "",
+            message=self._budget.words if self._budget is not None and reason is Reason.TIMEOUT else "",
         )
         if self._recorder is not None:
             self._recorder.look(self._step, live)

@@ -83,7 +83,7 @@ class Worker:
         collect_rarely()
         if cache_dir is not None:
             os.environ.setdefault("PETMJX_CACHE_DIR", cache_dir)
-        self._recipe, self._threads, self._most_lookers = recipe, threads, check_pool
+        self._recipe, self._threads, self._check_processes = recipe, threads, check_pool
         self._check_pool: CheckPool[None] | None = None
         self._thorough = thorough
         self._built: Future[Engine] = Future()
@@ -123,7 +123,7 @@ class Worker:
         """Simulate the jobs of a chunk, the pickled pair (jobs, sim), and yield pickled reports. The outcomes are
         checked in this process. ``Outcome.job`` is the index of the job in the chunk."""
         jobs, sim = pickle.loads(chunk)
-        check_pool = self._lookers_for(jobs)
+        check_pool = self._check_pool_for(jobs)
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
         progress = Progress()
         end_errors: list[BaseException] = []
@@ -140,12 +140,12 @@ class Worker:
                 yield pickle.dumps(Report(outcomes, so_far, end_errors[0] if end_errors else None))
         runner.join()
 
-    def _lookers_for(self, jobs: Sequence[Job]) -> CheckPool[None]:
+    def _check_pool_for(self, jobs: Sequence[Job]) -> CheckPool[None]:
         """The pool of processes that check the outcomes of a chunk. The first large chunk starts the processes, which
         are kept as long as the worker lives. The outcomes of a small chunk are checked by the worker itself."""
-        if self._most_lookers == 0 or len(jobs) < LARGE:
+        if self._check_processes == 0 or len(jobs) < LARGE:
             return CheckPool(0)
-        self._check_pool = self._check_pool or CheckPool(self._most_lookers)
+        self._check_pool = self._check_pool or CheckPool(self._check_processes)
         return self._check_pool
 
     def _run(

@@ -9,6 +9,7 @@ import atexit
 import threading
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import replace
 
 from petmjx.common.text import count_text
 from petmjx.engines.cost_model import Costs, Work
@@ -97,7 +98,9 @@ class WorkerStartup:
         """The engine of the run, if it is known before the plans are known; otherwise None."""
         if self._options.engine != AUTO:
             return str(self._options.engine)
-        return "mjx-warp" if self._worth_gpus and _why_no_gpu(self._options, nodes) is None else None
+        workers = self._options.asked_workers
+        assert workers is not None
+        return "mjx-warp" if self._worth_gpus and why_no_gpus(nodes, workers) is None else None
 
 
 def resolve_workers(
@@ -116,16 +119,16 @@ def resolve_workers(
     """
     cluster, pool = ahead.take() if ahead is not None else (_run_cluster(options), None)
     try:
-        name, reason, seconds = _pool_choice(options, cluster.nodes, work, costs)
-        if pool is not None and pool.name != name:
+        choice = _pool_choice(options, cluster.nodes, work, costs)
+        if pool is not None and pool.name != choice.name:
             pool.dismiss()
             pool = None
-        pool = pool or _pool(name, options, cluster)
+        pool = pool or _pool(choice.name, options, cluster)
         pool.wait_for_first()
     except BaseException:
         (pool or cluster).close()
         raise
-    return pool, Choice(name, f"{reason}, in {count_text(pool.size, 'worker')}", seconds)
+    return pool, replace(choice, reason=f"{choice.reason}, in {count_text(pool.size, 'worker')}")
 
 
 def _run_cluster(options: RunOptions) -> Cluster:
@@ -136,8 +139,8 @@ def _run_cluster(options: RunOptions) -> Cluster:
     return Cluster(options.ray)
 
 
-def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) -> tuple[str, str, float | None]:
-    """The name of the engine, the reason for its choice, and the expected time of the run, s."""
+def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) -> Choice:
+    """The engine of the workers."""
     workers, engine = options.asked_workers, str(options.engine)
     assert workers is not None
     threads = sum(node.cpus for node in nodes)
@@ -147,22 +150,16 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
     used = gpus if workers == AUTO else min(gpus, int(workers))  # a GPU that several workers share is counted once
     seconds = costs.seconds(work, max(threads, 1), max(used, 1))
 
-    def why_no_gpu() -> str | None:
-        return _why_no_gpu(options, nodes)
-
-    def why_no_kernel() -> str | None:
-        return "not chosen for workers"  # with ``mjx-warp-cpu``, each worker would have to compile the kernels
-
     name, reason = engine, "as asked for"
     if engine == AUTO:
-        name, reason = choose(seconds, threads, used, why_no_gpu, why_no_kernel)
-    return name, reason, seconds.get(name)
-
-
-def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
-    """The reason why ``auto`` cannot give each worker a GPU or a share of a GPU; None if it can."""
-    assert options.asked_workers is not None
-    return why_no_gpus(nodes, options.asked_workers)
+        name, reason = choose(
+            seconds,
+            threads,
+            used,
+            why_no_gpu=lambda: why_no_gpus(nodes, workers),
+            why_no_kernel=lambda: "not chosen for workers",  # each worker would have to compile the kernels
+        )
+    return Choice(name, reason, seconds.get(name))
 
 
 def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:

@@ -56,7 +56,7 @@ class _Stream:
 
 
 @dataclass(eq=False)
-class _Hand:
+class _WorkerRecord:
     """The pool's record of a worker.
 
     Attributes:
@@ -64,7 +64,7 @@ class _Hand:
         working: whether the worker's engine certainly exists: it was created before the first message, or the worker
             has reported about a chunk.
         streams: Ray's streams of reports, one for each chunk of the worker.
-        said: the worker's last progress message.
+        message: the worker's last progress message.
     """
 
     place: Place
@@ -74,7 +74,7 @@ class _Hand:
     working: bool = False
     streams: dict[Any, _Stream] = field(default_factory=dict)
     compile_s: float = 0.0
-    said: str = ""
+    message: str = ""
 
     @property
     def ready(self) -> bool:
@@ -105,13 +105,13 @@ class WorkerPool(Engine):
         self._running = RunLock(self.name)
         # A thread waits for Ray: if the main thread did, exceptions of signal handlers would be lost.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="petmjx-workers")
-        self._hands: list[_Hand] = []
+        self._workers: list[_WorkerRecord] = []
         self._devices: dict[str, None] = {}
         self._false_starts = self._deaths = 0
         self._deadly: dict[int, Scene] = {}
         self._places = list(places)
         self.devices = max(round(sum(place.gpus for place in places)), 1)
-        self._hands += (self._start(place) for place in places)
+        self._workers += (self._start(place) for place in places)
 
     def wait_for_first(self) -> None:
         """Wait until a worker is ready, but at most ``START_S``.
@@ -120,9 +120,9 @@ class WorkerPool(Engine):
             EngineUnavailable: the engine cannot run in a worker.
         """
         first = time.monotonic() + START_S
-        while not any(hand.ready for hand in self._hands) and time.monotonic() < first:
-            for hand, ref in self._news():
-                self._greet(hand, ref)
+        while not any(worker.ready for worker in self._workers) and time.monotonic() < first:
+            for worker, ref in self._news():
+                self._greet(worker, ref)
 
     @property
     def capabilities(self) -> Capability:
@@ -142,13 +142,13 @@ class WorkerPool(Engine):
     @property
     def pids(self) -> list[int]:
         """Process ids of the workers that are ready. An id is valid on the machine of its worker."""
-        return [hand.pid for hand in self._hands if hand.ready]
+        return [worker.pid for worker in self._workers if worker.ready]
 
     def dismiss(self) -> None:
         """End the workers. The cluster continues for its other users."""
-        hands, self._hands = self._hands, []
-        for hand in hands:
-            self._kill(hand)
+        workers, self._workers = self._workers, []
+        for worker in workers:
+            self._kill(worker)
 
     def retire(self) -> None:
         """Start to end the workers, and the cluster if it was started for them."""
@@ -182,8 +182,8 @@ class WorkerPool(Engine):
 
     def _run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> Iterator[Outcome]:
         lacking = Counter(self._places)
-        lacking.subtract(hand.place for hand in self._hands)
-        self._hands += [self._start(place) for place in lacking.elements()]
+        lacking.subtract(worker.place for worker in self._workers)
+        self._workers += [self._start(place) for place in lacking.elements()]
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
         # a user's engine in workers is treated as an MJX engine, since it should inherit from one
@@ -192,63 +192,64 @@ class WorkerPool(Engine):
         deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
         compiled_s, before = progress.compile_s, progress.message
         began = time.monotonic()
-        for hand in self._hands:
-            hand.compile_s, hand.said = 0.0, ""
+        for worker in self._workers:
+            worker.compile_s, worker.message = 0.0, ""
         try:
-            while deal.unanswered or any(hand.streams for hand in self._hands):
+            while deal.unanswered or any(worker.streams for worker in self._workers):
                 self._hand_out(deal, jobs, sim)
                 seconds = time.monotonic() - began
-                if seconds >= START_S and not all(hand.ready for hand in self._hands):
+                if seconds >= START_S and not all(worker.ready for worker in self._workers):
                     self._cluster.check()
                 progress.message = self._message(seconds) or before
                 progress.at_hand = 0
                 if progress.pauses:
                     yield None  # type: ignore[misc]  # callers that set ``pauses`` expect it
-                for hand, ref in self._news():
-                    if not hand.ready:
-                        self._greet(hand, ref)
+                for worker, ref in self._news():
+                    if not worker.ready:
+                        self._greet(worker, ref)
                         continue
-                    if ref not in hand.streams:
+                    if ref not in worker.streams:
                         continue  # the worker's death was noticed a moment ago, at another of its chunks
                     report = self._next_report(ref)
                     if isinstance(report, Report):
-                        hand.working = True
-                        yield from self._take(hand, hand.streams[ref], report, deal, progress)
-                        progress.compile_s = compiled_s + max(hand.compile_s for hand in self._hands)
+                        worker.working = True
+                        yield from self._take(worker, worker.streams[ref], report, deal, progress)
+                        progress.compile_s = compiled_s + max(worker.compile_s for worker in self._workers)
                     elif report is None:
-                        missing = set(hand.streams.pop(ref).chunk.jobs) & deal.unanswered
+                        missing = set(worker.streams.pop(ref).chunk.jobs) & deal.unanswered
                         if missing:
                             raise RuntimeError(
                                 f"engine {self.name} returned no outcome for {count_text(len(missing), 'job')}"
                             )
                     else:
-                        yield from self._bury(hand, deal, jobs, sim, progress)
+                        yield from self._bury(worker, deal, jobs, sim, progress)
             progress.message = before
         finally:
-            for hand in [hand for hand in self._hands if hand.streams]:  # nobody needs these workers' other chunks
-                self._hands.remove(hand)
-                self._kill(hand)
+            busy = [worker for worker in self._workers if worker.streams]
+            for worker in busy:  # nobody needs these workers' other chunks
+                self._workers.remove(worker)
+                self._kill(worker)
 
     # Workers.
 
-    def _start(self, place: Place) -> _Hand:
+    def _start(self, place: Place) -> _WorkerRecord:
         resources = {"num_cpus": place.cpus, "num_gpus": place.gpus}
         remote = self._ray.remote(Worker).options(**resources, max_concurrency=place.slots, max_restarts=0)
         threads = place.slots if self.name == "mujoco" else None
         thorough = self.name != "mjx-warp" or self._deaths > 0  # after a death, the device may be broken
         options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
-        return _Hand(place, actor, actor.hello.remote(), working=thorough)
+        return _WorkerRecord(place, actor, actor.hello.remote(), working=thorough)
 
-    def _kill(self, hand: _Hand) -> None:
-        hand.streams.clear()
-        self._ray.kill(hand.actor)
+    def _kill(self, worker: _WorkerRecord) -> None:
+        worker.streams.clear()
+        self._ray.kill(worker.actor)
 
-    def _news(self) -> list[tuple[_Hand, Any]]:
+    def _news(self) -> list[tuple[_WorkerRecord, Any]]:
         """Workers that have sent something. Each worker comes with the source of its message: the first message, or the
         stream of a chunk.
         """
-        owner = {ref: hand for hand in self._hands for ref in (hand.hello, *hand.streams) if ref is not None}
+        owner = {ref: worker for worker in self._workers for ref in (worker.hello, *worker.streams) if ref is not None}
 
         def wait() -> list[Any]:
             ready, _ = self._ray.wait(list(owner), num_returns=1, timeout=LOOK_S)
@@ -256,15 +257,15 @@ class WorkerPool(Engine):
 
         return [(owner[ref], ref) for ref in self._thread.submit(wait).result()]
 
-    def _greet(self, hand: _Hand, ref: Any) -> None:
+    def _greet(self, worker: _WorkerRecord, ref: Any) -> None:
         """Handle a worker's first message, or its death before this message."""
         try:
             hello: WorkerReady = pickle.loads(self._thread.submit(self._ray.get, ref).result())
         except self._ray.exceptions.RayError as death:
-            self._start_again(hand, EngineUnavailable(f"workers die at their start: {one_line(death)}"), FALSE_STARTS)
+            self._start_again(worker, EngineUnavailable(f"workers die at their start: {one_line(death)}"), FALSE_STARTS)
             return
         if hello.error is not None:
-            self._start_again(hand, hello.error, 1)
+            self._start_again(worker, hello.error, 1)
             return
         own_versions = package_versions()
         for package in sorted(own_versions.keys() & hello.versions.keys()):
@@ -274,10 +275,10 @@ class WorkerPool(Engine):
                     f"{own_versions[package]}: install the same versions"
                 )
         self._false_starts = 0
-        hand.hello, hand.pid = None, hello.pid
+        worker.hello, worker.pid = None, hello.pid
         self._devices[hello.device] = None
 
-    def _start_again(self, hand: _Hand, error: BaseException, most: int) -> None:
+    def _start_again(self, worker: _WorkerRecord, error: BaseException, most: int) -> None:
         """Handle a worker that failed to start. A worker that replaces a dead worker, whose device may be broken, is
         started up to three times. If all starts fail, the run continues with the remaining workers.
 
@@ -285,27 +286,27 @@ class WorkerPool(Engine):
             error: error that is raised after ``most`` failed starts, if no worker has died before or no other is left.
         """
         self._false_starts += 1
-        spare = self._deaths > 0 and any(hand.ready for hand in self._hands)
+        spare = self._deaths > 0 and any(worker.ready for worker in self._workers)
         if not spare and self._false_starts >= most:
             raise error
-        self._kill(hand)
-        self._hands.remove(hand)
+        self._kill(worker)
+        self._workers.remove(worker)
         if self._false_starts < FALSE_STARTS:
-            self._hands.append(self._start(hand.place))
+            self._workers.append(self._start(worker.place))
         else:
-            self._places.remove(hand.place)
+            self._places.remove(worker.place)
             self._false_starts = 0
 
     def _bury(
-        self, hand: _Hand, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
+        self, worker: _WorkerRecord, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
     ) -> Iterator[Outcome]:
         """Replace a dead worker. Yields the outcomes of jobs that are given up. If the worker's engine did not exist
         yet, no job is given up."""
-        held = [stream.chunk for stream in hand.streams.values()]
+        held = [stream.chunk for stream in worker.streams.values()]
         self._deaths += 1
-        self._kill(hand)
-        self._hands[self._hands.index(hand)] = self._start(hand.place)
-        if not hand.working:
+        self._kill(worker)
+        self._workers[self._workers.index(worker)] = self._start(worker.place)
+        if not worker.working:
             deal.put_back(held)
             return
         for index in deal.died(held):
@@ -319,14 +320,14 @@ class WorkerPool(Engine):
 
     def _hand_out(self, deal: Deal, jobs: Sequence[Job], sim: Simulation) -> None:
         """Give chunks to workers in turn, one at a time, while there are chunks and workers that can take one."""
-        waiting = deque(sorted(self._hands, key=lambda hand: len(hand.streams)))
+        waiting = deque(sorted(self._workers, key=lambda worker: len(worker.streams)))
         while waiting:
-            hand = waiting.popleft()
-            if hand.has_room(deal.plenty) and (chunk := deal.take(idle=not hand.streams)):
+            worker = waiting.popleft()
+            if worker.has_room(deal.plenty) and (chunk := deal.take(idle=not worker.streams)):
                 payload = pickle.dumps(([jobs[index] for index in chunk.jobs], sim))
-                method = hand.actor.simulate.options(num_returns="streaming")
-                hand.streams[method.remote(payload)] = _Stream(chunk)
-                waiting.append(hand)
+                method = worker.actor.simulate.options(num_returns="streaming")
+                worker.streams[method.remote(payload)] = _Stream(chunk)
+                waiting.append(worker)
 
     def _next_report(self, ref: Any) -> Report | Exception | None:
         """The next report about a chunk; None after the last report; an error if the worker is dead."""
@@ -342,11 +343,13 @@ class WorkerPool(Engine):
             lost: Exception = error  # mypy does not know Ray's classes and treats them as Any
             return lost
 
-    def _take(self, hand: _Hand, stream: _Stream, report: Report, deal: Deal, progress: Progress) -> Iterator[Outcome]:
+    def _take(
+        self, worker: _WorkerRecord, stream: _Stream, report: Report, deal: Deal, progress: Progress
+    ) -> Iterator[Outcome]:
         new, old = report.progress, stream.counted
         progress.world_steps += new.world_steps - old.world_steps
-        hand.compile_s += new.compile_s - old.compile_s
-        hand.said = new.message
+        worker.compile_s += new.compile_s - old.compile_s
+        worker.message = new.message
         for key, value in new.extra.items():
             before = progress.extra.get(key, 0)
             highest = key.endswith(_HIGHEST)
@@ -367,10 +370,10 @@ class WorkerPool(Engine):
 
     def _message(self, seconds: float) -> str:
         """A line for the user about the state of the workers."""
-        waiting = [hand for hand in self._hands if not hand.ready]
+        waiting = [worker for worker in self._workers if not worker.ready]
         parts = [f"{count_text(self._deaths, 'worker')} died"] if self._deaths else []
         if waiting:
-            of = f"{len(waiting)} of {count_text(len(self._hands), 'worker')}"
+            of = f"{len(waiting)} of {count_text(len(self._workers), 'worker')}"
             parts += [f"starting {of}" if seconds < START_S else f"waiting until the cluster has room for {of}"]
-        messages = {hand.said for hand in self._hands if hand.streams and hand.said}
+        messages = {worker.message for worker in self._workers if worker.streams and worker.message}
         return "; ".join(parts + sorted(messages))

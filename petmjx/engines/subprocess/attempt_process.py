@@ -1,25 +1,28 @@
-"""The code of the process that simulates single worlds beside a run, on engines with one thread each.
+"""Simulates single worlds again (further *attempts*) in a process beside a run, on engines with one thread each.
 
-The process reads tasks from a pipe. The process sees no GPU, so its JAX and Warp use the CPU, even if those of the
-run's process use a GPU. The process ends when the pipe ends, and so also when the process that started it ends.
+``SubprocessSimulator`` sends tasks to the process, and receives the answers. ``main`` is the work of the process. The
+process sees no GPU, so its JAX and Warp use the CPU, even if those of the run's process use a GPU. The process ends
+when its pipe of tasks ends, and so also when the process that started it ends.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
 import pickle
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from typing import Final, Protocol
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cpu_threads
 from petmjx.common.text import one_line
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.protocol import Engine, Progress
-from petmjx.engines.subprocess.task_pipe import next_of, own_pipes
+from petmjx.engines.subprocess.task_pipe import Child, arrived, next_of, own_pipes
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
@@ -59,8 +62,97 @@ class Answer:
     message: str = ""
 
 
+class SideSimulator(Protocol):
+    """Simulates worlds while the caller continues."""
+
+    def begin(self, task: Task) -> None:
+        """Start to simulate a world. Returns at once."""
+
+    def ended(self, *, wait: bool) -> Iterator[Answer]:
+        """The answers that have arrived since the last call.
+
+        Args:
+            wait: whether to wait for at least one answer, if any task has no answer yet.
+        """
+        ...
+
+    def close(self) -> None:
+        """End the simulator. Tasks without an answer are dropped."""
+
+
+class SubprocessSimulator:
+    """Simulates worlds in a separate process, which is started for the first task.
+
+    If the process dies, its open tasks get answers without an outcome, and the next task starts a new process. Idle
+    processes are kept for the next user, since a new process has to load JAX, Warp and the kernel.
+    """
+
+    def __init__(self) -> None:
+        self._process: Child | None = None
+        self._unanswered: set[int] = set()
+
+    def begin(self, task: Task) -> None:
+        """See ``SideSimulator.begin``."""
+        if self._process is None:
+            self._process = _idle_child()
+        self._unanswered.add(task.number)
+        try:
+            self._process.tasks.put(pickle.dumps(task))
+        except Exception as error:
+            self._process.answers.put(Answer(task.number, None, one_line(error)))
+
+    def ended(self, *, wait: bool) -> Iterator[Answer]:
+        """See ``SideSimulator.ended``."""
+        if not self._unanswered:
+            return
+        assert self._process is not None
+        for answer in arrived(self._process.answers, wait=wait):
+            if answer is not None:
+                self._unanswered.discard(answer.number)
+                yield answer
+                continue
+            died, self._unanswered = sorted(self._unanswered), set()
+            self._process.end()
+            self._process = None
+            for number in died:
+                yield Answer(number, None, "the process beside the run died")
+            return
+
+    def close(self) -> None:
+        """See ``SideSimulator.close``."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        if self._unanswered - {READY}:
+            process.end()
+        else:
+            _IDLE.setdefault(os.getpid(), []).append(process)
+
+
+_IDLE: Final[dict[int, list[Child]]] = {}
+"""Process id of a process → the idle processes that it started. A fork of this process must not use these processes,
+since a fork has no threads that write tasks and read answers."""
+
+
+def _idle_child() -> Child:
+    """An idle process that is alive; if there is none, a new process."""
+    idle = _IDLE.get(os.getpid(), [])
+    while idle:
+        process = idle.pop()
+        if process.lives:
+            return process
+        process.end()
+    return Child(__name__)
+
+
+@atexit.register
+def _end_idle() -> None:
+    for process in _IDLE.pop(os.getpid(), []):
+        process.end()
+
+
 def main() -> None:
-    """Read tasks from standard input and write answers to standard output, in any order, until the input ends."""
+    """The work of the process: simulate the worlds of all tasks on threads, and answer in any order."""
     tasks, answers = own_pipes(NICE)
     thread_state, writing = threading.local(), threading.Lock()
 

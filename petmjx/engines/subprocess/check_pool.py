@@ -14,9 +14,10 @@ from typing import Final, Generic, TypeVar
 import numpy as np
 
 from petmjx.common.machine import cpu_threads
+from petmjx.common.text import one_line
+from petmjx.common.units import FloatArray
 from petmjx.engines.outcome_checks import outcome_checks
-from petmjx.engines.subprocess.check_process import Look
-from petmjx.engines.subprocess.task_pipe import Child
+from petmjx.engines.subprocess.task_pipe import Child, serve
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
@@ -48,6 +49,16 @@ _ANY_DRIVE: Final = Drive(Excitation("any", ACCELERATION, np.zeros((0, 3))))
 """Stands for the drive (motion of the carrier) of a job that is sent to a check process. Checks need to know only
 whether the job has a drive."""
 
+NICE: Final = 5
+"""Niceness of a check process: its threads have a lower priority than the threads of the run."""
+
+CheckTask = tuple[Sequence[Outcome], Sequence[Job], Simulation]
+"""The arguments of ``outcome_checks``."""
+
+Answer = tuple[Sequence[Outcome], Sequence[tuple[FloatArray, FloatArray]]]
+"""Outcomes without their boxes, and two arrays for the boxes of each outcome: distances of loads from edges in the
+plan, and at rest, m."""
+
 Key = TypeVar("Key")
 
 
@@ -60,8 +71,8 @@ def max_check_processes(threads: int) -> int:
 class _CheckProcess(Generic[Key]):
     """A check process and its unfinished checks, with a key for each outcome. The process answers in order."""
 
-    child: Child = field(default_factory=lambda: Child("petmjx.engines.subprocess.check_process"))
-    unanswered: deque[tuple[list[Key], Look]] = field(default_factory=deque)
+    child: Child = field(default_factory=lambda: Child(__name__))
+    unanswered: deque[tuple[list[Key], CheckTask]] = field(default_factory=deque)
 
 
 class CheckPool(Generic[Key]):
@@ -72,7 +83,7 @@ class CheckPool(Generic[Key]):
     """
 
     def __init__(self, processes: int) -> None:
-        self._check_pool = [_CheckProcess[Key]() for _ in range(processes)]
+        self._processes = [_CheckProcess[Key]() for _ in range(processes)]
         self._finished: list[tuple[Key, Outcome]] = []
         self._until_s: float | None = None
 
@@ -93,7 +104,7 @@ class CheckPool(Generic[Key]):
     @property
     def has_unanswered(self) -> bool:
         """Whether any check is unfinished."""
-        return any(looker.unanswered for looker in self._check_pool)
+        return any(process.unanswered for process in self._processes)
 
     def exchanged(
         self,
@@ -115,44 +126,44 @@ class CheckPool(Generic[Key]):
         """
         if keyed_outcomes:
             self._begin([key for key, _ in keyed_outcomes], ([outcome for _, outcome in keyed_outcomes], jobs, sim))
-        for looker in self._check_pool.copy():
-            self._take(looker, wait=False)
-        while wait and not until() and (busy := [looker for looker in self._check_pool if looker.unanswered]):
+        for process in self._processes.copy():
+            self._take(process, wait=False)
+        while wait and not until() and (busy := [process for process in self._processes if process.unanswered]):
             self._take(busy[0], wait=True, until=until)
         finished, self._finished = self._finished, []
         return finished
 
-    def _begin(self, keys: list[Key], look: Look) -> None:
+    def _begin(self, keys: list[Key], task: CheckTask) -> None:
         """Start a check. The call waits if too many checks are unfinished."""
-        outcomes, jobs, sim = look
+        outcomes, jobs, sim = task
         # Checks need no histories, samples of drives, or states. To unpickle states, a check process would have to
         # import JAX.
         light = [replace(outcome, state=None, history=None) for outcome in outcomes]
         sent = [replace(job, start=None, drive=_ANY_DRIVE if job.drive is not None else None) for job in jobs]
-        while self._check_pool:
-            looker = min(self._check_pool, key=lambda candidate: len(candidate.unanswered))
-            if len(looker.unanswered) < MOST_WAITING:
+        while self._processes:
+            process = min(self._processes, key=lambda candidate: len(candidate.unanswered))
+            if len(process.unanswered) < MOST_WAITING:
                 try:
-                    task = pickle.dumps((light, sent, sim))
+                    pickled = pickle.dumps((light, sent, sim))
                 except Exception:
                     break
-                looker.unanswered.append((keys, look))
-                looker.child.tasks.put(task)
+                process.unanswered.append((keys, task))
+                process.child.tasks.put(pickled)
                 return
-            self._take(looker, wait=True)
-        self._look(keys, look)
+            self._take(process, wait=True)
+        self._check(keys, task)
 
-    def _look(self, keys: list[Key], look: Look) -> None:
+    def _check(self, keys: list[Key], task: CheckTask) -> None:
         """Check outcomes in this process."""
-        self._finished += zip(keys, outcome_checks(*look), strict=True)
+        self._finished += zip(keys, outcome_checks(*task), strict=True)
 
-    def _take(self, looker: _CheckProcess[Key], *, wait: bool, until: Callable[[], bool] = lambda: False) -> None:
+    def _take(self, process: _CheckProcess[Key], *, wait: bool, until: Callable[[], bool] = lambda: False) -> None:
         """Take the answers of a process that have arrived. With ``wait``, wait for at least one answer, unless the
         caller has other work (``until``). A process that has died or hangs is removed from the pool."""
         waits = 0  # waits are counted instead of seconds: while this process is stopped (Ctrl-Z), no answer is late
-        while looker.unanswered:
+        while process.unanswered:
             try:
-                answer = looker.child.answers.get(timeout=LOOK_S) if wait else looker.child.answers.get_nowait()
+                answer = process.child.answers.get(timeout=LOOK_S) if wait else process.child.answers.get_nowait()
             except queue.Empty:
                 if not wait or until():
                     return
@@ -162,23 +173,40 @@ class CheckPool(Generic[Key]):
                 answer = None
             wait = False
             if answer is None:
-                self._check_pool.remove(looker)
-                looker.child.end()
-                while looker.unanswered:
-                    self._look(*looker.unanswered.popleft())
+                self._processes.remove(process)
+                process.child.end()
+                while process.unanswered:
+                    self._check(*process.unanswered.popleft())
                 return
-            keys, look = looker.unanswered.popleft()
+            keys, task = process.unanswered.popleft()
             # The answer is the text of an error. The check in this process will raise the same error.
             if isinstance(answer, str):
-                self._look(keys, look)
+                self._check(keys, task)
                 continue
             outcomes, edges = answer
-            for outcome, sent, (plan_edge_m, rest_edge_m) in zip(outcomes, look[0], edges, strict=True):
+            for outcome, sent, (plan_edge_m, rest_edge_m) in zip(outcomes, task[0], edges, strict=True):
                 outcome.boxes = replace(sent.boxes, plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
                 outcome.state, outcome.history = sent.state, sent.history
             self._finished += zip(keys, outcomes, strict=True)
 
     def close(self) -> None:
         """End the processes. Unfinished checks are dropped."""
-        while self._check_pool:
-            self._check_pool.pop().child.end()
+        while self._processes:
+            self._processes.pop().child.end()
+
+
+def main() -> None:
+    """The work of a check process, which needs neither JAX nor Warp."""
+    serve(NICE, _checked)
+
+
+def _checked(task: CheckTask) -> Answer | str:
+    """The answer of a check process. If the check raises an error, the answer is a line of text."""
+    try:
+        outcomes = outcome_checks(*task)
+        edges = [(outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m) for outcome in outcomes]
+    except Exception as error:
+        return one_line(error)
+    for outcome in outcomes:
+        del outcome.boxes  # the run still has these data, and unpickling them takes long
+    return outcomes, edges

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import pickle
 import time
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from petmjx.common.text import one_line
 from petmjx.engines.kernel_notes import CPU_KERNEL, note_kernels
-from petmjx.engines.subprocess.task_pipe import next_of, own_pipes
+from petmjx.engines.subprocess.task_pipe import serve
 
 NICE: Final = 0
 """Niceness of the process. A run waits for its kernels, so they are as urgent as the run itself."""
@@ -38,7 +36,7 @@ class KernelBuild(NamedTuple):
     Attributes:
         gpu: the GPU; None: the CPU of this machine.
         size: name of a block size: ``usual``, ``large``, ``few`` or ``last``. On a CPU, one kernel serves all.
-        hands, lands: features of a kernel for GPUs, as in ``petmjx.engines.warp.block_launch.Launch``.
+        hands, lands: features of a kernel for GPUs, as in ``petmjx.engines.warp.block_launch.Features``.
     """
 
     gpu: GpuLimits | None
@@ -71,33 +69,31 @@ def compile_kernel(build: KernelBuild) -> None:
     from petmjx.common.warp_setup import set_up_warp
 
     set_up_warp()
-    from petmjx.engines.warp.block_launch import FEW_BOXES, LAST, SIZES, Launch, kernel
+    from petmjx.engines.warp.block_launch import FEW_BOXES, LAST, SIZES, Features, Launch, kernel
     from petmjx.engines.warp.kernels.pause import pause
 
     usual, large = SIZES
     size = {"usual": usual, "large": large, "few": FEW_BOXES, "last": LAST}[build.size]
+    features = Features(hands=build.hands, lands=build.lands)
     if build.gpu is None:
-        launch = Launch.of(size, build.hands, lands=build.lands, device=wp.get_device("cpu"))
+        launch = Launch.of(size, features, wp.get_device("cpu"))
         wp.compile_aot_module(kernel(launch).module, device="cpu")
         note_kernels(CPU_KERNEL)
         return
-    launch = Launch.of(size, build.hands, lands=build.lands, device=build.gpu)
+    launch = Launch.of(size, features, build.gpu)
     for module in (kernel(launch).module, pause.module):
         wp.compile_aot_module(module, arch=build.gpu.arch)
 
 
 def main() -> None:
-    """Compile kernels one after another."""
-    builds, answers = own_pipes(NICE)
-    while (build := next_of(builds)) is not None:
-        begin, fault = time.perf_counter(), ""
-        try:
-            compile_kernel(build)
-        except Exception as error:
-            fault = one_line(error)
-        try:
-            pickle.dump(BuildAnswer(build, time.perf_counter() - begin, fault), answers)
-            answers.flush()
-        except BrokenPipeError:
-            break
-    os._exit(0)
+    """The work of the process: compile kernels one after another."""
+    serve(NICE, _built)
+
+
+def _built(build: KernelBuild) -> BuildAnswer:
+    begin, fault = time.perf_counter(), ""
+    try:
+        compile_kernel(build)
+    except Exception as error:
+        fault = one_line(error)
+    return BuildAnswer(build, time.perf_counter() - begin, fault)

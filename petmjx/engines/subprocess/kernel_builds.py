@@ -18,7 +18,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.machine import cpu_threads, cuda_limits
 from petmjx.engines.kernel_notes import are_noted, note_kernels
 from petmjx.engines.subprocess.kernel_build_process import BuildAnswer, GpuLimits, KernelBuild
-from petmjx.engines.subprocess.task_pipe import Child
+from petmjx.engines.subprocess.task_pipe import LOOK_S, Child
 from petmjx.options.simulation import Simulation
 
 USUAL: Final = ("usual", "few", "last")
@@ -31,9 +31,6 @@ Specifications per Compute Capability")."""
 
 MOST_PROCESSES: Final = 8
 """Largest number of kernels that are compiled at the same time. Each compilation takes up to 1 GB of memory."""
-
-LOOK_S: Final = 0.25
-"""Longest wait for an answer, s. If the program ends during a wait, this is noticed after the wait."""
 
 
 def gpu_here() -> GpuLimits | None:

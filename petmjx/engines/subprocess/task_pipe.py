@@ -12,10 +12,14 @@ import signal
 import subprocess
 import sys
 import threading
-from typing import IO, Any, Final
+from collections.abc import Callable, Iterator
+from typing import IO, Any, Final, TypeVar
 
 from petmjx.common.machine import own_environment
 from petmjx.common.processes import collect_rarely
+
+LOOK_S: Final = 0.25
+"""Longest uninterrupted wait for an answer, s. Signals are handled after each wait."""
 
 _NO_GPU: Final = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
 
@@ -76,6 +80,40 @@ class Child:
             while (answer := next_of(pipe)) is not None:
                 self.answers.put(answer)
         self.answers.put(None)
+
+
+Item = TypeVar("Item")
+
+
+def arrived(answers: queue.SimpleQueue[Item], *, wait: bool) -> Iterator[Item]:
+    """The answers in a queue. ``wait``: whether to wait for the first answer."""
+    while True:
+        try:
+            answer = answers.get(timeout=LOOK_S) if wait else answers.get_nowait()
+        except queue.Empty:
+            if wait:
+                continue
+            return
+        wait = False
+        yield answer
+
+
+def serve(nice: int, answer_to: Callable[[Any], Any]) -> None:
+    """Answer one task after another in this process beside a run. When the pipe of tasks ends, the process ends.
+
+    Args:
+        nice: see ``own_pipes``.
+        answer_to: function that takes a task, and returns the answer.
+    """
+    tasks, answers = own_pipes(nice)
+    while (task := next_of(tasks)) is not None:
+        answer = answer_to(task)
+        try:
+            pickle.dump(answer, answers)
+            answers.flush()
+        except BrokenPipeError:
+            break
+    os._exit(0)
 
 
 def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:

@@ -4,12 +4,8 @@ On a GPU, the hardware's scheduler runs the blocks. On a CPU, each block runs in
 
 The number of boxes of a world determines its block. In a step of forty boxes, threads mostly wait for one another's
 results (latency), so a multiprocessor should simulate a second world meanwhile. A step of two hundred boxes is work for
-many threads. So there are blocks of two sizes, and each size has its own kernel.
-
-In a step of a few boxes, threads do little but wait, so a multiprocessor must step many of these worlds together. A
-third kernel has sixteen worlds in a block, one per warp (32 threads). Pallets of all sizes begin in these blocks. A run
-ends with its longest worlds. The simulation of a world is faster if the world has a multiprocessor to itself, so a
-fourth kernel simulates the last worlds of a run.
+many threads. So there are blocks of two sizes, each with its own kernel. Two further kernels are for worlds of few
+boxes (small_world_blocks.py), and for the last worlds of a run (tail_blocks.py).
 
 All kernels add numbers in the same order. So a world may move to another kernel after any step, with bit-identical
 results.
@@ -20,11 +16,11 @@ from __future__ import annotations
 import functools
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import warp as wp
 
@@ -52,17 +48,18 @@ class Call:
 
     Attributes:
         threads: number of threads of a block.
-        arguments: function that takes the number of the first block, and returns the kernel's arguments.
+        before, after: the arguments of the kernel before and after the number of the first block.
     """
 
     kernel: Any
     blocks: int
     threads: int
-    arguments: Callable[[int], Sequence[Any]]
+    before: Sequence[Any]
+    after: Sequence[Any]
 
     def launch(self, first: int, blocks: int, **options: Any) -> None:
         """Launch ``blocks`` blocks, beginning with the block number ``first``."""
-        dim, inputs = (blocks, self.threads), list(self.arguments(first))
+        dim, inputs = (blocks, self.threads), [*self.before, first, *self.after]
         wp.launch(self.kernel, dim=dim, inputs=inputs, block_dim=self.threads, **options)
 
 
@@ -242,6 +239,30 @@ class DeviceLimits(Protocol):
     def max_shared_memory_per_block(self) -> int: ...
 
 
+class Features(NamedTuple):
+    """What a kernel can simulate. A kernel with fewer features spills fewer registers to memory.
+
+    Attributes:
+        hands: whether hands may carry boxes.
+        gives: whether boxes may be compliant.
+        wraps: whether stretch film may hold boxes.
+        lands: whether the law of landing boxes is in use.
+    """
+
+    hands: bool = False
+    gives: bool = False
+    wraps: bool = False
+    lands: bool = False
+
+    @classmethod
+    def joined(cls, sets: Iterable[Features]) -> Features:
+        """The features that are in any of these sets."""
+        return cls(*map(any, zip(cls(), *sets, strict=True)))
+
+
+NO_FEATURES: Final = Features()
+
+
 @dataclass(frozen=True)
 class Launch:
     """The configuration of a launch, and the sizes and features for which its kernel is compiled.
@@ -252,10 +273,6 @@ class Launch:
         shared_words: shared memory for rows of the factor of a world's Hessian, and for the Hessian, in units of four
             bytes.
         panels: number of panels (groups of 16 rows) of the largest system of equations.
-        hands: whether hands may carry boxes. A kernel without hands spills fewer registers to memory.
-        gives: whether boxes may be compliant. A kernel without compliant boxes spills fewer registers, too.
-        wraps: whether stretch film may hold boxes. A kernel without film spills fewer registers, too.
-        lands: whether the law of landing boxes is in use.
     """
 
     blocks: int
@@ -263,12 +280,9 @@ class Launch:
     per_sm: int
     shared_words: int
     panels: int
-    hands: bool
-    gives: bool = False
-    wraps: bool = False
+    features: Features = NO_FEATURES
     worlds: int = 1
     pause_after: int = 0
-    lands: bool = False
 
     @property
     def lanes(self) -> int:
@@ -276,17 +290,11 @@ class Launch:
         return self.blocks * self.worlds
 
     @property
-    def traits(self) -> tuple[bool, bool, bool, bool]:
-        """The features of the kernel, in the order of the arguments of :meth:`of`."""
-        return self.hands, self.gives, self.wraps, self.lands
-
-    @property
     def feature_arguments(self) -> tuple[int, ...]:
-        """The features as arguments of the kernel, in the order of ``traits``. On a CPU, where a block has one thread
-        and no shared memory, one kernel serves all features. Other kernels have no such arguments, since they are
-        compiled for their features."""
+        """The features as arguments of the kernel. On a CPU, where a block has one thread and no shared memory, one
+        kernel serves all features. Other kernels have no such arguments, since they are compiled for their features."""
         on_cpu = self.threads == 1 and self.tile_words == 0
-        return tuple(int(feature) for feature in self.traits) if on_cpu else ()
+        return tuple(int(feature) for feature in self.features) if on_cpu else ()
 
     @property
     def tile_words(self) -> int:
@@ -295,23 +303,13 @@ class Launch:
         return self.worlds * (self.shared_words + newton_words)
 
     @classmethod
-    def here(
-        cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False, lands: bool = False
-    ) -> Launch:
+    def here(cls, n_boxes: int, features: Features = NO_FEATURES) -> Launch:
         """The launch for worlds of up to ``n_boxes`` boxes on Warp's current device. On a CPU, a block is one thread,
         and one kernel serves all sizes and features."""
-        return cls.of(size_for(n_boxes), hands, gives, wraps, lands)
+        return cls.of(size_for(n_boxes), features)
 
     @classmethod
-    def of(
-        cls,
-        size: Size,
-        hands: bool = False,
-        gives: bool = False,
-        wraps: bool = False,
-        lands: bool = False,
-        device: DeviceLimits | None = None,
-    ) -> Launch:
+    def of(cls, size: Size, features: Features = NO_FEATURES, device: DeviceLimits | None = None) -> Launch:
         """The launch for blocks of this size. If a GPU has too little shared memory, blocks have fewer worlds.
 
         Args:
@@ -320,7 +318,7 @@ class Launch:
         """
         device = device or wp.get_device()
         if not device.is_cuda:
-            return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps, lands=lands)
+            return cls(1, 1, 1, 0, most_panels(MAX_BOXES), features)
         panels = most_panels(size.most_boxes)
         newton_bytes = newton.own_bytes(panels, size.worlds)
         most = device.max_shared_memory_per_block // size.per_sm - newton.DRIVER_BYTES
@@ -328,14 +326,12 @@ class Launch:
             room = most - TILE_BYTES * size.threads - size.worlds * newton_bytes
             if room < 0:
                 half = replace(size, threads=size.threads // 2, worlds=size.worlds // 2)
-                return cls.of(half, hands, gives, wraps, lands, device)
+                return cls.of(half, features, device)
             words = min(size.shared_bytes, room) // size.worlds // (4 * PANEL**2) * PANEL**2
         else:
             words = min(size.shared_bytes, most - newton_bytes) // 4
         blocks = size.per_sm * device.sm_count
-        return cls(
-            blocks, size.threads, size.per_sm, words, panels, hands, gives, wraps, size.worlds, size.pause_after, lands
-        )
+        return cls(blocks, size.threads, size.per_sm, words, panels, features, size.worlds, size.pause_after)
 
 
 def kernel(launch: Launch) -> Any:
@@ -383,7 +379,7 @@ def _kernel_of_features(launch: Launch) -> Any:
     """The kernel of blocks with shared memory, which is compiled for the features of the launch."""
     shared_words, of_block = launch.shared_words, launch.worlds
     tile_words, threads = launch.tile_words, launch.threads // launch.worlds
-    hands, gives, wraps, lands = (int(flag) for flag in (launch.hands, launch.gives, launch.wraps, launch.lands))
+    hands, gives, wraps, lands = (int(feature) for feature in launch.features)
 
     def launcher(
         # Model:

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from petmjx.engines.warp.block_launch import FEW_BOXES, Launch
-from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, BlockPool
+from petmjx.engines.warp.block_launch import FEW_BOXES, Features, Launch
+from petmjx.engines.warp.kernel_launcher import MORE_BOXES, BlockPool
 from petmjx.engines.warp.small_world_blocks import small_world_pool
 from petmjx.engines.warp.tail_blocks import tail_pool
 from petmjx.engines.warp.world_table import MAX_GROWTH, Run, WorldTable
@@ -75,10 +75,7 @@ class BlockPools:
         """The block pool for worlds of a size, with the largest number of blocks. ``boards``: number of shapes of the
         carriers.
         """
-        n_boxes = run.needs.widths[size]
         needs = run.needs
-        launch = Launch.here(n_boxes, needs.hands, needs.gives, needs.wraps, run.sim.physics.has_landings)
-        shapes = self._boxes_of_room(run, size) + boards - 1
-        return BlockPool(
-            launch, self._blocks(launch), n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
-        )
+        n_boxes = needs.widths[size]
+        launch = Launch.here(n_boxes, Features(needs.hands, needs.gives, needs.wraps, run.sim.physics.has_landings))
+        return BlockPool.of(launch, self._blocks(launch), n_boxes, boards, self._boxes_of_room(run, size))

@@ -9,6 +9,7 @@ from typing import Final
 import jax
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from petmjx.engines.mjx.frame_recorder import Frames, Recorder
 from petmjx.engines.warp import world_arrays
@@ -42,14 +43,27 @@ PickedFrames = tuple[dict[str, jax.Array], int]
 
 
 def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
-    """Empty frame buffers. If no world of the table is recorded, the buffers have room for a single frame."""
+    """Empty frame buffers for a table of worlds."""
     n_worlds, n_boxes = table.table.qpos.shape[:2]
-    words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
-    n_recorded = int(np.count_nonzero(table.recorder.every))
-    needed = min(FRAMES_PER_WORLD * n_recorded, MOST_BYTES // (4 * words))
-    n_frames = 1 if table.recorder.idle else max(needed, FRAMES_PER_BLOCK * lanes)
-    room = {name: np.zeros(shape, _KINDS[name]) for name, shape in _shapes(n_frames, n_boxes, n_worlds).items()}
-    room["every"][: len(table.jobs)] = table.recorder.every
+    every = np.zeros(n_worlds, np.int32)
+    every[: len(table.jobs)] = table.recorder.every
+    return room_for_frames(every, n_boxes, lanes, FRAMES_PER_WORLD * int(np.count_nonzero(every)))
+
+
+def room_for_frames(
+    every: NDArray[np.int32], n_boxes: int, lanes: int, wanted: int | None = None
+) -> dict[str, jax.Array]:
+    """Empty frame buffers. If no world is recorded, the buffers have room for a single frame.
+
+    Args:
+        every: (world,) number of steps between two frames of a world; 0: the world is not recorded.
+        wanted: number of frames for which there should be room; None: the largest number. Buffers have at most
+            ``MOST_BYTES``, but room for at least ``FRAMES_PER_BLOCK`` frames per lane.
+    """
+    most = MOST_BYTES // (4 * sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values()))
+    n_frames = max(most if wanted is None else min(wanted, most), FRAMES_PER_BLOCK * lanes) if every.any() else 1
+    room = {name: np.zeros(shape, _KINDS[name]) for name, shape in _shapes(n_frames, n_boxes, len(every)).items()}
+    room["every"][:] = every
     placed: dict[str, jax.Array] = jax.device_put(room)
     return placed
 

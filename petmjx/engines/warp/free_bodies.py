@@ -12,23 +12,19 @@ from typing import Any, Final
 import jax
 import jax.numpy as jnp
 import numpy as np
-import warp as wp
 from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.engines.mjx.free_body_states import let_go
-from petmjx.engines.mjx.host_to_device import round_up
+from petmjx.engines.mjx.host_to_device import let_go, round_up
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, padded_rows
 from petmjx.engines.mjx.world_state import State, Status, of_flat
-from petmjx.engines.warp import world_arrays
-from petmjx.engines.warp.block_launch import FEW_BOXES, Launch
-from petmjx.engines.warp.frame_buffers import FRAMES_PER_BLOCK, MOST_BYTES, pick_frames
-from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, BlockPool, KernelLauncher
+from petmjx.engines.warp.block_launch import FEW_BOXES, Features, Launch
+from petmjx.engines.warp.frame_buffers import pick_frames, room_for_frames
+from petmjx.engines.warp.kernel_launcher import MORE_BOXES, BlockPool, KernelLauncher
 from petmjx.engines.warp.programs import constants
 from petmjx.engines.warp.small_world_blocks import small_world_pool
-from petmjx.engines.warp.world_arrays import FrameBuffer
 from petmjx.engines.warp.world_table import MAX_GROWTH
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
@@ -77,7 +73,7 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
     growth = 1
     program = _program(sim, _block_pool(sim, blocks, width, k, boards, n, growth), slice_ns)
     workspace = program.launcher.workspace()
-    frames = _room(every, width, program.launcher.lanes)
+    frames = room_for_frames(every, width, program.launcher.lanes)
     while True:
         state, workspace, frames = program.slice(state, workspace, worlds, order, frames)
         _collect(frames, steps, poses)
@@ -118,9 +114,7 @@ class _Program:
         return of_flat(after), workspace, frames
 
 
-@functools.lru_cache(8)
-def _program(sim: Simulation, pool: BlockPool, slice_ns: int) -> _Program:
-    return _Program(sim, pool, slice_ns)
+_program = functools.lru_cache(8)(_Program)
 
 
 def _block_pool(
@@ -128,25 +122,11 @@ def _block_pool(
 ) -> BlockPool:
     """The block pool for worlds of k boxes. If there are enough small worlds, a block has many of them, one per
     warp."""
-    launch = Launch.here(width, lands=sim.physics.has_landings)
-    shapes = growth * (width + MORE_BOXES) + boards - 1
-    pool = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+    launch = Launch.here(width, Features(lands=sim.physics.has_landings))
+    pool = BlockPool.of(launch, blocks(launch), width, boards, growth * (width + MORE_BOXES))
     few = small_world_pool(pool, worlds) if k <= FEW_BOXES.most_boxes else None
     # with least=0, blocks for small worlds stay in use even if few worlds are left
     return pool if few is None else replace(few, least=0)
-
-
-def _room(every: NDArray[np.int32], width: int, lanes: int) -> dict[str, jax.Array]:
-    """Empty frame buffers."""
-    of_one = world_arrays.array_shapes(FrameBuffer, {"frame": 1, "box": width, "world": 0})
-    words = sum(math.prod(shape) for shape in of_one.values())
-    count = max(MOST_BYTES // (4 * words), FRAMES_PER_BLOCK * lanes)
-    shapes = world_arrays.array_shapes(FrameBuffer, {"frame": count, "box": width, "world": len(every)})
-    kinds = world_arrays.array_types(FrameBuffer)
-    room = {name: np.zeros(shape, wp.dtype_to_numpy(kinds[name].dtype)) for name, shape in shapes.items()}
-    room["every"][:] = every
-    placed: dict[str, jax.Array] = jax.device_put(room)
-    return placed
 
 
 def _collect(frames: dict[str, jax.Array], steps: NDArray[np.int32], poses: FloatArray) -> None:

@@ -7,24 +7,16 @@ from dataclasses import dataclass
 
 from petmjx.common.errors import InputError
 from petmjx.engines.mjx.host_to_device import round_up
-from petmjx.engines.warp.block_launch import size_for
+from petmjx.engines.warp.block_launch import Features, size_for
 from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.world.job import Job
+from petmjx.world.scene import Scene
 
 
-def wants_hands(job: Job) -> bool:
-    """Whether the boxes of a job are carried or dropped, and do not simply appear at their places."""
-    return not job.scene.placing.appears
-
-
-def has_compliance(job: Job) -> bool:
-    """Whether a job has compliant boxes."""
-    return job.scene.stiffness is not None
-
-
-def is_wrapped(job: Job) -> bool:
-    """Whether a job has a drive (motion of the carrier) in which stretch film holds the boxes."""
-    return job.drive is not None and job.scene.wrap.holds
+def needs_of(scene: Scene, *, driven: bool) -> Features:
+    """The features that a world with this scene needs, apart from landings. ``driven``: whether the world has drives
+    (motions of the carrier), in which film may hold boxes."""
+    return Features(not scene.placing.appears, scene.stiffness is not None, driven and scene.wrap.holds)
 
 
 def size_of(job: Job) -> int:
@@ -59,8 +51,9 @@ class KernelFeatures:
         Raises:
             InputError: a job has more boxes than the largest block has room for.
         """
-        traits = (any(map(trait, jobs)) for trait in (wants_hands, has_compliance, is_wrapped))
-        return cls(widths_of(_box_counts(jobs), granule), *traits)
+        box_counts = {scene.n_boxes for scene in {job.scene for job in jobs}}  # drives of a placement share its scene
+        hands, gives, wraps, _ = Features.joined(needs_of(job.scene, driven=job.drive is not None) for job in jobs)
+        return cls(widths_of(box_counts, granule), hands, gives, wraps)
 
     @property
     def sizes(self) -> list[int]:
@@ -82,13 +75,8 @@ class KernelFeatures:
 
     def know(self, job: Job) -> bool:
         """Whether kernels with these features support everything that a job needs, apart from its number of boxes."""
-        traits = ((self.hands, wants_hands), (self.gives, has_compliance), (self.wraps, is_wrapped))
-        return all(known or not has(job) for known, has in traits)
-
-
-def _box_counts(jobs: Sequence[Job]) -> set[int]:
-    """The numbers of boxes of the jobs' scenes. Jobs with drives from the same placement share a scene."""
-    return {scene.n_boxes for scene in {job.scene for job in jobs}}
+        hands, gives, wraps, _ = needs_of(job.scene, driven=job.drive is not None)
+        return hands <= self.hands and gives <= self.gives and wraps <= self.wraps
 
 
 def widths_of(box_counts: Collection[int], granule: int) -> dict[int, int]:

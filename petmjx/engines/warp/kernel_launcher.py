@@ -1,12 +1,9 @@
-"""Launches the kernels of mjx-warp, in a call from JAX in which each world advances at its own pace.
+"""Launches the kernels of mjx-warp, in a call from JAX in which each world advances at its own pace (docs/batching.md).
 
 The thread blocks for worlds of one size form a block pool, which has its own kernel
-(petmjx/engines/warp/block_launch.py). All pools run at the same time on the same tables of worlds. A block takes a
-world from the queue of its pool. The block simulates this world until the world ends, the world's drive (motion of the
-carrier) begins, or the time slice is over. Then the block takes the next world. No world waits for another: a step
-takes only the time that the boxes and the solver of its own world need. States are in the tables of
-petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next call. So results do not depend on the
-blocks, on the order of worlds, or on the length of a slice.
+(petmjx/engines/warp/block_launch.py) and its own queue of worlds. All pools run at the same time on the same tables of
+worlds. States are in the tables of petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next
+call. So results do not depend on the blocks, on the order of worlds, or on the length of a slice.
 """
 
 from __future__ import annotations
@@ -16,7 +13,6 @@ import itertools
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -76,6 +72,12 @@ class BlockPool:
     nconmax: int
     least: int = 0
     last: bool = False
+
+    @classmethod
+    def of(cls, launch: Launch, blocks: int, n_boxes: int, boards: int, room: int) -> BlockPool:
+        """A pool whose buffers have room for the contacts and pairs of ``room`` boxes in each world."""
+        shapes = room + boards - 1
+        return cls(launch, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
 
     @property
     def is_extra(self) -> bool:
@@ -175,14 +177,8 @@ class KernelLauncher:
             row += world_arrays.buffer_rows(pool.sizes)
             before = model, worlds, self.lanes, self.slice_ns
             after = *pool.launch.feature_arguments, state, work, frames, counts
-            arguments = partial(_with_block, before, after)
-            calls.append(Call(kernel(pool.launch), pool.blocks, pool.launch.threads, arguments))
+            calls.append(Call(kernel(pool.launch), pool.blocks, pool.launch.threads, before, after))
         launch_all(calls, arrays["clock"], self.slice_ns)
-
-
-def _with_block(before: tuple[Any, ...], after: tuple[Any, ...], first_block: int) -> tuple[Any, ...]:
-    """The arguments of a kernel, including the number of its first block."""
-    return *before, first_block, *after
 
 
 def _of_frames(name: str) -> str:

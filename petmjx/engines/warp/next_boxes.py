@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
+from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.world_constants import Worlds, device_array
 from petmjx.engines.mjx.world_state import State, Status, take_rows
 from petmjx.engines.open_worlds import Readings
@@ -115,10 +116,12 @@ class ReadingInputs(NamedTuple):
 
 
 @jax.jit
-def reading_inputs(state: State, rows: Int[Array, " row"]) -> ReadingInputs:
-    """The fields of the worlds in these rows. For a row beyond the table, the fields are those of an arbitrary
-    world."""
-    return take_rows(ReadingInputs.of(state), rows)
+def reading_inputs(worlds: Worlds, state: State, rows: Int[Array, " row"]) -> ReadingInputs:
+    """The fields of the worlds in these rows, with the middles of boxes instead of their centres of mass. For a row
+    beyond the table, the fields are those of an arbitrary world."""
+    inputs = take_rows(ReadingInputs.of(state), rows)
+    middles = motion.middles(inputs.qpos, take_rows(worlds, rows).middle)
+    return inputs._replace(qpos=jnp.concatenate([middles, inputs.qpos[..., 3:]], axis=-1))
 
 
 def readings_of(report: ReadingInputs, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:

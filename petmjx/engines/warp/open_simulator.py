@@ -5,7 +5,7 @@ Jitted programs can call these functions.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,40 +17,11 @@ from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State, Status, fresh_state, of_flat, put_rows, take_rows
 from petmjx.engines.warp import world_arrays
-from petmjx.engines.warp.block_launch import Launch
-from petmjx.engines.warp.kernel_launcher import (
-    CONTACTS_PER_BOX,
-    MORE_BOXES,
-    PAIRS_PER_BOX,
-    SLICE_NS,
-    BlockPool,
-    KernelLauncher,
-)
+from petmjx.engines.warp.block_launch import Features, Launch
+from petmjx.engines.warp.kernel_launcher import MORE_BOXES, SLICE_NS, BlockPool, KernelLauncher
 from petmjx.engines.warp.next_boxes import NewBox, with_new_box
 from petmjx.engines.warp.programs import constants
 from petmjx.options.simulation import Check, Simulation
-from petmjx.world.scene import Scene
-
-
-class Traits(NamedTuple):
-    """Features of worlds for which a kernel must be compiled: the fields of the same names in ``Launch``."""
-
-    hands: bool
-    gives: bool
-    wraps: bool
-
-    @classmethod
-    def of(cls, scene: Scene) -> Traits:
-        """The features that a world with this scene needs in its placement and in its drives (motions of the
-        carrier)."""
-        return cls(not scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
-
-    def __or__(self, other: tuple[object, ...]) -> Traits:
-        """The features that are in this set or in ``other``."""
-        return Traits(*(bool(mine or its) for mine, its in zip(self, other, strict=True)))
-
-
-ALL_TRAITS: Final = Traits(True, True, True)
 
 
 class OpenState(NamedTuple):
@@ -68,8 +39,7 @@ class Simulator:
         boards: largest number of shapes of a carrier.
         room: factor by which buffers are larger than the default.
         threads: number of CPU threads. If ``threads`` is None, there is one thread.
-        traits: features for which the kernel is compiled. A kernel with fewer features spills fewer registers to
-            memory.
+        features: features of the kernel.
     """
 
     def __init__(
@@ -80,12 +50,11 @@ class Simulator:
         boards: int,
         room: int = 1,
         threads: int | None = None,
-        traits: Traits = ALL_TRAITS,
+        *,
+        features: Features,
     ) -> None:
-        launch = Launch.here(most_boxes, *traits, lands=sim.physics.has_landings)
-        shapes = room * (most_boxes + MORE_BOXES) + boards - 1
-        pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
-        pool = BlockPool(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)
+        launch = Launch.here(most_boxes, features)
+        pool = BlockPool.of(launch, threads or launch.blocks, most_boxes, boards, room * (most_boxes + MORE_BOXES))
         self._launcher = KernelLauncher(constants(sim, timetable), [pool], SLICE_NS)
         self._sim, self._timetable = sim, timetable
         self._placing = Rules(sim, timetable, most_boxes, driven=False, carries=True)
@@ -142,14 +111,7 @@ class Simulator:
 
     def go_on(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
         """Simulate until each world has paused, ended, or overflowed its buffers."""
-
-        def going(open_: OpenState) -> Bool[Array, ""]:
-            return self.going(open_)
-
-        def on(open_: OpenState) -> OpenState:
-            return self.time_slice(open_, profiles)
-
-        return jax.lax.while_loop(going, on, open_)
+        return jax.lax.while_loop(self.going, lambda worlds: self.time_slice(worlds, profiles), open_)
 
     @staticmethod
     def going(open_: OpenState) -> Bool[Array, ""]:
@@ -161,8 +123,7 @@ class Simulator:
         """Simulate the worlds for a time slice."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
-        flat = self._driving.begin_drives(open_.state, worlds)._asdict()
-        flat |= flat.pop("metrics")._asdict()
+        flat = self._driving.begin_drives(open_.state, worlds).flat()
         after, *_ = self._launcher(flat_worlds, flat, self._launcher.workspace(), _no_frames(n, worlds.half.shape[1]))
         return OpenState(worlds, of_flat(after))
 

@@ -21,12 +21,13 @@ from petmjx.engines.mjx.readback import read_back
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import Worlds, device_array, padded_rows, upload_worlds
 from petmjx.engines.mjx.world_state import State, Status, put_rows, take_rows
-from petmjx.engines.open_worlds import OpenWorlds, Reading, Readings
-from petmjx.engines.step_clock import Clock
+from petmjx.engines.open_worlds import OpenWorlds, Readings
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.engines.warp import world_arrays
-from petmjx.engines.warp.next_boxes import NewBox, ReadingInputs, new_box, reading_inputs, readings_of
-from petmjx.engines.warp.open_simulator import OpenState, Simulator, Traits
+from petmjx.engines.warp.block_launch import Features
+from petmjx.engines.warp.kernel_features import needs_of
+from petmjx.engines.warp.next_boxes import NewBox, new_box, reading_inputs, readings_of
+from petmjx.engines.warp.open_simulator import OpenState, Simulator
 from petmjx.engines.warp.world_table import MAX_GROWTH, OVERFLOW_BITS
 from petmjx.options.simulation import Simulation
 from petmjx.world.growing_scenes import NextBoxes, Stacks
@@ -69,7 +70,8 @@ class WarpWorlds(OpenWorlds):
         self.width = round_up(most_boxes)
         self.boards = max(len(scene.carrier.half_size) for scene in scenes)
         self._timetable = build_timetable(sim, self.width)
-        self._room, self._traits = 1, Traits.of(self._blank.scene)
+        self._room = 1
+        self._features = needs_of(self._blank.scene, driven=True)._replace(lands=sim.physics.has_landings)
         self._most_rows = 1
         self._make_simulator()
         worlds = self._constants(scenes, padded_rows(len(scenes)))
@@ -121,8 +123,8 @@ class WarpWorlds(OpenWorlds):
         if until_lost:
             ends = jnp.ones_like(begun.worlds.ends_when_lost)
             begun = begun._replace(worlds=begun.worlds._replace(ends_when_lost=ends, ends_when_gone=ends))
-        state = self._to_the_end(begun, jnp.zeros((1, 1, 3))).state
-        report = reading_inputs(state, device_array(np.arange(padded, dtype=np.int32)))
+        after = self._to_the_end(begun, jnp.zeros((1, 1, 3)))
+        report = reading_inputs(*after, device_array(np.arange(padded, dtype=np.int32)))
         return readings_of(report, *before.with_next(boxes), self._sim)
 
     def _new_box(self, before: Stacks, boxes: NextBoxes, rows: int) -> NewBox:
@@ -144,7 +146,7 @@ class WarpWorlds(OpenWorlds):
         return self._ended_outcomes(settled.state, jobs, batch)
 
     def _readings(self, worlds: Sequence[int]) -> Readings:
-        report = reading_inputs(self.open.state, self._rows(worlds))
+        report = reading_inputs(*self.open, self._rows(worlds))
         stacks = self._scenes.stacks(worlds)
         return readings_of(report, stacks.half_size, stacks.target, self._sim)
 
@@ -155,29 +157,6 @@ class WarpWorlds(OpenWorlds):
 
     def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
         self.open = _jitted_fork(self.open, self._rows(sources), self._rows(into))
-
-    def _read(self, worlds: Sequence[int]) -> list[Reading]:
-        state, clock = jax.device_get(self.open.state), Clock(self._sim.physics.timestep_s)
-        flags = ReadingInputs.of(state).flags_now(self._sim)
-        readings = []
-        for world in worlds:
-            k = int(state.placed[world])
-            pose = np.asarray(state.qpos[world, :k], np.float64)
-            readings.append(
-                Reading(
-                    time_s=clock.time_s(max(int(state.step[world]), 0)),
-                    ended=bool(state.status[world] == Status.FINISHED),
-                    flags=Flag(int(flags[world])),
-                    pos=self._scenes[world].middles(pose[:, :3], pose[:, 3:]),
-                    quat=pose[:, 3:],
-                    top_force_n=np.asarray(state.top_force[world, :k], np.float64),
-                    culprit=int(state.metrics.culprit[world]),
-                    max_tilt_deg=np.asarray(state.metrics.max_tilt[world, :k], np.float64),
-                    max_top_force_n=np.asarray(state.metrics.max_top_force[world, :k], np.float64),
-                    dropped=np.asarray(state.metrics.drop_step[world, :k]) >= 0,
-                )
-            )
-        return readings
 
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
         self.go_on()
@@ -229,15 +208,14 @@ class WarpWorlds(OpenWorlds):
     def roomier(self, times: int) -> Simulator:
         """The pure functions with buffers that are ``times`` as large as the default. Jitted programs cannot enlarge
         buffers, so they need large buffers from the beginning."""
-        return Simulator(self._sim, self._timetable, self.width, self.boards, times, self._threads, self._traits)
+        sizes = self.width, self.boards, times, self._threads
+        return Simulator(self._sim, self._timetable, *sizes, features=self._features)
 
     def _know(self, scenes: Sequence[Scene]) -> None:
         """Compile the kernels again if these scenes have features that the kernels lack."""
-        traits = self._traits
-        for scene in scenes:
-            traits |= Traits.of(scene)
-        if traits != self._traits:
-            self._traits = traits
+        features = Features.joined([self._features, *(needs_of(scene, driven=True) for scene in scenes)])
+        if features != self._features:
+            self._features = features
             self._make_simulator()
 
     def _constants(self, scenes: Sequence[Scene], rows: int) -> Worlds:
@@ -276,12 +254,7 @@ _jitted_fork = jax.jit(fork)
 @jax.jit
 def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> OpenState:
     """Copies of these worlds. Only the first ``count`` copies can continue."""
-    state = take_rows(open_.state, rows)
-    padding = jnp.arange(len(rows)) >= count
-    return OpenState(
-        take_rows(open_.worlds, rows),
-        state._replace(status=jnp.where(padding, Status.FINISHED, state.status)),
-    )
+    return OpenState(take_rows(open_.worlds, rows), _without_padding(take_rows(open_.state, rows), count))
 
 
 def _coarsely_padded(count: int) -> int:
@@ -289,7 +262,7 @@ def _coarsely_padded(count: int) -> int:
     return int(4 ** ((count - 1).bit_length() + 1 >> 1)) if count > 1 else 1
 
 
-def _without_padding(state: State, count: int) -> State:
+def _without_padding(state: State, count: int | Int[Array, ""]) -> State:
     """The states, changed so that only the first ``count`` worlds can continue."""
     padding = jnp.arange(len(state.status)) >= count
     return state._replace(status=jnp.where(padding, Status.FINISHED, state.status))

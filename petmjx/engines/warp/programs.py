@@ -20,7 +20,7 @@ from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State, of_flat
 from petmjx.engines.protocol import Progress
 from petmjx.engines.subprocess.kernel_builds import KernelBuilds
-from petmjx.engines.warp.block_launch import USUAL, Launch, load_kernels
+from petmjx.engines.warp.block_launch import USUAL, Features, Launch, load_kernels
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 from petmjx.engines.warp.small_world_blocks import small_world_queues
 from petmjx.engines.warp.tail_blocks import tail_queues
@@ -188,13 +188,13 @@ def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> N
     """
     if not wp.get_device().is_cuda:
         return
-    hands, lands = not sim.placing.appears, sim.physics.has_landings
+    features = Features(hands=not sim.placing.appears, lands=sim.physics.has_landings)
     with _COMPILING:
         for _ in builds.answers() if builds is not None else ():
             pass
         if not threading.main_thread().is_alive():
             return  # the process is ending, and needs no kernels any more
-        load_kernels([Launch.of(size, hands, lands=lands) for size in USUAL])
+        load_kernels([Launch.of(size, features) for size in USUAL])
 
 
 MOST_KEPT = 16

@@ -1,9 +1,8 @@
-"""Thread blocks for small worlds, which are worlds that have few boxes so far.
+"""Thread blocks for small worlds, which are worlds that have few boxes so far (docs/batching.md).
 
-A block for small worlds simulates several worlds, each with one warp (a group of 32 threads)
-(``block_launch.FEW_BOXES``). The steps of a small world are bit-identical to the steps in a block that simulates only
-this world. A world moves to a block that simulates only this world when it has more boxes, or when too few small worlds
-are left. So the choice of blocks affects only the speed.
+A block for small worlds simulates several worlds, each with one warp of 32 threads (``block_launch.FEW_BOXES``). A
+world moves to a block of its own when it has more boxes, or when too few small worlds are left. The choice of blocks
+affects only the speed.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> 
             the device has room.
     """
     one = pool.launch
-    launch = Launch.of(FEW_BOXES, *one.traits)
+    launch = Launch.of(FEW_BOXES, one.features)
     blocks = min((lanes or launch.lanes) // launch.worlds, launch.blocks)
     of_all = blocks * launch.worlds
     if launch.worlds == 1 or one.threads != size_for(1).threads or not 0 < ENOUGH_SHARE * of_all <= worlds:
@@ -57,10 +56,14 @@ def small_world_queues(
     last = order[-1]
     chosen = (last >= 0) & (running & (placed <= few.n_boxes))[last]
     chosen &= chosen.sum() >= few.least
-    return jnp.concatenate([compacted_queue(last, chosen)[None], order[:-1], compacted_queue(last, ~chosen)[None]])
+    return with_first_queue(order, chosen)
 
 
-def compacted_queue(queue: Int[Array, " world"], chosen: Bool[Array, " world"]) -> Int[Array, " world"]:
-    """The numbers of the chosen worlds of a queue, in order, followed by negative numbers."""
-    place = jnp.where(chosen, jnp.cumsum(chosen) - 1, len(queue))
-    return jnp.full_like(queue, -1).at[place].set(queue, mode="drop")
+def with_first_queue(order: Int[Array, "queue world"], chosen: Bool[Array, " world"]) -> Int[Array, "queue+1 world"]:
+    """The queues, preceded by a new queue of the chosen worlds of the last queue. Worlds keep their order."""
+
+    def compacted(queue: Int[Array, " world"], stays: Bool[Array, " world"]) -> Int[Array, "1 world"]:
+        place = jnp.where(stays, jnp.cumsum(stays) - 1, len(queue))
+        return jnp.full_like(queue, -1).at[place].set(queue, mode="drop")[None]
+
+    return jnp.concatenate([compacted(order[-1], chosen), order[:-1], compacted(order[-1], ~chosen)])

@@ -1,10 +1,8 @@
-"""Thread blocks for the last worlds of a run. A block for last worlds has a GPU multiprocessor to itself, and more
-threads than a usual block.
+"""Thread blocks for the last worlds of a run (docs/batching.md). A block for last worlds fills a GPU multiprocessor
+(``block_launch.LAST``).
 
 A run ends with its longest worlds. Two blocks that share a multiprocessor are slower than one block alone, so sharing
-delays the end of the run. Worlds that are expected to be among the last ones therefore get blocks that fill a
-multiprocessor (``block_launch.LAST``). When no more worlds are left than there are multiprocessors, all worlds of the
-smaller size get such blocks. In all blocks, the steps of a world are bit-identical; only the speed differs.
+delays the end of the run. The choice of blocks affects only the speed.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ from jaxtyping import Array, Bool, Int
 
 from petmjx.engines.warp.block_launch import LAST, Launch
 from petmjx.engines.warp.kernel_launcher import BlockPool
-from petmjx.engines.warp.small_world_blocks import compacted_queue
+from petmjx.engines.warp.small_world_blocks import with_first_queue
 
 MOST_EXPECTED: Final = 16
 """Largest number of worlds that get blocks for last worlds while other worlds still wait: the worlds that are expected
@@ -43,7 +41,7 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
     one = pool.launch
     if one.per_sm == 1:
         return None
-    launch = Launch.of(LAST, *one.traits)
+    launch = Launch.of(LAST, one.features)
     return replace(pool, launch=launch, blocks=min(lanes or launch.blocks, launch.blocks), last=True)
 
 
@@ -67,7 +65,7 @@ def tail_queues(
     queue = order[-1]
     mine = (queue >= 0) & chosen[queue]
     mine &= mine.sum() <= last.lanes
-    return jnp.concatenate([compacted_queue(queue, mine)[None], order[:-1], compacted_queue(queue, ~mine)[None]])
+    return with_first_queue(order, mine)
 
 
 def expected_tail(
