@@ -220,7 +220,8 @@ class _AttemptRun(Generic[AnyWorld]):
     def _results_of(
         self, attempt: AttemptRecipe, attempt_results: Iterator[AttemptResult[AnyWorld] | None]
     ) -> Iterator[WorldResult[AnyWorld]]:
-        """The final results among these worlds, and the final results of side tasks that have ended in the meantime."""
+        """Yield the final results among ``attempt_results``. Also yield the final results of side tasks (attempts
+        and checks in other processes) that have ended in the meantime."""
         for pending in attempt_results:
             if pending is not None:  # None is not an outcome: the engine pauses
                 yield from self._finish_or_retry(attempt, pending)

@@ -33,8 +33,8 @@ _LEVEL: Final = 1e-12
 of the area."""
 
 _FAR_M: Final = 1e3
-"""If the depth is the same at all points of the area, this value is the assumed distance of the line on which the depth
-is 0, m."""
+"""Assumed distance, m, from the middle of the pressed area to the line on which the depth is 0, if the depth is the
+same at all points of the area."""
 
 _LEAST_MOMENT_M2: Final = 1e-18
 """Smallest second moment of the pressed area, divided by the area, m². With a smaller moment, the area counts as a

@@ -205,7 +205,8 @@ class Workspace:
     contact_pair: Annotated[wp.array2d[int], "block contact"]
     # the two bodies of a contact, as indices of free bodies, the smaller one first; negative: a body that does not move
     contact_bodies: Annotated[wp.array3d[int], "block contact 2"]
-    body_contact: Annotated[wp.array2d[int], "block link"]  # 2 × contact + side, grouped by body
+    # contacts of each body, grouped by body: 2 × number of the contact, + 1 for the contact's second body
+    body_contact: Annotated[wp.array2d[int], "block link"]
     body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
     body_component: Annotated[wp.array2d[int], "block body"]  # first of the bodies that contacts join with a body
     body_root: Annotated[wp.array2d[int], "block body"]  # the body from which distances in a component are counted

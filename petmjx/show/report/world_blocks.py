@@ -61,7 +61,7 @@ class BoxBlocks:
 
 
 def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_BOXES) -> BoxBlocks:
-    """Store the boxes of the worlds in a table in blocks. Worlds whose plans were not found are left out.
+    """Store, in blocks, the boxes of all worlds that a table lists. Worlds whose plans were not found are left out.
 
     Args:
         table: data frame with the rows of the table, from :func:`petmjx.show.report.plan_rows.table_rows`.
@@ -207,7 +207,7 @@ class Replays:
 
 
 def replays(runs: Sequence[ReportRun], table: pd.DataFrame, drawn: NDArray[np.int64]) -> Replays:
-    """Store the histories of the worlds in a table in blocks. Worlds without a 3D picture are left out.
+    """Store, in blocks, the histories of all worlds that a table lists. Worlds without a 3D picture are left out.
 
     Args:
         table: data frame with the rows of the table, from :func:`petmjx.show.report.plan_rows.table_rows`.
