@@ -77,7 +77,8 @@ def rows(engine: str) -> list[dict[str, Any]]:
         fields = {"quantity": quantity, "source": source, "measured": f"{low:g} to {high:g}"}
         return fields | {"petmjx": round(value, 3), "miss": round(miss, 3), "engine": engine}
 
-    made, step_s, given = [], TIMESTEPS_S[0], "limit for the depth"
+    made, step_s = [], TIMESTEPS_S[0]
+    given, wanted = "largest depth that petmjx allows itself", "restitution that was set"
     for height_mm, most_mm in zip(HEIGHTS_MM, MOST_DEPTH_MM, strict=True):
         usual = landed(engine, height_mm, step_s, LANDING_S, RESTITUTION)
         made.append(
@@ -89,17 +90,23 @@ def rows(engine: str) -> list[dict[str, Any]]:
             conditions = f"in falls from {height_mm:g} mm with restitution {restitution:g}"
             made.append(row(f"depth {conditions}, mm", given, 0, most_mm, landing.depth_mm))
             low, high = restitution - NEAR, restitution + NEAR
-            made.append(row(f"simulated restitution {conditions}", "set value", low, high, landing.restitution))
+            made.append(row(f"simulated restitution {conditions}", wanted, low, high, landing.restitution))
             bounces = [landed(engine, height_mm, s, LANDING_S, restitution).restitution for s in TIMESTEPS_S[1:]]
             worst = restitution + max((bounce - restitution for bounce in bounces), key=abs)
             made.append(
-                row(f"worse restitution of the timesteps 1 and 0.5 ms {conditions}", "set value", low, high, worst)
+                row(
+                    f"simulated restitution at the worse of the timesteps 1 and 0.5 ms {conditions}",
+                    wanted,
+                    low,
+                    high,
+                    worst,
+                )
             )
         for name, landing_s in (("by default", LANDING_S), ("with `landing_s` 0", 0.0)):
             peaks = [landed(engine, height_mm, timestep_s, landing_s, RESTITUTION).peak_n for timestep_s in TIMESTEPS_S]
             spread = max(peaks) / min(peaks) - 1
-            quantity = f"spread of the force peaks of three timesteps in falls from {height_mm:g} mm, {name}"
-            made.append(row(quantity, "none", 0, 0.12, spread))
+            quantity = f"relative spread of the peak force over three timesteps in falls from {height_mm:g} mm, {name}"
+            made.append(row(quantity, "no source", 0, 0.12, spread))
     return made
 
 

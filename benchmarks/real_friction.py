@@ -97,7 +97,7 @@ def _row_of_restitution(carton: Carton, engine: str) -> Row:
     miss = _outside(ours, low, high)
     return Row(
         f"restitution of {carton.name}", _TUE, f"{low:.2f} to {high:.2f}", f"{ours:.3f}", f"{miss:.2f}", engine,
-        f"dropped flat from {MM_PER_M * DROP_M:g} mm", miss == 0.0,
+        f"petmjx's carton falls flat from {MM_PER_M * DROP_M:g} mm", miss == 0.0,
     )  # fmt: skip
 
 
@@ -114,9 +114,9 @@ def _row_of_spread(engine: str) -> Row:
         )  # fmt: skip
         spreads.append(100 * float(np.std(moved.pos_m[:, 0, :2], axis=0).max()))
     return Row(
-        "place of rest of cartons tossed over 1.2 m", _TUE, "5 to 10 cm: error of the authors' simulators",
-        f"{min(spreads):.1f} to {max(spreads):.1f} cm: spread from their ranges of friction", "–", engine,
-        "standard deviations; trajectories are not published",
+        "place of rest of cartons tossed over 1.2 m", _TUE, "the authors' simulators miss it by 5 to 10 cm",
+        f"scatters by {min(spreads):.1f} to {max(spreads):.1f} cm over the measured ranges of friction", "–", engine,
+        "standard deviations, since the measured trajectories are not published",
     )  # fmt: skip
 
 
@@ -127,7 +127,7 @@ def _row_of_floor() -> Row:
     return Row(
         "static friction of a pallet on rack beams", _RACKS, f"{low} to {high} at 0.55 to 13 kN", f"{ours:g}",
         f"{miss:.2f}", ALL_ENGINES,
-        "petmjx's default for the floor, on which pallets do not slide; `physics.floor_friction` changes it",
+        "petmjx's default, with which pallets do not slide on the floor; `physics.floor_friction` changes this default",
         miss == 0.0,
     )  # fmt: skip
 
@@ -151,7 +151,7 @@ def _row_of_kinetic_share() -> Row:
     return Row(
         "kinetic friction, as a share of static friction", _SAE,
         f"{percent(low, 0)} to {percent(high, 0)}; CTU Code: 75 %", percent(ours, 0), percent(miss, 0),
-        ALL_ENGINES, "by default", miss == 0.0,
+        ALL_ENGINES, "petmjx's default for contacts that slide", miss == 0.0,
     )  # fmt: skip
 
 
@@ -177,9 +177,9 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
     error = moved.pos_m[:, -1, 0] / expected - 1
     worst = int(abs(error).argmax())
     yield Row(
-        f"sliding distance of a pallet with {SPEED_M_S:g} m/s", f"Coulomb's law with kinetic frictions of: {_SAE}",
+        f"sliding distance of a pallet that starts at {SPEED_M_S:g} m/s", f"Coulomb's law with kinetic frictions of: {_SAE}",
         f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", percent(abs(error[worst])), engine,
-        f"the worst of {len(kinetic)} floors", bool(abs(error).max() < _WAY_WITHIN),
+        f"the floor with the largest error of {len(kinetic)} floors", bool(abs(error).max() < _WAY_WITHIN),
     )  # fmt: skip
     lift = MM_PER_M * max(_lowest_corner(pos, quat) for pos, quat in zip(moved.pos_m, moved.quat_wxyz, strict=True))
     yield Row(

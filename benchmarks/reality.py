@@ -210,7 +210,7 @@ def _tosses(data: Path, limit: int | None, engine: str, *, complete: bool) -> tu
         measures["spread_mujoco_own"] = spread(tosses, engine, physics=MUJOCO_OWN)
         rows += _rows_of_spread(measures["spread"], engine)
         rows.append(_row_of_faces(measures["spread_as_shipped"], "by default", engine))
-        note = f"from the measured starts: {percent(measures['mujoco_own']['right_face'])} right"
+        note = f"from the measured starts, {percent(measures['mujoco_own']['right_face'])} end with the filmed face up"
         rows.append(_row_of_faces(measures["spread_mujoco_own"], "with MuJoCo's own contacts", engine, note))
         rows += _rows_of_friction(measures["friction"], engine)
         rows += _rows_of_calibration(measures["calibration"], engine)
@@ -221,15 +221,15 @@ def _rows_of_errors(measures: Mapping[str, Any], name: str, n: int, engine: str)
     face, place, path = measures["right_face"], measures["place_median_mm"], measures["path_mean_mm"]
     low, high = map(float, wilson_interval(round(face * n), n))
     yield Row(
-        f"{name}: face that is up at the end", _CUBE, f"{n} of {n}", f"{percent(face)} right", percent(1 - face),
+        f"{name}: share that ends with the filmed face up", _CUBE, percent(1), percent(face), percent(1 - face),
         engine, f"goal: {percent(_RIGHT_FACE)}; 95 % interval {percent(low)} to {percent(high)}", face >= _RIGHT_FACE,
     )  # fmt: skip
     yield Row(
-        f"{name}: place at the end", _CUBE, "by camera", "–", f"{place:.1f} mm in the median", engine,
+        f"{name}: place at the end", _CUBE, "filmed", "–", f"{place:.1f} mm in the median", engine,
         f"goal: at most {_PLACE_MM:g} mm", place <= _PLACE_MM,
     )  # fmt: skip
     yield Row(
-        f"{name}: place and orientation along the path", _CUBE, "by camera", "–",
+        f"{name}: place and orientation along the path", _CUBE, "filmed", "–",
         f"{path:.1f} mm, {measures['turn_mean_deg']:.1f}° in the mean", engine, f"goal: at most {_PATH_MM:g} mm",
         path <= _PATH_MM,
     )  # fmt: skip
@@ -250,11 +250,11 @@ def _rows_of_spread(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
         f"{sigma['angvel_rad_s']:.2f} rad/s"
     )
     yield Row(
-        f"spread of the ends of {runs} runs with uncertain starts", _CUBE,
+        f"median distance of the ends of {runs} runs with uncertain starts", _CUBE,
         f"{measures['from_measured_median_mm']:.1f} mm from the measured end",
         f"{measures['between_runs_median_mm']:.1f} mm from each other",
         f"{measures['from_measured_median_mm'] / measures['between_runs_median_mm']:.1f} times", engine,
-        f"medians; equal for a perfect model of a perfect cube; starts differ by {uncertain}",
+        f"a perfect model of a perfect cube has two equal distances; starts differ from each other by {uncertain}",
     )  # fmt: skip
     yield _row_of_faces(measures, f"with restitution {RESTITUTION}", engine)
 
@@ -263,8 +263,9 @@ def _row_of_faces(measures: Mapping[str, Any], contacts: str, engine: str, note:
     """Share of runs with such starts that end with the camera's face up, and with equal faces up."""
     measured, runs_agree = measures["same_face_as_measured"], measures["same_face_between_runs"]
     return Row(
-        f"how often the same face is up, {contacts}", _CUBE, f"in {percent(measured)} of runs, as filmed",
-        f"in {percent(runs_agree)} of pairs of runs", percent(runs_agree - measured), engine, note,
+        f"agreement of runs with uncertain starts on the face that is up, {contacts}", _CUBE,
+        f"the filmed face is up in {percent(measured)} of runs",
+        f"two runs agree in {percent(runs_agree)} of pairs", percent(runs_agree - measured), engine, note,
     )  # fmt: skip
 
 
@@ -274,8 +275,8 @@ def _rows_of_friction(measures: Mapping[str, Any], engine: str) -> Iterator[Row]
         yield Row(
             f"friction fitted to {name} of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
             f"{abs(miss):.3f}", engine,
-            f"errors on the other half: {percent(other['right_face'])} right, {other['place_median_mm']:.1f} mm, "
-            f"path {other['path_mean_mm']:.1f} mm",
+            f"on the half without fit, {percent(other['right_face'])} end with the filmed face up; errors: "
+            f"place {other['place_median_mm']:.1f} mm, path {other['path_mean_mm']:.1f} mm",
             abs(miss) <= _FRICTION_WITHIN + 1e-9,
         )  # fmt: skip
 
@@ -285,9 +286,9 @@ def _rows_of_calibration(measures: Mapping[str, Any], engine: str) -> Iterator[R
     for region, share in measures["within"].items():
         level, error = float(region), measures["standard_error"][region]
         yield Row(
-            f"measured ends within the {percent(level, 0)} region of {measures['members']} draws", _CUBE,
+            f"share of measured ends that lie in the {percent(level, 0)} region of {measures['members']} draws", _CUBE,
             percent(share), percent(level, 0), percent(abs(share - level)), engine,
-            f"friction {mu} ± {sigma}, starts as uncertain as the data; by chance ± {percent(error)}",
+            f"draws have friction {mu} ± {sigma} and the errors of measured starts; standard error {percent(error)}",
             abs(share - level) <= 3 * error,
         )  # fmt: skip
     chance, likeliest = measures["chance_of_measured_face"], measures["chance_of_members_face"]
@@ -295,5 +296,5 @@ def _rows_of_calibration(measures: Mapping[str, Any], engine: str) -> Iterator[R
         "how often draws agree on the face that is up", _CUBE,
         f"{percent(chance)} of draws show the measured face", f"{percent(likeliest)} of pairs of draws agree",
         percent(likeliest - chance), engine,
-        "overconfidence about the face",
+        "the difference is petmjx's overconfidence about the face",
     )  # fmt: skip

@@ -405,7 +405,7 @@ def overturning(
         for (k, pulse_s), level in product(enumerate(PULSES_S), levels):
             lost = block.rock(half_sine(level, pulse_s), SETTLES_S, pulse_s).lost
             same += lost == (verdicts[f"p{k}", level] != "stable")
-        quantity = f"number of 96 pulses whose outcome is Housner's, block of {width:g} × {height:g} mm"
+        quantity = f"number of 96 pulses with the outcome of Housner's block, for a block of {width:g} × {height:g} mm"
         yield Row(quantity + _contacts(physics), "Housner 1963, integrated", 96, same, engine)
 
 
@@ -469,7 +469,7 @@ def tilting(
             name = f"a box with friction {friction:g} slides in `{profile}`"
             yield Row(f"angle at which {name}, °", "atan(friction)", angle, failed, engine)
             late = slide_late_deg(math.radians(angle), rate)
-            yield Row(f"delay of the first sign when {name}, °", "Coulomb", late, failed - angle, engine)
+            yield Row(f"further tilt until the first sign when {name}, °", "Coulomb", late, failed - angle, engine)
         for block in blocks:
             width, height = 1000 * block.width_m, 1000 * block.height_m
             angle = math.degrees(block.slenderness_rad)
@@ -477,7 +477,13 @@ def tilting(
             name = f"a block of {width:g} × {height:g} mm topples in `{profile}`"
             yield Row(f"angle at which {name}, °", "atan(width / height)", angle, failed, engine)
             late = block.late_deg(rate, THRESHOLD_M)
-            yield Row(f"delay of the first sign when {name}, °", "Housner 1963, linear", late, failed - angle, engine)
+            yield Row(
+                f"further tilt until the first sign when {name}, °",
+                "Housner 1963, linear",
+                late,
+                failed - angle,
+                engine,
+            )
 
 
 def slide_late_deg(angle_rad: float, rate_deg_s: float) -> float:
