@@ -177,7 +177,8 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
     error = moved.pos_m[:, -1, 0] / expected - 1
     worst = int(abs(error).argmax())
     yield Row(
-        f"sliding distance of a pallet that starts at {SPEED_M_S:g} m/s", f"Coulomb's law with kinetic frictions of: {_SAE}",
+        f"sliding distance of a pallet that starts at {SPEED_M_S:g} m/s",
+        f"Coulomb's law with kinetic frictions of: {_SAE}",
         f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", percent(abs(error[worst])), engine,
         f"the floor with the largest error of {len(kinetic)} floors", bool(abs(error).max() < _WAY_WITHIN),
     )  # fmt: skip
