@@ -210,7 +210,8 @@ def _tosses(data: Path, limit: int | None, engine: str, *, complete: bool) -> tu
         measures["spread_mujoco_own"] = spread(tosses, engine, physics=MUJOCO_OWN)
         rows += _rows_of_spread(measures["spread"], engine)
         rows.append(_row_of_faces(measures["spread_as_shipped"], "by default", engine))
-        note = f"from the measured starts, {percent(measures['mujoco_own']['right_face'])} end with the filmed face up"
+        right = percent(measures["mujoco_own"]["right_face"])
+        note = f"from the measured starts, {right} of tosses have the filmed face up"
         rows.append(_row_of_faces(measures["spread_mujoco_own"], "with MuJoCo's own contacts", engine, note))
         rows += _rows_of_friction(measures["friction"], engine)
         rows += _rows_of_calibration(measures["calibration"], engine)
@@ -275,7 +276,7 @@ def _rows_of_friction(measures: Mapping[str, Any], engine: str) -> Iterator[Row]
         yield Row(
             f"friction fitted to {name} of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
             f"{abs(miss):.3f}", engine,
-            f"on the half without fit, {percent(other['right_face'])} end with the filmed face up; errors: "
+            f"on the half without fit, {percent(other['right_face'])} have the filmed face up; errors: "
             f"place {other['place_median_mm']:.1f} mm, path {other['path_mean_mm']:.1f} mm",
             abs(miss) <= _FRICTION_WITHIN + 1e-9,
         )  # fmt: skip
