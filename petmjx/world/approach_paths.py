@@ -112,56 +112,38 @@ class ApproachPath(NamedTuple):
 
 def approach_path_of(scene: Scene, sim: Simulation) -> ApproachPath | None:
     """The approach paths of the boxes of a scene; None if the boxes appear at their places."""
-    placing, n = scene.placing, scene.n_boxes
-    if placing.appears or sim.check is Check.STATIC:
-        return None
-    lift, quat, offset = np.zeros((n, 3)), scene.start_quat, np.zeros((n, 3))
-    offset[:, 2] = placing.height_mm / MM_PER_M
-    steps, falls = np.zeros(n, np.int64), scene.start_pos[:, 2] > scene.target[:, 2]
-    room = Room.of([scene.carrier])[0] if scene.carrier.walls else None
-    if placing.carries:
-        approach, open_side = _approaches(scene, room)
-        offset[:, :2] = -placing.side_mm / MM_PER_M * approach
-        if placing.name is Way.TINES:
-            lift, quat = _on_an_edge(scene, open_side, sim.thresholds.tilt_deg)
-            falls = np.ones(n, dtype=bool)
-    aside = np.full((n, 2, 2), most_aside_m(placing))
-    if room is not None:
-        end = scene.start_pos + lift
-        offset[:, :2], aside = _between_walls(room, end, offset[:, :2], reach(quat, scene.half_size), aside)
-    if placing.carries:
-        steps = way_steps(np.linalg.norm(offset, axis=1), scene.mass, placing, sim.physics.timestep_s)
-    return ApproachPath(lift, quat, offset, steps, falls, aside)
+    paths = approach_paths_of([scene], sim)
+    return None if paths is None else ApproachPath(*(values[0] for values in paths))
 
 
 def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath | None:
-    """The approach paths of stackable scenes (scenes with arrays of equal shapes, petmjx.world.stackable_scenes).
-
-    The paths are bit-identical to the results of ``approach_path_of``.
-    """
+    """The approach paths of stackable scenes (scenes with arrays of equal shapes, petmjx.world.stackable_scenes); None
+    if the boxes appear at their places. The paths of a scene do not depend on the other scenes."""
     placing = scenes[0].placing
     if placing.appears or sim.check is Check.STATIC:
         return None
-    if placing.name is Way.TINES:
-        paths = [approach_path_of(scene, sim) for scene in scenes]
-        return ApproachPath(*(np.array(values) for values in zip(*(path for path in paths if path), strict=True)))
-    start, target = (stacked_values(scenes, name) for name in ("start_pos", "target"))
-    quat, offset = stacked_values(scenes, "start_quat"), np.zeros(start.shape)
+    start, target, half_size, quat = (
+        stacked_values(scenes, name) for name in ("start_pos", "target", "half_size", "start_quat")
+    )
+    lift, offset = np.zeros(start.shape), np.zeros(start.shape)
     offset[..., 2] = placing.height_mm / MM_PER_M
     steps, falls = np.zeros(start.shape[:2], np.int64), start[..., 2] > target[..., 2]
-    half_size = stacked_values(scenes, "half_size")
     room = Room.of([scene.carrier for scene in scenes]) if scenes[0].carrier.walls else None
     if placing.carries:
-        approach, _ = _approaches_of(_neighbour_mask(target, half_size, placing, room), scenes[0].approach)
+        beside = _neighbour_mask(target, half_size, placing, room)
+        approach, open_side = _approaches(beside, scenes[0].approach)
         offset[..., :2] = -placing.side_mm / MM_PER_M * approach
+        if placing.name is Way.TINES:
+            lift, quat = _on_an_edge(quat, half_size, open_side, placing.tines_mm / MM_PER_M, sim.thresholds.tilt_deg)
+            falls = np.ones(falls.shape, dtype=bool)
     aside = np.full((*start.shape[:2], 2, 2), most_aside_m(placing))
     if room is not None:
         reaches = reach(quat.reshape(-1, 4), half_size.reshape(-1, 3)).reshape(start.shape)
-        offset[..., :2], aside = _between_walls(room, start, offset[..., :2], reaches, aside)
+        offset[..., :2], aside = _between_walls(room, start + lift, offset[..., :2], reaches, aside)
     if placing.carries:
         length_m, mass = np.linalg.norm(offset, axis=-1), stacked_values(scenes, "mass")
         steps = way_steps(length_m, mass, placing, sim.physics.timestep_s)
-    return ApproachPath(np.zeros(start.shape), quat, offset, steps, falls, aside)
+    return ApproachPath(lift, quat, offset, steps, falls, aside)
 
 
 def _between_walls(
@@ -282,12 +264,7 @@ def _overlap(
     return shared, np.asarray((shared > FREE_M).all(axis=1))
 
 
-def _approaches(scene: Scene, room: Room | None) -> tuple[FloatArray, FloatArray]:
-    """For the boxes of one scene, the directions and the unit vectors that ``_approaches_of`` computes."""
-    return _approaches_of(_neighbour_mask(scene.target, scene.half_size, scene.placing, room), scene.approach)
-
-
-def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+def _approaches(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """(…, n, 2) horizontal directions in which boxes move to their places, and (…, n, 2) a unit vector along x or y for
     each box.
 
@@ -314,9 +291,7 @@ def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> 
     return towards, side
 
 
-def _neighbour_mask(
-    place: FloatArray, half: FloatArray, placing: Placing, room: Room | None = None
-) -> NDArray[np.bool_]:
+def _neighbour_mask(place: FloatArray, half: FloatArray, placing: Placing, room: Room | None) -> NDArray[np.bool_]:
     """(…, n, 2, 2) whether each side of a box has a neighbour when the box is placed, according to the plan. Axis −2 is
     the low and the high side, axis −1 is x and y.
 
@@ -343,28 +318,34 @@ def _neighbour_mask(
     return neighbours if room is None else neighbours | (room.gaps(place, half, BESIDE_M) < near_m)
 
 
-def _on_an_edge(scene: Scene, towards: FloatArray, tilt_deg: float) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) ``lift`` and (n, 4) ``quat`` of ``ApproachPath`` for boxes that stand on their rear bottom edge, with the
-    front edge raised by tines.
+def _on_an_edge(
+    quat: FloatArray, half_size: FloatArray, towards: FloatArray, height_m: float, tilt_deg: float
+) -> tuple[FloatArray, FloatArray]:
+    """(…, n, 3) ``lift`` and (…, n, 4) ``quat`` of ``ApproachPath`` for boxes that stand on their rear bottom edge,
+    with the front edge raised by tines.
 
     Args:
-        towards: (n, 2) forward direction of each box: unit vector along the box's own x or y axis.
+        quat: (…, n, 4) orientations of the boxes at release, as quaternions (w, x, y, z).
+        half_size: (…, n, 3) half extents of the boxes, m.
+        towards: (…, n, 2) forward direction of each box: unit vector along the box's own x or y axis.
+        height_m: height of the front edge, m.
         tilt_deg: the tilt threshold, degrees.
     """
-    yaw = 2.0 * np.arctan2(scene.start_quat[:, 3], scene.start_quat[:, 0])
+    yaw = 2.0 * np.arctan2(quat[..., 3], quat[..., 0])
     cos, sin = np.cos(yaw), np.sin(yaw)
-    ahead = np.stack([cos * towards[:, 0] - sin * towards[:, 1], sin * towards[:, 0] + cos * towards[:, 1]], axis=1)
-    half = np.where(towards[:, 0] != 0, scene.half_size[:, 0], scene.half_size[:, 1])
-    height = scene.placing.tines_mm / MM_PER_M
+    along_x, along_y = towards[..., 0], towards[..., 1]
+    ahead = np.stack([cos * along_x - sin * along_y, sin * along_x + cos * along_y], axis=-1)
+    half = np.where(along_x != 0, half_size[..., 0], half_size[..., 1])
     most = np.radians(MOST_TILTED * tilt_deg)
-    angle = np.arcsin(np.minimum(height / (2.0 * half), np.sin(min(most, np.pi / 2))))
-    up = scene.half_size[:, 2]
+    angle = np.arcsin(np.minimum(height_m / (2.0 * half), np.sin(min(most, np.pi / 2))))
+    up = half_size[..., 2]
     along = half * np.cos(angle) - up * np.sin(angle) - half
-    lift = np.column_stack([along[:, None] * ahead, half * np.sin(angle) + up * np.cos(angle) - up])
+    raised = half * np.sin(angle) + up * np.cos(angle) - up
+    lift = np.concatenate([along[..., None] * ahead, raised[..., None]], axis=-1)
     # quaternion product: a rotation by ``angle`` about a horizontal axis, which points to the right of the forward
     # direction, after the rotation ``start_quat``
     c, s = np.cos(angle / 2), np.sin(angle / 2)
-    a, b = s * ahead[:, 1], -s * ahead[:, 0]
-    w, x, y, z = scene.start_quat.T
+    a, b = s * ahead[..., 1], -s * ahead[..., 0]
+    w, x, y, z = np.moveaxis(quat, -1, 0)
     turned = (c * w - a * x - b * y, c * x + a * w + b * z, c * y - a * z + b * w, c * z + a * y - b * x)
-    return lift, np.stack(turned, axis=1)
+    return lift, np.stack(turned, axis=-1)

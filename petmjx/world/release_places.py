@@ -74,33 +74,20 @@ class Release(NamedTuple):
 
 def release_of(scene: Scene, sim: Simulation) -> Release:
     """The places at which the boxes of a scene are released. In a static check, boxes are at their planned places."""
-    if sim.physics.falls_into_place or sim.check is Check.STATIC or not scene.n_boxes:
-        return Release(np.full(scene.n_boxes, NOTHING), scene.start_pos)
-    support = _supports(scene.target, scene.half_size)
-    touches = (support != NOTHING) & (scene.start_pos[:, 2] <= scene.target[:, 2])
-    physics, friction = sim.physics, scene.friction[:, 0]
-    on_carrier, below = support == CARRIER, np.maximum(support, 0)
-    share = 1.0 + scene.mass / np.where(on_carrier, scene.carrier.mass, scene.mass[below])
-    soft = cone_factor(physics, friction, np.where(on_carrier, scene.carrier.friction[:, 0].max(), friction[below]))
-    pos = scene.start_pos.copy()
-    depth = depth_m(physics, soft * share * physics.gravity_m_s2 / CONTACTS_PER_FACE)
-    sinks, most = sinks_m(scene, physics.gravity_m_s2), MOST_FOLLOWED_M
-    if sinks is not None:
-        depth = np.maximum(depth, bed_depth_m(scene, scene.mass * physics.gravity_m_s2))
-        most += float(sinks.max())
-    pos[:, 2] -= np.where(touches, depth, 0.0)
-    return Release(support, pos, most)
+    support, pos, most_followed_m = releases_of([scene], sim)
+    return Release(support[0], pos[0], most_followed_m)
 
 
 def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
-    """The places at which the boxes of stackable scenes are released. The places are bit-identical to those of
-    ``release_of``.
+    """The places at which the boxes of stackable scenes are released. The places of a scene do not depend on the other
+    scenes.
 
-    Stackable scenes have arrays of equal shapes (petmjx.world.stackable_scenes).
+    Stackable scenes have arrays of equal shapes (petmjx.world.stackable_scenes). A scene with compliant boxes cannot be
+    stacked, so it is the only one in ``scenes``.
     """
-    start = stacked_values(scenes, "start_pos")
+    start, physics = stacked_values(scenes, "start_pos"), sim.physics
     m, n = start.shape[:2]
-    if sim.physics.falls_into_place or sim.check is Check.STATIC or not n:
+    if physics.falls_into_place or sim.check is Check.STATIC or not n:
         return Release(np.full((m, n), NOTHING), start)
     target, half = (stacked_values(scenes, name) for name in ("target", "half_size"))
     mass, friction = stacked_values(scenes, "mass"), stacked_values(scenes, "friction")[..., 0]
@@ -109,14 +96,17 @@ def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
     support = _supports(target, half)
     touches = (support != NOTHING) & (start[..., 2] <= target[..., 2])
     on_carrier, below = support == CARRIER, np.maximum(support, 0)
-    physics = sim.physics
     share = 1.0 + mass / np.where(on_carrier, carrier_mass, np.take_along_axis(mass, below, axis=1))
     soft = cone_factor(
         physics, friction, np.where(on_carrier, carrier_friction, np.take_along_axis(friction, below, axis=1))
     )
-    depth = depth_m(physics, soft * share * physics.gravity_m_s2 / CONTACTS_PER_FACE)
+    depth, most_followed_m = depth_m(physics, soft * share * physics.gravity_m_s2 / CONTACTS_PER_FACE), MOST_FOLLOWED_M
+    sinks = sinks_m(scenes[0], physics.gravity_m_s2)
+    if sinks is not None:
+        depth = np.maximum(depth, bed_depth_m(scenes[0], scenes[0].mass * physics.gravity_m_s2))
+        most_followed_m += float(sinks.max())
     start[..., 2] -= np.where(touches, depth, 0.0)
-    return Release(support, start)
+    return Release(support, start, most_followed_m)
 
 
 def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Release:
