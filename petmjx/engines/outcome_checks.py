@@ -180,7 +180,7 @@ class _Joined:
         planned: at least one scene with boxes at their planned places. Each scene comes with the number of placed
             boxes, and with a flag: whether the smallest distances while the plan is built are needed.
         elsewhere: further scenes with boxes at other places. Each scene comes with the (n, 3) places, m, the number of
-            placed boxes, and the largest gap of ``find_bearing``, m.
+            placed boxes, and the largest gap of ``find_bearings``, m.
     """
 
     planned: Sequence[tuple[Scene, int, bool]]

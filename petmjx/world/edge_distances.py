@@ -19,7 +19,6 @@ loads are computed anew after each placement.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -68,17 +67,6 @@ class Edges(NamedTuple):
         return nearer
 
 
-def edges_of(bearing: Bearing, placed: Sequence[int]) -> list[Edges]:
-    """The distances of the boxes' loads in each scene.
-
-    Args:
-        bearing: the contacts between boxes and their supports, of one or several scenes.
-        placed: number of boxes that are already placed in each scene.
-    """
-    _, by_weight, by_load = loads_and_edges(bearing, placed)
-    return [Edges(by_weight[i:k], by_load[i:k]) for i, k in pairwise(bearing.boxes.first.tolist())]
-
-
 def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n, 4) loads of all boxes (see ``Bearing.loads``), (n,) distances of the boxes' own weights from edges, m, and
     (n,) distances of the loads from edges, m.
@@ -109,7 +97,7 @@ def has_loads_beyond_edges(scenes: Sequence[Scene]) -> NDArray[np.bool_]:
     long as this function: if a load acts beyond an edge, it also looks for another distribution of the loads among the
     supports that keeps all loads inside the edges.
     """
-    bearing = bearings_of(scenes, (), (), ())
+    bearing = bearings_of(scenes)
     loads = bearing.loads([scene.n_boxes for scene in scenes])
     edge_m = np.fmin(bearing.edges_m(bearing.weights), bearing.edges_m(loads))  # NaN if a box has no support
     has_loads = np.zeros(len(scenes), bool)

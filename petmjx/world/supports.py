@@ -12,8 +12,9 @@ energy instead (petmjx.world.load_sharing).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -21,14 +22,13 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.simulation import Thresholds
-from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, meets
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.world.body_shapes import Body
 from petmjx.world.friction_pairs import LARGER
 from petmjx.world.history import CARRIER
 from petmjx.world.load_sharing import ON_EDGE_M, on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import HullTable, hull_table
 from petmjx.world.scene import Scene
-from petmjx.world.stackable_scenes import is_plain
 
 IntArray = NDArray[np.intp]
 
@@ -469,9 +469,9 @@ def ranges(first: IntArray, count: IntArray) -> IntArray:
 
 @lru_cache(maxsize=256)
 def bearing_of(scene: Scene) -> Bearing:
-    """The contacts of a scene, from ``find_bearing``. The contacts are cached, since many worlds of a sweep have the
+    """The contacts of a scene, from ``find_bearings``. The contacts are cached, since many worlds of a sweep have the
     same scene."""
-    return find_bearing(scene)
+    return find_bearings([scene], [scene.target])
 
 
 def bearings_of(
@@ -486,13 +486,12 @@ def bearings_of(
         scenes: scenes whose boxes are at their planned places. The contacts of these scenes come first.
         elsewhere: scenes whose boxes are at other places. The contacts of these scenes come after those of ``scenes``.
         pos: (n, 3) places of the boxes in each scene of ``elsewhere``, m.
-        most_gap_m: ``most_gap_m`` of ``find_bearing`` for each scene of ``elsewhere``. If ``most_gap_m`` is empty,
-            ``TOUCH_M`` is used.
+        most_gap_m: ``most_gap_m`` of ``find_bearings`` for each scene of ``elsewhere``.
     """
     if len({id(scene) for scene in scenes}) == 1 and not elsewhere:
         one = bearing_of(scenes[0])
         return one if len(scenes) == 1 else one.of_scenes(np.zeros(len(scenes), np.intp))[0]
-    gaps_m = np.array([TOUCH_M] * len(scenes) + list(most_gap_m or [TOUCH_M] * len(elsewhere)))
+    gaps_m = np.array([TOUCH_M] * len(scenes) + list(most_gap_m))
     return find_bearings([*scenes, *elsewhere], [*(scene.target for scene in scenes), *pos], gaps_m)
 
 
@@ -504,75 +503,95 @@ rounded."""
 def find_bearings(
     scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float | FloatArray = TOUCH_M
 ) -> Bearing:
-    """The contacts of several scenes in one ``Bearing``, scene after scene. Plain scenes are computed together.
+    """The contacts between boxes and their supports in several scenes, in one ``Bearing``, scene after scene.
+
+    A box lies on a board of the carrier's deck if the box's bottom is not above the deck. A box lies on another box if
+    the other box's bottom is lower, and its top is at the height of the first box's bottom. Both rules have the
+    tolerance ``TOUCH_M``, and require that the two bodies overlap along x and y. A box above a sheet or a pallet lies
+    on the pieces of the sheet, or on the boards of the pallet's deck.
 
     Args:
         targets: (n, 3) middles of the boxes in each scene, m.
-        most_gap_m: ``most_gap_m`` of ``find_bearing``: one value for all scenes, or (s,) one for each scene.
+        most_gap_m: largest gap below a box's bottom across which the box still counts as lying on a body, m: one value
+            for all scenes, or (s,) one for each scene. The gap can exceed ``TOUCH_M``, since a box may lean onto a
+            lower body.
     """
-    boxes, most_gap_m = Boxes.of(scenes, targets), np.broadcast_to(most_gap_m, len(scenes))
-    first, counts = boxes.first, np.diff(boxes.first)
-    plain = np.array([is_plain(scene) for scene in scenes], bool)
-    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # an empty part, since scenes may have no contacts
-    for k in np.flatnonzero(~plain).tolist():
-        one = find_bearing(replace(scenes[k], target=targets[k]), float(most_gap_m[k]))
-        lower = np.where(one.lower == CARRIER, CARRIER, one.lower + first[k])
-        parts.append((one.upper + first[k], lower, one.low, one.high))
-    chosen = np.flatnonzero(plain & (counts > 0))
-    if len(chosen):
-        parts.append(_plain_contacts(boxes, scenes, chosen, most_gap_m))
-    upper, lower, low, high = (np.concatenate(values) for values in zip(*parts, strict=True))
-    order = np.lexsort((lower, upper))  # lexsort is stable: contacts of a box with several boards keep their order
-    return Bearing(boxes, upper[order], lower[order], low.take(order, axis=0), high.take(order, axis=0))
+    boxes = Boxes.of(scenes, targets)
+    low, high, counts = boxes.target - boxes.half_size, boxes.target + boxes.half_size, np.diff(boxes.first)
+    scene_of = np.repeat(np.arange(len(scenes)), counts)
+    gap_m = np.broadcast_to(most_gap_m, len(scenes))[scene_of]
+    deck_low, deck_high, boards = _decks([scene.carrier for scene in scenes])
+    lies = np.flatnonzero(low[:, 2] <= gap_m)
+    lying, board = np.repeat(lies, boards[scene_of[lies]]), spans(boards, scene_of[lies])
+    below, above = _touching(scene_of, low[:, 2], high[:, 2], gap_m)
+    face_low, face_high, faces = _top_faces(boxes, scenes, low, high)
+    above, face, below = np.repeat(above, faces[below]), spans(faces, below), np.repeat(below, faces[below])
+    upper = np.concatenate([lying, above])
+    lower = np.concatenate([np.full(len(board), CARRIER), below])
+    low, high = low[:, :2].copy(), high[:, :2].copy()
+    area_low = np.maximum(low.take(upper, axis=0), np.concatenate([deck_low[board], face_low.take(face, axis=0)]))
+    area_high = np.minimum(high.take(upper, axis=0), np.concatenate([deck_high[board], face_high.take(face, axis=0)]))
+    extent = area_high - area_low
+    wide = np.flatnonzero((extent[:, 0] > _LEAST_OVERLAP_M) & (extent[:, 1] > _LEAST_OVERLAP_M))
+    # lexsort is stable: contacts of a box with several boards keep their order
+    order = wide[np.lexsort((lower[wide], upper[wide]))]
+    return Bearing(boxes, upper[order], lower[order], area_low.take(order, axis=0), area_high.take(order, axis=0))
 
 
-def _plain_contacts(
-    boxes: Boxes, scenes: Sequence[Scene], chosen: IntArray, most_gap_m: FloatArray
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Unsorted contacts of the chosen scenes, which are plain: ``upper``, ``lower``, ``low`` and ``high`` as in
-    ``Bearing``."""
-    low, high = boxes.target - boxes.half_size, boxes.target + boxes.half_size
-    counts = np.diff(boxes.first)
-    carriers = [scenes[k].carrier for k in chosen.tolist()]
+def _decks(carriers: Sequence[Body]) -> tuple[FloatArray, FloatArray, IntArray]:
+    """(b, 2) lowest and (b, 2) highest corners (x, y) of the boards that form the carriers' decks, m, carrier after
+    carrier, and (s,) the number of these boards of each carrier."""
     n_boards = [carrier.n_boards for carrier in carriers]
-    boards = np.array(n_boards)
     shape_pos, half = (
         np.concatenate([getattr(carrier, name)[:n] for carrier, n in zip(carriers, n_boards, strict=True)])
         for name in ("shape_pos", "half_size")
     )
-    center = np.repeat([carrier.pos for carrier in carriers], boards, axis=0) + shape_pos
+    center = np.repeat([carrier.pos for carrier in carriers], n_boards, axis=0) + shape_pos
     deck = (center + half)[:, 2] >= -TOUCH_M
-    deck_low, deck_high = (center - half)[deck, :2], (center + half)[deck, :2]
-    boards = np.bincount(np.repeat(np.arange(len(chosen)), boards)[deck], minlength=len(chosen))
-    rows, scene_of = spans(counts, chosen), np.repeat(np.arange(len(chosen)), counts[chosen])
-    lies = low[rows, 2] <= np.repeat(most_gap_m[chosen], counts[chosen])
-    lying, board = np.repeat(rows[lies], boards[scene_of[lies]]), spans(boards, scene_of[lies])
-    below, above = _touching(rows, scene_of, low[:, 2], high[:, 2], np.repeat(most_gap_m[chosen], counts[chosen]))
-    upper = np.concatenate([lying, above])
-    lower = np.concatenate([np.full(len(board), CARRIER), below])
-    low, high = low[:, :2].copy(), high[:, :2].copy()
-    area_low = np.maximum(low.take(upper, axis=0), np.concatenate([deck_low[board], low.take(below, axis=0)]))
-    area_high = np.minimum(high.take(upper, axis=0), np.concatenate([deck_high[board], high.take(below, axis=0)]))
-    extent = area_high - area_low
-    wide = np.flatnonzero((extent[:, 0] > _LEAST_OVERLAP_M) & (extent[:, 1] > _LEAST_OVERLAP_M))
-    return upper[wide], lower[wide], area_low.take(wide, axis=0), area_high.take(wide, axis=0)
+    boards = np.bincount(np.repeat(np.arange(len(carriers)), n_boards)[deck], minlength=len(carriers))
+    return (center - half)[deck, :2], (center + half)[deck, :2], boards
 
 
-def _touching(
-    rows: IntArray, scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray
-) -> tuple[IntArray, IntArray]:
+def _top_faces(
+    boxes: Boxes, scenes: Sequence[Scene], low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """(t, 2) lowest and (t, 2) highest corners of the top faces of boxes, m, box after box, and (n,) the number of top
+    faces of each box.
+
+    A box has one top face, a sheet has one per piece, and a pallet among the boxes has one per board of its deck.
+
+    Args:
+        low, high: (n, 3) lowest and highest corners of the boxes, m.
+    """
+    counts = np.ones(len(low), np.intp)
+    if not any(scene.pieces for scene in scenes):
+        return low[:, :2], high[:, :2], counts
+    face_low, face_high = [], []
+    for scene, (first, end) in zip(scenes, pairwise(boxes.first.tolist()), strict=True):
+        shapes, rows = scene.shapes, slice(first, end)
+        of_boxes = np.flatnonzero(shapes.body != CARRIER)
+        box = shapes.body[of_boxes]
+        middle = boxes.target[rows][box] + shapes.pos[of_boxes] - scene.middle[box]
+        half = shapes.half_size[of_boxes]
+        on_top = (middle + half)[:, 2] >= high[rows][box, 2] - TOUCH_M
+        counts[rows] = np.bincount(box[on_top], minlength=scene.n_boxes)
+        face_low.append((middle - half)[on_top, :2])
+        face_high.append((middle + half)[on_top, :2])
+    return np.concatenate(face_low), np.concatenate(face_high), counts
+
+
+def _touching(scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray) -> tuple[IntArray, IntArray]:
     """(p,) lower and (p,) upper boxes of pairs in the same scene whose vertical gap is small enough for a contact.
 
     Heights are sorted first, so that few pairs must be compared.
 
     Args:
-        rows: (r,) numbers of the boxes among which pairs are searched.
-        scene: (r,) number of the scene of each of these boxes.
-        low, high: (n,) heights of the bottoms and tops of all boxes, m.
-        most_gap_m: (r,) ``most_gap_m`` of ``find_bearing`` for each of these boxes.
+        scene: (n,) number of the scene of each box.
+        low, high: (n,) heights of the boxes' bottoms and tops, m. Boxes whose heights are not finite have no contacts.
+        most_gap_m: (n,) ``most_gap_m`` of ``find_bearings`` for each box.
     """
-    is_somewhere = np.isfinite(low[rows]) & np.isfinite(high[rows])
-    rows, scene, most_gap_m = rows[is_somewhere], scene[is_somewhere], most_gap_m[is_somewhere]
+    rows = np.flatnonzero(np.isfinite(low) & np.isfinite(high))
+    scene, most_gap_m = scene[rows], most_gap_m[rows]
     bottom, top, reach = low[rows], high[rows], TOUCH_M + most_gap_m.max(initial=0.0)
     # Heights are raised by a different amount for each scene, so that boxes of different scenes are far apart.
     rise = scene * (np.maximum(bottom, top).max(initial=0.0) - np.minimum(bottom, top).min(initial=0.0) + 2 * reach)
@@ -587,64 +606,3 @@ def _touching(
     touching = (over <= TOUCH_M) & (over >= -most_gap_m[above]) & (bottom[below] < bottom[above])
     touching &= scene[below] == scene[above]
     return rows[below[touching]], rows[above[touching]]
-
-
-def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
-    """The contacts between boxes and their supports, computed from the planned places.
-
-    A box lies on a board of the carrier's deck if the box's bottom is not above the deck. A box lies on another box if
-    the other box's bottom is lower, and its top is at the height of the first box's bottom. Both rules have the
-    tolerance ``TOUCH_M``, and require that the two bodies overlap along x and y.
-
-    Args:
-        most_gap_m: largest gap below a box's bottom across which the box still counts as lying on a body, m. The gap
-            can exceed ``TOUCH_M``, since a box may lean onto a lower body.
-    """
-    low, high = scene.target - scene.half_size, scene.target + scene.half_size
-    deck_low, deck_high = _deck(scene.carrier)
-    touching = meets(low[:, 2], high[:, 2], TOUCH_M, most_gap_m)
-    touching &= np.less.outer(low[:, 2], low[:, 2])
-    below, above = np.nonzero(touching)
-    cut_below, cut_low, cut_high = _cut(scene, low, high)
-    # a box above a sheet lies on the sheet's pieces; a box above another box lies on the other box's whole top
-    row, pieces = np.nonzero(below[:, None] == cut_below)
-    below, above, piece_low, piece_high = below[row], above[row], cut_low[pieces], cut_high[pieces]
-    on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))
-    lying = low[on_deck, 2] <= most_gap_m
-    on_deck, board = on_deck[lying], board[lying]
-    upper = np.concatenate([on_deck, above])
-    lower = np.concatenate([np.full(len(on_deck), CARRIER), below])
-    under_low = np.concatenate([deck_low[board], piece_low])
-    under_high = np.concatenate([deck_high[board], piece_high])
-    area_low, area_high = np.maximum(low[upper, :2], under_low), np.minimum(high[upper, :2], under_high)
-    order = np.lexsort((lower, upper))
-    order = order[((area_high - area_low)[order] > _LEAST_OVERLAP_M).all(axis=1)]
-    return Bearing(Boxes.of([scene], [scene.target]), upper[order], lower[order], area_low[order], area_high[order])
-
-
-def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The t top faces in a scene: (t,) number of the box to which each face belongs, and (t, 2) lowest and (t, 2)
-    highest corner of each face, m.
-
-    A box has one top face, a sheet has one per piece, and a pallet among the boxes has one per board of its deck.
-
-    Args:
-        low, high: (n, 3) lowest and highest corners of the boxes, m.
-    """
-    if not scene.pieces:
-        return np.arange(scene.n_boxes), low[:, :2], high[:, :2]
-    shapes = scene.shapes
-    of_boxes = np.flatnonzero(shapes.body != CARRIER)
-    box = shapes.body[of_boxes]
-    middle = scene.target[box] + shapes.pos[of_boxes] - scene.middle[box]
-    half = shapes.half_size[of_boxes]
-    on_top = (middle + half)[:, 2] >= high[box, 2] - TOUCH_M
-    box, middle, half = box[on_top], middle[on_top, :2], half[on_top, :2]
-    return box, middle - half, middle + half
-
-
-def _deck(carrier: Body) -> tuple[FloatArray, FloatArray]:
-    """(b, 2) lowest and (b, 2) highest corners (x, y) of the boards that form the carrier's deck, m."""
-    center, half = (carrier.pos + carrier.shape_pos)[: carrier.n_boards], carrier.half_size[: carrier.n_boards]
-    deck = (center + half)[:, 2] >= -TOUCH_M
-    return (center - half)[deck, :2], (center + half)[deck, :2]

@@ -26,7 +26,7 @@ from petmjx.world.friction_pairs import check_surfaces
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.mujoco_model import HeldCarrier, build_spec
 from petmjx.world.scene import IDENTITY_QUAT, Scene, build_scene
-from petmjx.world.supports import find_bearing
+from petmjx.world.supports import bearing_of
 
 GRAVITY = 9.81
 WITHIN = 0.05
@@ -236,9 +236,9 @@ def test_a_sheet_bears_where_something_bears_it_and_bridges_nothing() -> None:
     verdicts = {name: simulated("mujoco")[name].verdict for name in SHEETS}
     assert verdicts == {"borne": Verdict.STABLE, "bridge": Verdict.UNSTABLE, "plate": Verdict.STABLE}
     assert simulated("mujoco")["bridge"].culprit == 3
-    bearing = find_bearing(SHEETS["borne"])
+    bearing = bearing_of(SHEETS["borne"])
     assert bearing.lower[bearing.upper == 3].tolist() == [2]
-    assert not (find_bearing(SHEETS["bridge"]).upper == 3).any()
+    assert not (bearing_of(SHEETS["bridge"]).upper == 3).any()
     # in real plans, layers are not level to a millimetre
     lower = make_plan(boxes=[((300, 400, 198), (0, 0, 0), 8), *TOWERS[1:], *ON_TOWERS])
     uneven = build_scene(replace(lower, kinds=("", "", "sheet", "", "")), SIM)

@@ -10,6 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from support.edges import edges_of
 from support.plans import Box, make_plan, make_scene, stack
 from support.sweeps import write_sweep
 
@@ -24,7 +25,7 @@ from petmjx.options.walls import Side
 from petmjx.plans.plan_sources import usable_plans
 from petmjx.repairs.drafts import Draft, Rules
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, reach
-from petmjx.world.edge_distances import building_edges, edges_of
+from petmjx.world.edge_distances import building_edges
 from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.option_lint import notes_about

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from support.edges import plan_edges
 from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene, stack
 from test_fallback import Scripted, never, scored
@@ -24,9 +25,8 @@ from petmjx.engines.outcome_checks import edges_again, note_edges, outcome_check
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.show.run_tables import worlds_table
-from petmjx.world.edge_distances import edges_of, has_loads_beyond_edges
+from petmjx.world.edge_distances import has_loads_beyond_edges
 from petmjx.world.job import Job
-from petmjx.world.supports import bearings_of
 
 MM = 1e-3
 
@@ -58,7 +58,7 @@ def test_a_quick_look_finds_the_scenes_with_a_load_beyond_an_edge() -> None:
     rng = np.random.default_rng(33329)
     heaps = [make_scene(random_heap(rng, 12)) for _ in range(40)]
     quick = has_loads_beyond_edges(heaps)
-    slow = np.array([np.nanmin(edges.least) < 0 for edges in edges_of(bearings_of(heaps, (), (), ()), [12] * 40)])
+    slow = np.array([np.nanmin(edges.least) < 0 for edges in plan_edges(heaps, [12] * 40)])
     assert quick[slow].all(), "it may find more, since it looks for no other shares"
     assert 0 < quick.sum() < 40
 

@@ -17,7 +17,7 @@ from petmjx.world.history import CARRIER
 from petmjx.world.rectangle_hulls import hull_edges, hull_table
 from petmjx.world.release_places import MOST_FOLLOWED_M, NOTHING, release_of
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.supports import bearing_of, bearings_of, find_bearing, find_bearings
+from petmjx.world.supports import TOUCH_M, bearing_of, bearings_of, find_bearings
 
 EXACT = Simulation(size_reduction_mm=0.0)
 MM = 1e-3
@@ -150,7 +150,7 @@ def test_scenes_together_have_the_numbers_of_each_alone() -> None:
 
 def test_scenes_that_are_alike_are_looked_at_together() -> None:
     """Similar scenes have the same contacts to the last bit, whether they are computed together or alone: on one board
-    or many, with random errors, and at other places."""
+    or many, with random errors, and at other places. The contacts are those of each pair of bodies that touch."""
     rng = np.random.default_rng(6)
     for carrier in ("footprint", "epal-1"):
         sim = Simulation(carrier=carrier)
@@ -160,7 +160,9 @@ def test_scenes_that_are_alike_are_looked_at_together() -> None:
         gaps_m = np.array([5e-4, 5e-4, 2e-2, 5e-4, 2e-2, 5e-4])
         together = find_bearings(scenes, targets, gaps_m)
         for number, (scene, target, gap_m) in enumerate(zip(scenes, targets, gaps_m.tolist(), strict=True)):
-            bearing, expected = together.of_scene(number), find_bearing(replace(scene, target=target), gap_m)
+            bearing, expected = together.of_scene(number), find_bearings([scene], [target], gap_m)
+            contacts = [*zip(bearing.upper, bearing.lower, bearing.low.tolist(), bearing.high.tolist(), strict=True)]
+            assert contacts == contacts_by_pairs(replace(scene, target=target), gap_m)
             for name in ("upper", "lower", "low", "high"):
                 np.testing.assert_array_equal(getattr(bearing, name), getattr(expected, name), strict=True)
             for name in ("target", "half_size", "mass", "mass_center", "carrier_mass", "first"):
@@ -176,6 +178,25 @@ def test_scenes_that_are_alike_are_looked_at_together() -> None:
             assert several.boxes.first.tolist() == [0, 6, 15, 21]
         twice = bearings_of([scenes[0]] * 2)
         np.testing.assert_array_equal(twice.upper, np.concatenate([one.upper, one.upper + 6]))
+
+
+def contacts_by_pairs(scene: Scene, gap_m: float) -> list[tuple[int, int, list[float], list[float]]]:
+    """Upper body, lower body, and lowest and highest corner of each contact of a scene, found pair by pair."""
+    carrier, half = scene.carrier, scene.half_size
+    places, halves = carrier.pos + carrier.shape_pos, carrier.half_size
+    deck = [k for k in range(len(halves)) if places[k, 2] + halves[k, 2] >= -TOUCH_M]
+    below = [(CARRIER, places[k] - halves[k], places[k] + halves[k]) for k in deck]
+    below += [(k, scene.target[k] - half[k], scene.target[k] + half[k]) for k in range(scene.n_boxes)]
+    contacts = []
+    for upper in range(scene.n_boxes):
+        low, high = scene.target[upper] - half[upper], scene.target[upper] + half[upper]
+        for lower, lower_low, lower_high in below:
+            over = lower_high[2] - low[2]
+            touches = lower_low[2] < low[2] and -gap_m <= over <= TOUCH_M
+            area = np.maximum(low, lower_low)[:2], np.minimum(high, lower_high)[:2]
+            if (low[2] <= gap_m if lower == CARRIER else touches) and (area[1] - area[0] > 1e-6).all():
+                contacts.append((upper, lower, area[0].tolist(), area[1].tolist()))
+    return contacts
 
 
 def random_heap(rng: np.random.Generator, n: int) -> list[Box]:
