@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.simulation import Schedule, Simulation
-from petmjx.world.friction_pairs import filled_up, filled_up_landings, filled_up_shares
+from petmjx.world.friction_pairs import filled_up
 from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes, OpenScenes
 from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
@@ -176,12 +176,12 @@ def _check_grown(before: Scene, after: Scene) -> None:
         raise ValueError(f"the first {n} boxes of the scene must be the boxes that the world already has")
     if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
         raise ValueError("the scene must have the same carrier as the world")
-    for name, filled, noun in (
-        ("pair_friction", filled_up, "friction"),
-        ("pair_kinetic", filled_up_shares, "kinetic friction"),
-        ("pair_landing", filled_up_landings, "landing values"),
+    for name, entry, noun in (
+        ("pair_friction", (), "friction"),
+        ("pair_kinetic", (), "kinetic friction"),
+        ("pair_landing", (2,), "landing values"),
     ):
-        if not np.array_equal(filled(getattr(before, name)), filled(getattr(after, name))):
+        if not np.array_equal(filled_up(getattr(before, name), entry), filled_up(getattr(after, name), entry)):
             raise ValueError(f"the scene must have the same {noun} for pairs of surfaces as the world")
 
 

@@ -30,19 +30,9 @@ LARGER: Final = -1.0
 two shapes, as is usual in MuJoCo."""
 
 
-USUAL: Final = -1.0
+USUAL: Final = LARGER
 """Marks an entry without a value in a table of restitutions, of landing times or of kinetic friction. For this entry,
 ``Physics`` gives the value: restitution, landing time, or kinetic friction as a share of static friction."""
-
-
-def no_landings(n_surfaces: int = MOST_SURFACES) -> FloatArray:
-    """(k, k, 2) a table of restitutions and landing times in which no entry has a value."""
-    return np.full((n_surfaces, n_surfaces, 2), USUAL)
-
-
-def no_pairs(n_surfaces: int = MOST_SURFACES) -> FloatArray:
-    """(k, k) a table of friction coefficients in which no entry has a coefficient."""
-    return np.full((n_surfaces, n_surfaces), LARGER)
 
 
 def scaled_pairs(
@@ -66,33 +56,15 @@ def scaled_pairs(
     return np.where(table == LARGER, LARGER, table * np.maximum.outer(factor, factor))
 
 
-def filled_up(table: FloatArray | None) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's table of friction, filled up with ``LARGER``.
+def filled_up(table: FloatArray | None, entry: tuple[int, ...] = ()) -> FloatArray:
+    """(``MOST_SURFACES``, ``MOST_SURFACES``, …) a world's table of friction, of landings or of kinetic friction, filled
+    up with entries without a value (``LARGER`` and ``USUAL``, which are the same number).
 
-    Raises:
-        ValueError: the table has too many rows.
+    Args:
+        table: (k, k, …) the table. If ``table`` is None, no entry has a value.
+        entry: shape of an entry, which is (2,) for landings.
     """
-    filled = no_pairs()
-    if table is not None:
-        if len(table) > MOST_SURFACES:
-            raise ValueError(f"at most {MOST_SURFACES} surfaces, got {len(table)}")
-        filled[: len(table), : len(table)] = table
-    return filled
-
-
-def filled_up_shares(table: FloatArray | None) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's table of kinetic friction as a share of static friction, filled
-    up with ``USUAL``."""
-    filled = np.full((MOST_SURFACES, MOST_SURFACES), USUAL)
-    if table is not None:
-        filled[: len(table), : len(table)] = table
-    return filled
-
-
-def filled_up_landings(table: FloatArray | None) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``, 2) a world's table of restitutions and landing times, filled up with
-    ``USUAL``."""
-    filled = no_landings()
+    filled = np.full((MOST_SURFACES, MOST_SURFACES, *entry), USUAL)
     if table is not None:
         filled[: len(table), : len(table)] = table
     return filled
@@ -146,8 +118,8 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
             f"plan {printable_name(plan.plan_id)}: boxes and boards may have at most {MOST_SURFACES - 1} different "
             f"surfaces, got {len(of_boxes) + len(of_boards)}"
         )
-    table = no_pairs(1 + len(of_boxes) + len(of_boards))
-    landing, kinetic = no_landings(len(table)), np.full(table.shape, USUAL)
+    n = 1 + len(of_boxes) + len(of_boards)
+    table, landing, kinetic = np.full((n, n), LARGER), np.full((n, n, 2), USUAL), np.full((n, n), USUAL)
     for row, one in enumerate(of_boxes, start=1):
         for column, other in enumerate(of_boxes, start=1):
             table[row, column] = _pair_friction(one, other, sim)

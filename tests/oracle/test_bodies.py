@@ -19,7 +19,7 @@ from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.world.body_shapes import Body
-from petmjx.world.friction_pairs import no_pairs
+from petmjx.world.friction_pairs import LARGER
 from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.scene import Scene
@@ -89,7 +89,7 @@ def by_pairs() -> Scene:
     of box and carrier, which counts without pairs, would hold both.
     """
     boxes = [((SIDE_MM, SIDE_MM, 100), (-300, y, 0), 4.0) for y in (0, 300, 600)]
-    table = no_pairs(4)
+    table = np.full((4, 4), LARGER)
     for surface, friction in ((1, LOW), (2, LOWER)):
         table[surface, 3] = table[3, surface] = friction
     carrier = replace(boards(0.9), surface=np.array([3, 3]))

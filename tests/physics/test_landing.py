@@ -31,7 +31,7 @@ from petmjx.engines.mujoco.top_forces import largest_top_forces, top_force_input
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import LANDING_S, RESTITUTION
 from petmjx.options.simulation import Simulation
-from petmjx.world.friction_pairs import filled_up_landings
+from petmjx.world.friction_pairs import filled_up
 from petmjx.world.history import Record
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene
@@ -161,7 +161,7 @@ def test_mjx_changes_contacts_as_c_does() -> None:
     live.step(100)  # at rest
     live.data.qvel[-6:] = (0.0, 0.0, -0.4, 1.0, 0.5, 0.0)
     model, data, landings = live.model, live.data, Landings(live.scene, sim)
-    surface, table = jnp.array([0, 2, 1, 1]), jnp.asarray(filled_up_landings(live.scene.pair_landing))
+    surface, table = jnp.array([0, 2, 1, 1]), jnp.asarray(filled_up(live.scene.pair_landing, (2,)))
     device = mjx.put_model(model, impl="jax")
     links = Links(device)
     boxes = live.geom_bodies[links.geoms]

@@ -15,7 +15,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of
 from petmjx.world.compliance import compliances, sinks_m
 from petmjx.world.film import film_of
-from petmjx.world.friction_pairs import filled_up, filled_up_landings, filled_up_shares
+from petmjx.world.friction_pairs import filled_up
 from petmjx.world.history import CARRIER
 from petmjx.world.release_places import NOTHING, Release, release_of, releases_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
@@ -130,8 +130,8 @@ def _scene_values(scenes: Sequence[Scene]) -> Rows:
         "carrier_pos": stacked_values(scenes, "carrier.pos").astype(np.float32),
         "floor_friction": stacked_values(scenes, "floor_friction").astype(np.float32),
         "pair_friction": np.array([filled_up(scene.pair_friction) for scene in scenes]).astype(np.float32),
-        "pair_landing": np.array([filled_up_landings(scene.pair_landing) for scene in scenes]).astype(np.float32),
-        "pair_kinetic": np.array([filled_up_shares(scene.pair_kinetic) for scene in scenes]).astype(np.float32),
+        "pair_landing": np.array([filled_up(scene.pair_landing, (2,)) for scene in scenes]).astype(np.float32),
+        "pair_kinetic": np.array([filled_up(scene.pair_kinetic) for scene in scenes]).astype(np.float32),
         "floor_z": stacked_values(scenes, "floor_z").astype(np.float32),
         "hand_force": stacked_values(scenes, "placing.force_n").astype(np.float32),
         "hand_speed": stacked_values(scenes, "placing.speed_m_s").astype(np.float32),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.world.contact_laws import FAST_M_S, lasts_steps, pull, stiffness_ratio
-from petmjx.world.friction_pairs import filled_up_landings
+from petmjx.world.friction_pairs import filled_up
 from petmjx.world.mujoco_model import geom_surfaces
 from petmjx.world.scene import Scene
 
@@ -51,7 +51,7 @@ class Landings:
         n_boxes = scene.n_boxes
         self._scene, self._sim = scene, sim
         self._physics, self._lasts = sim.physics, lasts_steps(sim)
-        self._table = filled_up_landings(scene.pair_landing)
+        self._table = filled_up(scene.pair_landing, (2,))
         self.left: NDArray[np.intp] = np.zeros(n_boxes, np.intp)
         self.before: FloatArray = np.zeros((n_boxes, 6))
         self._placed = 0
