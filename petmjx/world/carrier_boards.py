@@ -6,7 +6,7 @@ the origin, and its bottom is at z = 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable_name
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.carriers import TOUCH_MM, Carrier, OwnCarrier, walls_of
 from petmjx.options.materials import STEEL, TRAILER_FLOOR, WOOD
@@ -170,10 +169,6 @@ PALLETS: Final = {
 }
 
 
-OF_SLABS: Final = ("floor_z_m", "carrier_half_height_m", "carrier_mass_kg")
-"""Fields of ``Physics`` that have no effect if the carrier is made of boards."""
-
-
 @lru_cache(maxsize=16)
 def pallet(carrier: Carrier | OwnCarrier) -> Pallet | None:
     """The boards of a carrier; None if the carrier is a slab."""
@@ -246,23 +241,6 @@ def carrier_surfaces(sim: Simulation) -> list[tuple[float | None, str]]:
     frictions, materials = ((), ()) if board_pallet is None else (board_pallet.frictions, board_pallet.materials)
     boards = zip(frictions or (None,) * count, materials or (WOOD,) * count, strict=True)
     return [*boards, *[(walls.friction, walls.material or "")] * len(walls.standing)]
-
-
-def carrier_notes(sim: Simulation) -> Iterator[str]:
-    """Notes for the user, one for each option that has no effect with this carrier."""
-    board_pallet, physics = pallet(sim.carrier), sim.physics
-    if board_pallet is None:
-        return
-    name = printable_name(sim.carrier if isinstance(sim.carrier, Carrier) else sim.carrier.name or "the carrier")
-    idle = [field for field in OF_SLABS if getattr(physics, field) != Physics.model_fields[field].default]
-    if idle:
-        verb = "has" if len(idle) == 1 else "have"
-        these = " and ".join(f"physics.{field}" for field in idle)
-        yield f"{these} {verb} no effect: {name} is made of boards, which have their own height and mass"
-    frictions = [friction for friction in board_pallet.frictions if friction is not None]
-    if not physics.has_own_friction and frictions and min(frictions) < physics.box_friction[0]:
-        reason = f"the larger of two coefficients counts, and boxes have {physics.box_friction[0]:g}"
-        yield f"friction {min(frictions):g} of boards of {name} has no effect with pyramidal cones: {reason}"
 
 
 def carrier_friction(sim: Simulation) -> float:

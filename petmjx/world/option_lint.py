@@ -10,13 +10,15 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name, three_digits
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
+from petmjx.options.carriers import Carrier
+from petmjx.options.physics import Physics
 from petmjx.options.placing import Placing, Way
 from petmjx.options.simulation import Attempts, Check, Schedule, Simulation
 from petmjx.options.walls import Side, Walls
 from petmjx.options.wrap import Wrap
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, MOST_NAMED
-from petmjx.world.carrier_boards import carrier_notes, has_walls, pallet
+from petmjx.world.carrier_boards import has_walls, pallet
 from petmjx.world.friction_pairs import check_surfaces
 from petmjx.world.scene import build_scene, carrier_of
 from petmjx.world.supports import bearing_of
@@ -28,6 +30,9 @@ _USES: Final = {
     Way.TINES: ("height_mm", "side_mm", "speed_m_s", "force_n", "tines_mm"),
 }
 """Way of placing boxes → the fields of ``Placing`` that have an effect if boxes are placed in this way."""
+
+_OF_SLABS: Final = ("floor_z_m", "carrier_half_height_m", "carrier_mass_kg")
+"""Fields of ``Physics`` that have no effect if the carrier is made of boards."""
 
 _AXES: Final = {
     "placing_height_mm": "height_mm",
@@ -56,7 +61,7 @@ def notes_about(
             wrapped around a plan that has pallets among its boxes.
     """
     return [
-        *carrier_notes(sim),
+        *_carrier_notes(sim),
         *check_surfaces(plans, sim),
         *_placing_notes(sim.placing, axes, errors),
         *_wrap_notes(sim.wrap, axes, driven, plans),
@@ -68,26 +73,43 @@ def notes_about(
     ]
 
 
+def _idle(names: Sequence[str], why: str) -> Iterator[str]:
+    """The note that options have no effect; no note if ``names`` is empty."""
+    if names:
+        yield f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'} no effect: {why}"
+
+
+def _count_and_first(box_names: Sequence[str]) -> tuple[str, str]:
+    """A text with the number of boxes, and a text with the names of the first ones."""
+    first = ", ".join(box_names[:MOST_NAMED]) + (", …" if len(box_names) > MOST_NAMED else "")
+    return count_text(len(box_names), "box", "boxes"), first
+
+
+def _carrier_notes(sim: Simulation) -> Iterator[str]:
+    """Notes on options that have no effect with a carrier of boards."""
+    board_pallet, physics = pallet(sim.carrier), sim.physics
+    if board_pallet is None:
+        return
+    name = printable_name(sim.carrier if isinstance(sim.carrier, Carrier) else sim.carrier.name or "the carrier")
+    idle = [f"physics.{field}" for field in _OF_SLABS if getattr(physics, field) != Physics.model_fields[field].default]
+    yield from _idle(idle, f"{name} is made of boards, which have their own height and mass")
+    frictions = [friction for friction in board_pallet.frictions if friction is not None]
+    if not physics.has_own_friction and frictions and min(frictions) < physics.box_friction[0]:
+        reason = f"the larger of two coefficients counts, and boxes have {physics.box_friction[0]:g}"
+        yield f"friction {min(frictions):g} of boards of {name} has no effect with pyramidal cones: {reason}"
+
+
 def _placing_notes(placing: Placing, axes: Collection[str], errors: bool) -> Iterator[str]:
     way = placing.name
     if way is Way.AUTO:
         way = Way.HAND if errors else Way.EXACT
-    changed_fields = [
-        name for name in Placing.model_fields if name != "name" and getattr(placing, name) != _default(name)
-    ]
-    idle = [f"placing.{name}" for name in changed_fields if name not in _USES[way]]
-    idle += [name for name, changed in _AXES.items() if name in axes and changed not in _USES[way]]
-    if idle:
-        verb = "has" if len(idle) == 1 else "have"
-        yield f"{' and '.join(idle)} {verb} no effect: boxes are placed by {way}"
-
-
-def _default(name: str) -> object:
-    return Placing.model_fields[name].default
+    changed = [name for name, info in Placing.model_fields.items() if getattr(placing, name) != info.default]
+    idle = [f"placing.{name}" for name in changed if name != "name" and name not in _USES[way]]
+    idle += [axis for axis, field in _AXES.items() if axis in axes and field not in _USES[way]]
+    yield from _idle(idle, f"boxes are placed by {way}")
 
 
 def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool, plans: Sequence[Plan]) -> Iterator[str]:
-    changed_fields = [name for name in Wrap.model_fields if getattr(wrap, name) != Wrap.model_fields[name].default]
     holds = wrap.turns > 0 or "wrap_turns" in axes
     unit = next((plan for plan in plans if plan.pallets), None)
     if holds and unit is not None:
@@ -97,9 +119,9 @@ def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool, plans: Sequence
         )
     if holds and not driven:
         yield "wrap has no effect: there is no profile, and film acts only while a pallet is shaken"
-    elif changed_fields and not holds:
-        verb = "has" if len(changed_fields) == 1 else "have"
-        yield f"{' and '.join(f'wrap.{name}' for name in changed_fields)} {verb} no effect: there are no turns of film"
+    elif not holds:
+        changed = [name for name, info in Wrap.model_fields.items() if getattr(wrap, name) != info.default]
+        yield from _idle([f"wrap.{name}" for name in changed], "there are no turns of film")
 
 
 def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
@@ -107,41 +129,28 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
     board_pallet = pallet(sim.carrier)
     if board_pallet is None:
         return
-    box_names: list[str] = []
-    count = 0
-    for plan in plans:
-        boxes = _over_gaps(plan, board_pallet.deck_mm)
-        count += len(boxes)
-        box_names += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(box_names)]]
-    if count:
-        tail = ", …" if count > len(box_names) else ""
-        verb = "stands" if count == 1 else "stand"
-        first = f"{', '.join(box_names)}{tail}"
-        yield f"{count_text(count, 'box', 'boxes')} on the carrier {verb} with the middle over a gap ({first})"
+    deck_mm = board_pallet.deck_mm
+    names = [f"box {box} of {printable_name(plan.plan_id)}" for plan in plans for box in _over_gaps(plan, deck_mm)]
+    if names:
+        count, first = _count_and_first(names)
+        verb = "stands" if len(names) == 1 else "stand"
+        yield f"{count} on the carrier {verb} with the middle over a gap ({first})"
 
 
 def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
     """Notes on options of walls for a carrier without walls, and on boxes that overlap a wall in the plan."""
     if not has_walls(sim):
-        idle = [name for name in Walls.model_fields if getattr(sim.walls, name) not in (None, ())]
-        if idle:
-            verb = "has" if len(idle) == 1 else "have"
-            yield f"{' and '.join(f'walls.{name}' for name in idle)} {verb} no effect: the carrier has no walls"
+        idle = [f"walls.{name}" for name in Walls.model_fields if getattr(sim.walls, name) not in (None, ())]
+        yield from _idle(idle, "the carrier has no walls")
         return
-    box_names: list[str] = []
-    count = 0
-    for plan in plans:
-        of_plan = printable_name(plan.plan_id)
-        boxes = [
-            f"box {box} of {of_plan} by {three_digits(depth)} mm on the {side}"
-            for box, side, depth in _through_walls(plan, sim)
-        ]
-        count += len(boxes)
-        box_names += boxes[: MOST_NAMED - len(box_names)]
-    if count:
-        tail = ", …" if count > len(box_names) else ""
-        verb = "reaches" if count == 1 else "reach"
-        yield f"{count_text(count, 'box', 'boxes')} {verb} through a wall of the carrier ({', '.join(box_names)}{tail})"
+    names = [
+        f"box {box} of {printable_name(plan.plan_id)} by {three_digits(depth)} mm on the {side}"
+        for plan in plans
+        for box, side, depth in _through_walls(plan, sim)
+    ]
+    if names:
+        count, first = _count_and_first(names)
+        yield f"{count} {'reaches' if len(names) == 1 else 'reach'} through a wall of the carrier ({first})"
 
 
 def _through_walls(plan: Plan, sim: Simulation) -> Iterator[tuple[int, Side, float]]:
@@ -168,20 +177,12 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
         _check_soft(sim, plans if sim.attempts is Attempts.SOFT else giving)
     if not sim.physics.has_own_friction:
         return
-    box_names: list[str] = []
-    count = 0
-    for plan in giving:
-        boxes = _pressed_through(plan, sim)
-        count += len(boxes)
-        box_names += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(box_names)]]
-    if count:
-        tail = ", …" if count > len(box_names) else ""
-        verb = "is" if count == 1 else "are"
-        first = f"{', '.join(box_names)}{tail}"
+    names = [f"box {box} of {printable_name(plan.plan_id)}" for plan in giving for box in _pressed_through(plan, sim)]
+    if names:
+        count, first = _count_and_first(names)
         yield (
-            f"{count_text(count, 'box', 'boxes')} {verb} compressed by more than half of the height by the plan's "
-            "loads "
-            f"({first}): check stiffness_n_mm"
+            f"{count} {'is' if len(names) == 1 else 'are'} compressed by more than half of the height by the plan's "
+            f"loads ({first}): check stiffness_n_mm"
         )
 
 

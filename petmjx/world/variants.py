@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.placing import Placing, Way
 from petmjx.options.walls import Side
-from petmjx.world.body_shapes import Body
 from petmjx.world.friction_pairs import scaled_pairs
 from petmjx.world.random_streams import WorldKey, rngs
 from petmjx.world.release_places import make_room
@@ -287,18 +286,12 @@ def apply_all(
 ) -> Iterator[Scene]:
     """The scene of each variant, bit-identical to the result of :func:`apply` for this variant alone."""
     for change, group in itertools.groupby(variants, key=lambda variant: variant.placement):
-        for batch in _variant_batches(group):
+        while batch := list(itertools.islice(group, AT_A_TIME)):
             if change == UNCHANGED:
                 yield from (scene for _ in batch)
             else:
                 keys = [WorldKey(seed, plan_id, variant.replicate) for variant in batch]
                 yield from _changed_scenes(scene, change, keys, standing)
-
-
-def _variant_batches(variants: Iterable[Variant]) -> Iterator[tuple[Variant, ...]]:
-    source = iter(variants)
-    while batch := tuple(itertools.islice(source, AT_A_TIME)):
-        yield batch
 
 
 def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], standing: int) -> Iterator[Scene]:
@@ -348,9 +341,9 @@ def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldK
     start_quat = _yawed_orientations(scene.start_quat, yaw)
     wrap = scene.wrap if change.wrap_turns is None else scene.wrap.changed(turns=change.wrap_turns)
     slippery = [_with_friction(scene, change, float(factor)) for factor in friction]
-    fields = (slippery, half_size, mass, target, start_pos, start_quat)
+    of_worlds = (slippery, half_size, mass, target, start_pos, start_quat)
     # equal worlds share the same objects, so that pickles and tables contain these objects only once
-    columns = (values if len(values) > 1 else itertools.repeat(values[0]) for values in fields)
+    columns = (values if len(values) > 1 else itertools.repeat(values[0]) for values in of_worlds)
     for _, base, half, kg, planned, place, turn in zip(keys, *columns, strict=False):
         yield replace(
             base,
@@ -412,49 +405,29 @@ def _overlap_mask(centre: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
 def _with_room(
     scene: Scene, change: PlacementChange, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray, standing: int
 ) -> FloatArray:
-    """(m, n, 2) horizontal places of boxes, m, after overlapping boxes were moved apart."""
-    above = _lower(scene)
-    beside = ~(above | above.T)
-    movable = np.arange(scene.n_boxes) >= standing
-    reach_m = _farthest_m(scene, change)
-    places = start_pos[..., :2], half_size, yaw
-    planned = scene.target[:, :2], scene.half_size
-    if not scene.carrier.walls:
-        return make_room(*places, *planned, beside, movable, reach_m)
-    return _with_walls(scene.carrier, scene.target, places, planned, beside, movable, reach_m)
-
-
-def _with_walls(
-    carrier: Body,
-    target: FloatArray,
-    places: tuple[FloatArray, FloatArray, FloatArray],
-    planned: tuple[FloatArray, FloatArray],
-    beside: NDArray[np.bool_],
-    movable: NDArray[np.bool_],
-    reach_m: float,
-) -> FloatArray:
-    """(m, n, 2) horizontal places of the boxes, m, from ``make_room``, with the carrier's walls as additional boxes
-    that do not move."""
-    walls, n, sides = slice(carrier.n_boards, None), len(target), carrier.walls
+    """(m, n, 2) horizontal places of boxes, m, after overlapping boxes were moved apart. The carrier's walls are
+    additional boxes that do not move."""
+    carrier, n, target = scene.carrier, scene.n_boxes, scene.target
+    sides, walls = carrier.walls, slice(carrier.n_boards, None)
     middle, half = (carrier.pos + carrier.shape_pos)[walls], carrier.half_size[walls]
-    gap = carrier.room.gaps(target, planned[1], 0.0)
-    is_near = np.array([np.isfinite(gap[:, int(side.is_far), side.axis]) for side in sides]).T
+    above, gap = _lower(scene), carrier.room.gaps(target, scene.half_size, 0.0)
+    is_near = np.isfinite(gap[:, [int(side.is_far) for side in sides], [side.axis for side in sides]])
     is_neighbour = np.zeros((n + len(sides),) * 2, bool)
-    is_neighbour[:n, :n], is_neighbour[:n, n:], is_neighbour[n:, :n] = beside, is_near, is_near.T
+    is_neighbour[:n, :n], is_neighbour[:n, n:], is_neighbour[n:, :n] = ~(above | above.T), is_near, is_near.T
 
     def joined(of_boxes: FloatArray, of_walls: FloatArray) -> FloatArray:
         repeated = np.broadcast_to(of_walls, (*of_boxes.shape[: of_boxes.ndim - of_walls.ndim], *of_walls.shape))
         return np.concatenate([of_boxes, repeated], axis=of_boxes.ndim - of_walls.ndim)
 
     moved = make_room(
-        joined(places[0], middle[:, :2]),
-        joined(places[1], half),
-        joined(places[2], np.zeros(len(sides))),
-        joined(planned[0], middle[:, :2]),
-        joined(planned[1], half),
+        joined(start_pos[..., :2], middle[:, :2]),
+        joined(half_size, half),
+        joined(yaw, np.zeros(len(sides))),
+        joined(target[:, :2], middle[:, :2]),
+        joined(scene.half_size, half),
         is_neighbour,
-        np.append(movable, [False] * len(sides)),
-        reach_m,
+        np.concatenate([np.arange(n) >= standing, np.zeros(len(sides), bool)]),
+        _farthest_m(scene, change),
     )
     return moved[:, :n]
 

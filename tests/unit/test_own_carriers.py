@@ -21,7 +21,8 @@ from petmjx.options.carriers import MOST_BOARDS, OwnCarrier, read_carrier
 from petmjx.options.physics import PHYSICS
 from petmjx.options.simulation import Simulation
 from petmjx.options.walls import Side
-from petmjx.world.carrier_boards import carrier_notes, floor_z_m
+from petmjx.world.carrier_boards import floor_z_m
+from petmjx.world.option_lint import notes_about
 from petmjx.world.scene import build_scene
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
@@ -226,13 +227,13 @@ def test_a_sweep_finds_the_file_beside_its_own() -> None:
 def test_what_does_not_count_is_told() -> None:
     carrier = OwnCarrier.read(tomllib.loads(SOUND))
     physics = PHYSICS["pallet"].changed(floor_z_m=-0.2, carrier_mass_kg=30)
-    assert list(carrier_notes(Simulation(physics=physics))) == []
-    notes = list(carrier_notes(Simulation(carrier="epal-1", physics=physics)))
+    assert notes_about(Simulation(physics=physics), []) == []
+    notes = notes_about(Simulation(carrier="epal-1", physics=physics), [])
     assert notes == [
         "physics.floor_z_m and physics.carrier_mass_kg have no effect: epal-1 is made of boards, which have their own "
         "height and mass"
     ]
-    assert list(carrier_notes(Simulation(carrier=carrier))) == []
+    assert notes_about(Simulation(carrier=carrier), []) == []
     slippery = "friction 0.3 of boards of half pallet has no effect with pyramidal cones: "
     options = {"engine": "mujoco", "threads": 1, "carrier": carrier, "physics": "reference"}
     assert (
