@@ -204,21 +204,6 @@ class Room:
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
-    """The shapes of an item that consists of several solid cuboids.
-
-    Attributes:
-        box: number of the item among the boxes of the scene.
-        half_size: (s, 3) half extents of the shapes, m.
-        pos: (s, 3) middles of the shapes, relative to the middle of the item, m.
-    """
-
-    box: int
-    half_size: FloatArray
-    pos: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class Shapes:
     """The shapes of a scene's bodies: first those of the carrier, then those of each box in packing order.
 

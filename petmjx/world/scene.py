@@ -23,13 +23,12 @@ from petmjx.options.simulation import Simulation
 from petmjx.options.walls import Side
 from petmjx.options.wrap import Wrap
 from petmjx.plans.plan import Plan
-from petmjx.world.body_shapes import Body, Pieces, Shapes
+from petmjx.world.body_shapes import Body, Shapes
 from petmjx.world.carrier_boards import body_of, floor_z_m, has_walls, pallet, with_walls
 from petmjx.world.friction_pairs import find_surfaces
 from petmjx.world.history import CARRIER
-from petmjx.world.load_units import with_pallets
+from petmjx.world.item_pieces import Pieces, pieces_of_sheets, with_pallets
 from petmjx.world.rotation import rotated_vectors
-from petmjx.world.sheets import pieces_of
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 
@@ -95,7 +94,7 @@ class Scene:
             is soft.
         wrap: the film around the pallet while the pallet is shaken (petmjx/world/film.py).
         pieces: shapes of the bodies that consist of several shapes: interlayer sheets, which carry load only above
-            other bodies (petmjx/world/sheets.py), and pallets among the boxes (petmjx/world/load_units.py).
+            other bodies, and pallets among the boxes (petmjx/world/item_pieces.py).
     """
 
     half_size: NDArray[np.float64]
@@ -222,7 +221,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     boxes = _of_boxes(plan.size_mm, plan.corner_mm, plan.mass_kg.copy(), sim)
     mass_center = None if plan.mass_center_mm is None else mm_to_m(plan.mass_center_mm)
     pallets, mass_center, inertia_box = with_pallets(plan, boxes["half_size"], mass_center)
-    sheets = pieces_of(plan.sheets, boxes["target"], boxes["half_size"], carrier) if plan.kinds else ()
+    sheets = pieces_of_sheets(plan.sheets, boxes["target"], boxes["half_size"], carrier) if plan.kinds else ()
     return Scene(
         **boxes,
         **_of_all(sim),
