@@ -16,7 +16,15 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Final, Self, Union, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    ValidationError,
+    model_validator,
+)
 from pydantic._internal._model_construction import ModelMetaclass  # pydantic exports this class in no public module
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
@@ -160,7 +168,8 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
             if name not in fields:
                 raise complaint(f": unknown field; {hint(str(name), fields)}", str(name))
         for name, value in values.items():
-            expected = _lax(fields[name].annotation, value)
+            converts = any(isinstance(entry, BeforeValidator) for entry in fields[name].metadata)
+            expected = "" if converts else _lax(fields[name].annotation, value)
             if expected:
                 raise complaint(f"{expected}, {shown_value(value)}", str(name))
         for name, info in fields.items():

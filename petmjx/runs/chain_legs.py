@@ -6,7 +6,7 @@ In sweep files, the tables ``[[legs]]`` and ``[[remedies]]`` define a chain. doc
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Final, Self
 
@@ -20,8 +20,7 @@ from petmjx.common.units import seconds_to_steps
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.walls import Side
-from petmjx.runs.sweep_axes import Direction, Range, Strengths, Turn, degrees
-from petmjx.world.history import History
+from petmjx.runs.sweep_axes import Direction, Range, Strengths, Turn
 from petmjx.world.job import ACCELERATION, Drive, Excitation
 from petmjx.world.profiles.profile import Profile, Strength
 from petmjx.world.profiles.profile_registry import resolve
@@ -57,16 +56,6 @@ class Event(CheckedRecord):
         """Whether the strength of the profile differs from world to world."""
         return isinstance(self.level, Range) or isinstance(self.scale, Range)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _direction_in_degrees(cls, values: Any) -> Any:
-        if isinstance(values, Mapping) and isinstance(values.get("direction"), str):
-            try:
-                return {**values, "direction": degrees(values["direction"])}
-            except ValueError as error:
-                raise complaint(str(error), "direction") from None
-        return values
-
 
 class Leg(CheckedRecord):
     """One table ``[[legs]]``. A leg without events only changes the film around the pallet or opens doors of the
@@ -97,12 +86,6 @@ class Remedy(CheckedRecord):
         if self.wrap_turns is None and self.factor is None:
             raise ValueError("changes nothing: give wrap_turns or factor")
         return self
-
-
-def _ends(strength: float | Range[Any]) -> tuple[float, float | None]:
-    """The smallest and the largest strength that may be drawn, as the fields ``scale`` and ``scale_to`` of a drive. If
-    the strength is not random, ``scale_to`` is None."""
-    return (strength.low, strength.high) if isinstance(strength, Range) else (strength, None)
 
 
 def check_name(name: str, *path: str | int) -> None:
@@ -163,7 +146,6 @@ def _check_event(event: Event, defined: Mapping[str, Profile], path: tuple[str |
             if getattr(event, name) is not None and profile.strength is not name:
                 has = "an angle of its own" if profile.strength is Strength.ANGLE else f"a {profile.strength}"
                 raise complaint(f"contradicts profile {profile.name!r}, which has {has}", *path, name)
-        for name in (Strength.LEVEL, Strength.SCALE):
             if isinstance(drawn := getattr(event, name), Range) and not drawn.continuous:
                 raise complaint("is drawn at random between from and to: leave out step and count", *path, name)
         if profile.strength is Strength.LEVEL and event.level is None:
@@ -179,10 +161,7 @@ def profiles_of_legs(legs: Sequence[Leg], defined: Mapping[str, Profile]) -> dic
 def legs_with(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Profile]) -> tuple[LegSpec, ...]:
     """The legs that shake the pallet or open walls, changed as the remedy says. Each returned leg has the number of
     turns of film that are around the pallet during the leg."""
-    return tuple(_specs(legs, remedy, defined))
-
-
-def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Profile]) -> Iterator[LegSpec]:
+    specs: list[LegSpec] = []
     turns: float | None = None
     open_walls: tuple[Side, ...] = ()
     for leg in legs:
@@ -193,13 +172,15 @@ def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Pro
             factor = 1.0 if remedy.factor is None else remedy.factor
         drives = []
         for event in leg.events:
-            low, high = _ends(next((value for value in (event.level, event.scale) if value is not None), 1.0))
+            strength = next((value for value in (event.level, event.scale) if value is not None), 1.0)
             for profile in resolve(event.profile, defined):
                 by = 1.0 if profile.strength is Strength.ANGLE else factor
-                drives.append(DriveSpec(profile.name, by * low, event.direction, None if high is None else by * high))
+                low, high = (strength.low, by * strength.high) if isinstance(strength, Range) else (strength, None)
+                drives.append(DriveSpec(profile.name, by * low, event.direction, high))
         if drives or leg.open_walls:
             pause_s = 0.0 if len(drives) == 1 else leg.pause_s
-            yield LegSpec(leg.name, tuple(drives), pause_s, turns, open_walls)
+            specs.append(LegSpec(leg.name, tuple(drives), pause_s, turns, open_walls))
+    return tuple(specs)
 
 
 def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: float) -> Excitation:
@@ -243,7 +224,7 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     }
     history = leg.history
     if history is not None and before.history is not None:
-        history = before.history.then(_later(history, since_s))
+        history = before.history.then(replace(history, time_s=history.time_s + since_s))
     edges: dict[str, Any] = {}
     if leg.verdict is Verdict.STABLE:  # how near to an edge loads act depends on the plan, not on the leg
         largest["plan_edge_m"] = old.plan_edge_m
@@ -259,7 +240,3 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
         margin=leg.margin if leg.verdict is Verdict.INVALID else min(before.margin, leg.margin),
         history=history,
     )
-
-
-def _later(history: History, since_s: float) -> History:
-    return replace(history, time_s=history.time_s + since_s)

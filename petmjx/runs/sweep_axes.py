@@ -92,7 +92,7 @@ Names = OneOrMore[Annotated[str, Field(max_length=100)]]
 Ways = OneOrMore[Literal["exact", "drop", "hand", "tines"]]
 
 
-def degrees(value: object) -> object:
+def _degrees(value: object) -> object:
     """The angle of a direction such as "+x", in degrees. Other values are returned unchanged."""
     if isinstance(value, str):
         if value not in DIRECTIONS_DEG:
@@ -103,7 +103,7 @@ def degrees(value: object) -> object:
 
 Positive = Annotated[StrictFloat, Field(gt=0), within(0, MAX_STRENGTH)]
 Turn = Annotated[StrictFloat, within(0, MAX_STRENGTH)]
-Direction = Annotated[StrictFloat, within(-3600, 3600), BeforeValidator(degrees)]
+Direction = Annotated[StrictFloat, within(-3600, 3600), BeforeValidator(_degrees)]
 
 
 Number = TypeVar("Number", bound=float)
@@ -150,19 +150,12 @@ class DrawnRange(Range[Positive]):
     high: Positive = Field(alias="to", description="the largest value that is drawn")
 
 
-class DirectionRange(Range[Direction]):
-    """A range of directions, in degrees or as names such as "+x"."""
-
-    low: Direction = Field(alias="from", description="the first direction")
-    high: Direction = Field(alias="to", description="the last direction, if the steps reach it")
-
-
 Positives = Annotated[
     Annotated[Range[Positive], Tag(TABLE)] | Annotated[OneOrMore[Positive], Tag(VALUE)], _value_or(TABLE)
 ]
 Turns = Annotated[Annotated[Range[Turn], Tag(TABLE)] | Annotated[OneOrMore[Turn], Tag(VALUE)], _value_or(TABLE)]
 Directions = Annotated[
-    Annotated[DirectionRange, Tag(TABLE)] | Annotated[OneOrMore[Direction], Tag(VALUE)], _value_or(TABLE)
+    Annotated[Range[Direction], Tag(TABLE)] | Annotated[OneOrMore[Direction], Tag(VALUE)], _value_or(TABLE)
 ]
 
 

@@ -205,6 +205,13 @@ def test_distributions_are_read_and_shown(tmp_path: Path) -> None:
     assert (last.drop_height_mm.shape, last.drop_height_mm.centre) == (DistributionShape.FIXED, 3.0)
 
 
+def test_directions_of_a_range_have_names_too(tmp_path: Path) -> None:
+    ranges = ("{from = '+x', to = '-y', step = 90}", "{from = 0, to = 270, count = 4}")
+    texts = [f"[axes]\nprofile = 'eumos-40509'\nlevel = 0.3\ndirection = {values}" for values in ranges]
+    by_name, by_angle = (sweep_plan(tmp_path, text).sweep.axes["direction"].values for text in texts)
+    assert by_name == by_angle == (0.0, 90.0, 180.0, 270.0)
+
+
 def test_a_search_numbers_its_worlds_by_what_they_test(tmp_path: Path) -> None:
     plan = sweep_plan(
         tmp_path,
