@@ -7,8 +7,7 @@ of sweeps, in which each plan has many variants.
 from __future__ import annotations
 
 import inspect
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack
@@ -18,12 +17,13 @@ from petmjx.common.checked_records import CheckedRecord, shown_value
 from petmjx.common.errors import InputError
 from petmjx.options.run_options import Confidence, RunOptions, Transport, sorted_options
 from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.notebook_progress import ScriptLines, notebook_bar
 from petmjx.runs.option_types import ScoreOptions, SweepOptions
-from petmjx.runs.simulate import Intervals, RunStart, Watcher, simulate
-from petmjx.runs.study import Nominal
+from petmjx.runs.simulate import RunStart, Watcher, simulate
+from petmjx.runs.study import Nominal, Study
 
 if TYPE_CHECKING:
     from petmjx.runs.sweep_run import Batching
@@ -65,7 +65,7 @@ def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | Non
     flag_of(progress, "progress")
     if watcher is not None and not all(callable(getattr(watcher, name, None)) for name in ("begin", "world_done")):
         raise InputError(f"watcher must have the methods begin and world_done, {shown_value(watcher)}")
-    bar = watcher if watcher is not None or "IPython" not in sys.modules else notebook_bar()
+    bar = watcher if watcher is not None else notebook_bar()
     if bar is not None or not progress:
         yield bar
         return
@@ -76,19 +76,27 @@ def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | Non
         lines.end()
 
 
-def _intervals(options: RunOptions) -> Intervals | None:
-    """The function that computes the smallest and the largest possible force on each box; None if the options do not
-    request these intervals.
+def _run(
+    ask: Callable[[Sequence[Plan], RunOptions], Study],
+    sim: Simulation,
+    plans: PlanSource | None,
+    options: RunOptions,
+    watcher: Watcher | None,
+    progress: bool,
+) -> RunResults:
+    """Run a study with the caller's watcher, or with the one that ``_watching`` chooses.
 
     Raises:
-        InputError: SciPy is missing.
+        InputError: the input is unusable, or intervals of forces are requested and SciPy is missing.
     """
-    if not options.force_intervals:
-        return None
-    from petmjx.analysis.force_intervals import intervals_at_rest, need_scipy
+    intervals = None
+    if options.force_intervals:
+        from petmjx.analysis.force_intervals import intervals_at_rest, need_scipy
 
-    need_scipy()
-    return intervals_at_rest
+        need_scipy()
+        intervals = intervals_at_rest
+    with _watching(watcher, progress) as follows:
+        return simulate(ask, sim, plans, options, follows, intervals)
 
 
 @_takes_options(Simulation, Confidence, Transport, RunOptions)
@@ -128,27 +136,22 @@ def score(
     """
     of_simulation, of_run, of_confidence, of_transport = sorted_options(options, Confidence, Transport)
     run, sure, transport = RunOptions(**of_run), Confidence(**of_confidence), Transport(**of_transport)
-    if transport.chain is not None:
-        from petmjx.runs.sweep_file import chain_sweep
-        from petmjx.runs.sweep_study import SweepStudy
-
-        if sure.errors is not None or sure.exact_too:
-            raise InputError(f"{'errors' if sure.errors else 'exact_too'} contradicts chain, which has its own errors")
-        definition = chain_sweep(transport.chain, sure.confidence, of_simulation)
-        ask = partial(SweepStudy, definition, confidence=definition.replicates)
-        with _watching(watcher, progress) as follows:
-            return simulate(ask, definition.simulation, plans, run, follows, _intervals(run))
-    if sure.confidence is None:
+    if transport.chain is None and sure.confidence is None:
         sim = Simulation(**of_simulation)
-        with _watching(watcher, progress) as follows:
-            return simulate(partial(Nominal, sim), sim, plans, run, follows, _intervals(run))
+        return _run(partial(Nominal, sim), sim, plans, run, watcher, progress)
     from petmjx.runs.confidence import confidence_sweep
+    from petmjx.runs.sweep_file import chain_sweep
     from petmjx.runs.sweep_study import SweepStudy
 
-    definition = confidence_sweep(sure.confidence, sure.errors, of_simulation, exact_too=sure.exact_too)
-    ask = partial(SweepStudy, definition, confidence=sure.confidence)
-    with _watching(watcher, progress) as follows:
-        return simulate(ask, definition.simulation, plans, run, follows, _intervals(run))
+    if transport.chain is None:
+        assert sure.confidence is not None
+        definition = confidence_sweep(sure.confidence, sure.errors, of_simulation, exact_too=sure.exact_too)
+    elif sure.errors is not None or sure.exact_too:
+        raise InputError(f"{'errors' if sure.errors else 'exact_too'} contradicts chain, which has its own errors")
+    else:
+        definition = chain_sweep(transport.chain, sure.confidence, of_simulation)
+    ask = partial(SweepStudy, definition, confidence=definition.replicates)
+    return _run(ask, definition.simulation, plans, run, watcher, progress)
 
 
 @_takes_options(Simulation, RunOptions)
@@ -191,6 +194,5 @@ def sweep(
     definition = load_sweep(find_sweep(path_of(file, "file")), plans_given=plans is not None, simulation=of_simulation)
     if plans is None and isinstance(definition.plans, tuple):
         plans = list(definition.plans)
-    run, ask = RunOptions(**of_run), partial(SweepStudy, definition, batching=batching)
-    with _watching(watcher, progress) as follows:
-        return simulate(ask, definition.simulation, plans, run, follows, _intervals(run))
+    ask = partial(SweepStudy, definition, batching=batching)
+    return _run(ask, definition.simulation, plans, RunOptions(**of_run), watcher, progress)

@@ -33,7 +33,6 @@ from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_design import SearchItem
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 from petmjx.world.job import Job
-from petmjx.world.scene import Scene
 from petmjx.world.variants import LegSpec, Variant
 
 
@@ -261,7 +260,12 @@ class SweepRun:
 
     def _placements(self, groups: Iterable[PlacementGroup], keep_state: bool) -> Iterator[PlacementWorld]:
         return (
-            PlacementWorld(group.plan, group.index, self._placement(group, scene, keep_state), group)
+            PlacementWorld(
+                group.plan,
+                group.index,
+                self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan)),
+                group,
+            )
             for group, scene in self.plan.scenes(groups)
         )
 
@@ -278,9 +282,6 @@ class SweepRun:
         self.tally.placement_steps += result.outcome.n_steps
         return SettledPlacement(result.world.group, result.world.job.scene, result.outcome, result.attempts)
 
-    def _placement(self, group: PlacementGroup, scene: Scene, keep_state: bool) -> Job:
-        return self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan))
-
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Simulate placements without drives. All variants of a placement get the outcome of the placement."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
@@ -290,17 +291,13 @@ class SweepRun:
                 else:
                     yield placed.undriven(variant)
 
-    def _settling(self, groups: Sequence[PlacementGroup]) -> Iterator[SettledPlacement]:
-        """Simulate placements, and keep their settled states."""
-        placed = self._place(groups, self.batching.placements, keep_state=True)
-        for count, settled in enumerate(placed, start=1):
-            self.progress.message = f"placed {count:,} of {len(groups):,}"
-            yield settled
-        self.progress.message = ""
-
     def _settle(self, groups: Sequence[PlacementGroup]) -> list[SettledPlacement]:
         """Simulate placements, and return them with their settled states, in the order of the groups."""
-        settled_by_group = {id(settled.group): settled for settled in self._settling(groups)}
+        settled_by_group: dict[int, SettledPlacement] = {}
+        for settled in self._place(groups, self.batching.placements, keep_state=True):
+            settled_by_group[id(settled.group)] = settled
+            self.progress.message = f"placed {len(settled_by_group):,} of {len(groups):,}"
+        self.progress.message = ""
         return [settled_by_group[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: SettledPlacement) -> bool:

@@ -70,15 +70,8 @@ class SweepColumns:
         """The values of one world in the added columns: column → value. Columns without a value become null."""
         values: dict[str, Any] = dict(world.variant.parameters)
         values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
-        values |= self.during_drive(world)
-        return values
-
-    def during_drive(self, world: FinishedWorld) -> dict[str, Any]:
-        """The values of one world in the columns about the drive (motion of the carrier) or about the legs of a chain:
-        column → value."""
-        values: dict[str, Any] = {}
         if world.variant.legs:
-            return self._of_leg(world)
+            return values | self._of_leg(world)
         drive = world.variant.drive
         if drive is None:
             return values
