@@ -14,10 +14,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Annotated, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from petmjx.analysis.force_balance import NO_SLACK, Friction, balance_slack
 from petmjx.analysis.load_paths import (
@@ -37,12 +38,16 @@ from petmjx.analysis.plan_contacts import (
     contact_hulls,
     find_contacts,
 )
-from petmjx.common.checked_records import hint
+from petmjx.common.checked_records import CheckedRecord, CliFlag, hint, within
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import DIMENSIONLESS
+from petmjx.options.carriers import AnyCarrier, Carrier
+from petmjx.options.physics import PHYSICS
+from petmjx.options.walls import Walls
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.world.body_shapes import Room
 from petmjx.world.history import CARRIER
 
@@ -500,3 +505,43 @@ def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]
         if name not in NAMES:
             raise InputError(f"criteria: there is no {printable_name(name)}; {hint(name, NAMES)}")
     return tuple(criterion for criterion in CRITERIA if criterion.name in chosen_names)
+
+
+class CriteriaOptions(CheckedRecord):
+    """The options of ``petmjx.criteria``: properties of the load and the carrier, and parameters of the comparison with
+    a run."""
+
+    friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
+        PHYSICS["pallet"].box_friction[0], description="coefficient of friction where boxes lie, for force balance"
+    )
+    side_friction: Annotated[float, within(0, 10), CliFlag("--side-friction", "MU")] = Field(
+        0.0, description="coefficient of friction where boxes touch side by side, for force balance with leaning"
+    )
+    tolerance_mm: Annotated[float, within(0, 100), CliFlag("--tolerance-mm", "MM")] = Field(
+        DEFAULT_TOLERANCE_MM, description="gaps and overlaps up to this count as touching, mm"
+    )
+    carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE", default="that of the run, or footprint")] = Field(
+        Carrier.FOOTPRINT,
+        description="what the boxes stand on, as for petmjx score, and by default that of the run: boards bear, gaps "
+        "do not; one without boards reaches under all boxes",
+    )
+    walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
+    only: tuple[str, ...] | None = Field(None, description="names of criteria; by default all")
+    processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
+    p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
+        0.5,
+        description="of a run of a chain: a plan counts as standing if at least this share of its worlds arrives",
+    )
+    seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(
+        0, description="of the halves of the plans and of the bootstrap"
+    )
+
+    @property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """The criteria to evaluate."""
+        return chosen_criteria(self.only)
+
+    @model_validator(mode="after")
+    def _names_criteria(self) -> Self:
+        chosen_criteria(self.only)
+        return self

@@ -13,8 +13,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.analysis.criteria import NO, NOT_ASKED, YES, Answers, Criterion, answer, chosen_criteria
-from petmjx.analysis.criteria_options import CriteriaOptions
+from petmjx.analysis.criteria import NO, NOT_ASKED, YES, Answers, CriteriaOptions, Criterion, answer, chosen_criteria
 from petmjx.analysis.criteria_vs_physics import ARRIVES, CELLS, SCORES, best_thresholds, judge
 from petmjx.analysis.force_balance import Friction
 from petmjx.common.argument_checks import flag_of, path_of
@@ -279,7 +278,7 @@ def criteria(
         units: the units of files and data frames, as for ``petmjx.load_plans``.
         anchor: which point of a box its coordinates refer to, as for ``petmjx.load_plans``.
         progress: function that is called with the number of finished plans and the number of all plans.
-        options: fields of ``petmjx.analysis.criteria_options.CriteriaOptions``: ``friction``, ``side_friction``,
+        options: fields of ``petmjx.analysis.criteria.CriteriaOptions``: ``friction``, ``side_friction``,
             ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``p_arrives``, ``seed``. A
             script that uses ``processes`` must be protected by ``if __name__ == "__main__"``.
 
@@ -401,18 +400,21 @@ def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) ->
         InputError: the run has none of these plans, or a plan has a different number of boxes in the run.
     """
     if not is_chain(run.info) or run.summary is None:
-        return _nominal_worlds(run.worlds[run.worlds["variant"] == 0], run, plans)
+        worlds = run.worlds[run.worlds["variant"] == 0]
+        _check_same_plans(worlds, run, plans)
+        return worlds
     shares = arrivals(run.summary).merge(run.worlds.drop_duplicates("plan_id")[["plan_id", "n_boxes"]], on="plan_id")
     names = [Verdict.INVALID.value, Verdict.STABLE.value]
     verdict = np.select([shares["share"].isna(), shares["share"] >= p_arrives], names, Verdict.UNSTABLE.value)
     judged = shares.assign(
         verdict=verdict, reason=shares["weakest_leg"], margin=shares["share"] - p_arrives, culprit=shares["box"]
     )
-    return _nominal_worlds(judged.astype({"culprit": "Int32"}), run, plans)
+    _check_same_plans(judged, run, plans)
+    return judged.astype({"culprit": "Int32"})
 
 
-def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]) -> pd.DataFrame:
-    """Check that the run simulated these plans, and return ``worlds``, which has one row per plan.
+def _check_same_plans(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]) -> None:
+    """Check that the run simulated these plans. ``worlds`` has one row per plan of the run.
 
     Raises:
         InputError: the run has none of these plans, or a plan has a different number of boxes in the run.
@@ -428,4 +430,3 @@ def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]
             f"{run.path}: plan {printable_name(str(first['plan_id']))} has {first['n_boxes']} boxes in the run, but "
             f"{counts[first['plan_id']]} here: the plans differ"
         )
-    return worlds

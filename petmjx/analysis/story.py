@@ -484,11 +484,10 @@ def first_box_in_words(story: Story) -> str:
     if box < 0:
         return ""
     time_text = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
-    name = "B" + box_in_words(box, story.plan.articles[box] or story.plan.item_ids[box])[1:]
     gap_mm = _gap_mm(story, box)
     planned = f"was planned {_mm(gap_mm / MM_PER_M)} in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
     signs = " and ".join(_signs(story, box)) or "crossed a limit"
-    return f"{name} {planned}failed first:{time_text} it {signs}."
+    return f"{_subject(story, box)} {planned}failed first:{time_text} it {signs}."
 
 
 def _gap_mm(story: Story, box: int) -> float:

@@ -85,8 +85,7 @@ def _compare_packers(
     files: list[Path],
     as_json: bool,
 ) -> None:
-    from petmjx.analysis.packer_comparison import compare_packers
-    from petmjx.analysis.packer_tables import check_comparison_free, write_comparison
+    from petmjx.analysis.packer_comparison import check_comparison_free, compare_packers, write_comparison
     from petmjx.results.read_files import source_files
     from petmjx.show.packer_tables import packer_tables
     from petmjx.show.table_layout import line, print_renderables

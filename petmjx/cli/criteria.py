@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from petmjx.analysis.criteria_options import CriteriaOptions
+from petmjx.analysis.criteria import CriteriaOptions
 from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files

@@ -16,8 +16,7 @@ from support import plans
 from support.outcomes import dropped_outcome, make_outcome
 
 import petmjx
-from petmjx.analysis.packer_comparison import ALL_SIZES, compare_packers, size_names
-from petmjx.analysis.packer_tables import write_comparison
+from petmjx.analysis.packer_comparison import ALL_SIZES, compare_packers, size_names, write_comparison
 from petmjx.analysis.run_comparison import compare_runs
 from petmjx.common.errors import InputError
 from petmjx.engines.verdict import Outcome, Reason, Verdict
