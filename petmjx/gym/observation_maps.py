@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from petmjx.common.processes import on_threads
 from petmjx.common.units import FloatArray
-from petmjx.loop.growing_tables import FIRST_COLUMNS, widened_table
 from petmjx.loop.height_maps import spans
+from petmjx.world.growing_scenes import FIRST_COLUMNS, widened_table
 
 _AT_ONCE: Final = 512
 """Number of pallets whose maps are computed at a time. The maps of this many pallets fit into the cache of a CPU

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.loop.extreme_points import Points
-from petmjx.loop.growing_tables import FIRST_COLUMNS, widened_table
 from petmjx.loop.placements import Placements
 from petmjx.plans.plan import Plan
+from petmjx.world.growing_scenes import FIRST_COLUMNS, widened_table
 
 _AT_ONCE: Final = 512
 """Largest number of pallets for which extreme points are computed in one call."""
@@ -75,8 +75,8 @@ class BoxTable:
                 points.add(chunk_rows, low, low + self.size_mm[chunk_rows, : low.shape[1]] + free_mm)
         return points
 
-    def box(self, pallets: NDArray[np.int64], number: int) -> Placements:
-        """Box ``number`` of each of these pallets. Each pallet must have a box of this number."""
+    def box(self, pallets: NDArray[np.int64], number: int | NDArray[np.int64]) -> Placements:
+        """One box of each of these pallets. ``number`` is the number of the box, or (m,) its number on each pallet."""
         return Placements(
             self.size_mm[pallets, number], self.corner_mm[pallets, number], self.mass_kg[pallets, number], pallets
         )

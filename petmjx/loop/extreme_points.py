@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.loop.growing_tables import widened_table
 from petmjx.packers.candidate_points import corner_points
+from petmjx.world.growing_scenes import widened_table
 
 _POINTS_PER_BOX: Final = 7
 

@@ -32,13 +32,13 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.mujoco.box_motion import shift, tilt_deg
 from petmjx.engines.open_worlds import Readings
 from petmjx.loop.box_tables import BoxTable
-from petmjx.loop.growing_tables import widened_table
 from petmjx.loop.placements import Placements
 from petmjx.options.carriers import Carrier
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation, Thresholds
 from petmjx.packers.pile_balance import MARGIN_M, MARGIN_SHARE, TOUCH_MM, pressure_moments
 from petmjx.world.carrier_boards import has_walls
+from petmjx.world.growing_scenes import widened_table
 from petmjx.world.release_places import NOTHING
 
 OPEN: Final = 0
@@ -192,7 +192,7 @@ class Bounds:
             setattr(self, name, widened_table(getattr(self, name), most))
         while len(rows := pallets[self._boxes[pallets] < stock.count[pallets]]):
             at = self._boxes[rows]
-            box = Placements(stock.size_mm[rows, at], stock.corner_mm[rows, at], stock.mass_kg[rows, at], rows)
+            box = stock.box(rows, at)
             rests = _Rests.of(stock, box, at)
             self._bearers[rows, at], self._shares[rows, at] = rests.bearers, rests.shares
             self._edges[rows, at], self._least[rows, at] = rests.edges, _least_margin(box)

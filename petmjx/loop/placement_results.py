@@ -124,16 +124,13 @@ class PlacementResults:
         """The results of simulated pallets after they were shaken. Forces are those at rest."""
         width = max((outcome.n_boxes for outcome in outcomes), default=0)
 
-        def padded(rows: Sequence[FloatArray]) -> FloatArray:
-            return np.concatenate([widened_rows(np.asarray(row, np.float64)[None], width) for row in rows])
-
         def boxes(name: str) -> FloatArray:
             rows = []
             for outcome in outcomes:
                 values = np.array(getattr(outcome.boxes, name), np.float64)
                 values[outcome.n_placed :] = np.nan
-                rows.append(values)
-            return padded(rows)
+                rows.append(widened_rows(values[None], width))
+            return np.concatenate(rows)
 
         return cls(
             pallet=np.asarray(pallet, np.int64),

@@ -18,7 +18,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.scene import OF_BOXES, Scene, build_scene, half_size_and_target
 
-_FIRST_ROOM = 16
+FIRST_COLUMNS: Final = 16
+"""Number of boxes for which tables have columns at the start."""
 
 
 class OpenScenes:
@@ -36,8 +37,8 @@ class OpenScenes:
         """The scene of each world, as of the last request for this scene. Boxes that were added after the last request
         are only in the arrays."""
         self._count = np.zeros(n, np.int64)
-        self._half_size, self._target = (np.full((n, _FIRST_ROOM, 3), np.nan) for _ in range(2))
-        self._mass: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
+        self._half_size, self._target = (np.full((n, FIRST_COLUMNS, 3), np.nan) for _ in range(2))
+        self._mass: FloatArray = np.full((n, FIRST_COLUMNS), np.nan)
         self.set(range(n), scenes)
 
     def __len__(self) -> int:
@@ -90,16 +91,16 @@ class OpenScenes:
         return self._half_size, self._target, self._mass
 
     def _make_room(self, n_boxes: int) -> None:
-        """Widen the arrays to twice ``n_boxes`` columns if they have fewer than ``n_boxes``."""
-        if n_boxes <= self._mass.shape[1]:
-            return
-        self._half_size, self._target, self._mass = (_widened_columns(table, 2 * n_boxes) for table in self._columns)
+        """Widen the arrays if they have fewer than ``n_boxes`` columns."""
+        self._half_size, self._target, self._mass = (widened_table(table, n_boxes, np.nan) for table in self._columns)
 
 
-def _widened_columns(table: FloatArray, width: int) -> FloatArray:
-    wide: FloatArray = np.full((len(table), width, *table.shape[2:]), np.nan)
-    wide[:, : table.shape[1]] = table
-    return wide
+def widened_table(values: NDArray[Any], columns: int, fill: float = 0.0) -> NDArray[Any]:
+    """The table ``values``, widened to at least ``columns`` columns: the number of columns is doubled until it is large
+    enough, and new columns have the value ``fill``."""
+    while values.shape[1] < columns:
+        values = np.concatenate([values, np.full_like(values, fill)], axis=1)
+    return values
 
 
 _ONE_MM: Final = np.full((1, 3), 100.0)
