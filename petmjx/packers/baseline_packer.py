@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from petmjx.common.units import FloatArray
+from petmjx.packers.candidate_points import corner_points, let_down
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
@@ -148,27 +149,11 @@ class _Pile:
 
     def add(self, base_mm: tuple[float, float], height_mm: float, corner_mm: tuple[float, float, float]) -> None:
         """Place a box and record its extreme points."""
-        x, y, z = corner_mm
-        x_end, y_end, top = x + base_mm[0], y + base_mm[1], z + height_mm
-        # The new points are three corners of the box, and the points to which these corners slide, along x or y towards
-        # the carrier's edges. The points need not slide down, since boxes are lowered anyway.
-        new = [(x_end, y), (x_end, self._slide(1, y, x_end, z)), (x, y_end), (self._slide(0, x, y_end, z), y_end)]
-        new += [(x, y), (self._slide(0, x, y, top), y), (x, self._slide(1, y, x, top))]
-        for point in new:
-            self._points.setdefault(point)
         self._low[self.n] = corner_mm
-        self._high[self.n] = (x_end, y_end, top)
+        self._high[self.n] = np.array(corner_mm) + (*base_mm, height_mm)
         self.n += 1
-
-    def _slide(self, axis: int, start: float, across: float, level: float) -> float:
-        """The coordinate along ``axis``, mm, at which a point that slides from ``start`` towards 0 meets a box. If the
-        point meets no box, the coordinate is 0, the carrier's edge. ``across`` is the point's other horizontal
-        coordinate, ``level`` its height, mm."""
-        low, high = self._low[: self.n], self._high[: self.n]
-        other = 1 - axis
-        in_way = (low[:, other] <= across) & (across < high[:, other]) & (low[:, 2] <= level) & (level < high[:, 2])
-        ends = high[in_way & (high[:, axis] <= start + TOUCH_MM), axis]
-        return float(ends.max()) if len(ends) else 0.0
+        points = corner_points(self._low[None, : self.n], self._high[None, : self.n])
+        self._points |= dict.fromkeys((x, y) for x, y in points[:, 0].tolist())
 
     def _rest(self, corners: FloatArray, bases: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(c,) height z of the bottom of each box after the box has been lowered, mm, and (c,) supported share of each
@@ -177,9 +162,7 @@ class _Pile:
         Args:
             corners, bases: (c, 2) corners (x, y), and sides along x and y, of the boxes, mm.
         """
-        area, tops = self._overlap(corners, bases), self._high[: self.n, 2]
-        z = np.where(area > 0, tops, 0.0).max(axis=1, initial=0.0)
-        carried = np.where(np.abs(tops - z[:, None]) <= TOUCH_MM, area, 0.0).sum(axis=1)
+        z, carried = let_down(self._overlap(corners, bases), self._high[: self.n, 2])
         share: FloatArray = np.where(z > 0, carried / bases.prod(axis=1), 1.0)
         return z, share
 
