@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.record import Result, timed
+from petmjx.packers.finalists import finalists
 from petmjx.packers.pack import Packed, pack_each
-from petmjx.packers.pack_candidates import finalists
 from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.plans.order_generator import Order
 

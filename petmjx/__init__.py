@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from petmjx.options.physics import PHYSICS, Cone, Physics
     from petmjx.options.run_options import RunOptions
     from petmjx.options.simulation import Check, Quiet, Schedule, Simulation, Solver, Thresholds
+    from petmjx.packers.learned_packer import placement_stability
     from petmjx.packers.pack import Packed, pack
-    from petmjx.packers.robot_placement import placement_stability
     from petmjx.plans.plan import Plan
     from petmjx.plans.plan_reader import load_plans
     from petmjx.plans.plan_set import PlanSet
@@ -74,7 +74,7 @@ _HOME = {
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan_set",
     "load_plans": "petmjx.plans.plan_reader",
-    "placement_stability": "petmjx.packers.robot_placement",
+    "placement_stability": "petmjx.packers.learned_packer",
     "compare_packers": "petmjx.analysis.packer_comparison",
     "compare_runs": "petmjx.analysis.run_comparison",
     "Story": "petmjx.analysis.story",

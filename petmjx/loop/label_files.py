@@ -40,7 +40,7 @@ from petmjx.loop.label_parts import (
     n_unfinished,
 )
 from petmjx.loop.placement_labels import COLUMNS, SCHEMA, SPLITS, Label, Labeller, plans_of_labels
-from petmjx.packers.robot_placement import placement_stability
+from petmjx.packers.learned_packer import placement_stability
 from petmjx.results.folder_lock import held_folder_lock
 from petmjx.results.run_folder import part_files
 from petmjx.version import __version__

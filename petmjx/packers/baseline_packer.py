@@ -150,7 +150,7 @@ class _Pile:
     def add(self, base_mm: tuple[float, float], height_mm: float, corner_mm: tuple[float, float, float]) -> None:
         """Place a box and record its extreme points."""
         self._low[self.n] = corner_mm
-        self._high[self.n] = np.array(corner_mm) + (*base_mm, height_mm)
+        self._high[self.n] = self._low[self.n] + np.array([*base_mm, height_mm])
         self.n += 1
         points = corner_points(self._low[None, : self.n], self._high[None, : self.n])
         self._points |= dict.fromkeys((x, y) for x, y in points[:, 0].tolist())

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.packers.pack_candidates import Finalist
-from petmjx.packers.pack_evaluation import Evaluation, choose, decisive_evaluations
+from petmjx.packers.finalists import Evaluation, Finalist, choose, decisive_evaluations
 from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.sample_plans import LeftOutItems, as_placements, left_out_of
 from petmjx.plans.json_writer import Placement

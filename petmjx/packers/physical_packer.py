@@ -17,10 +17,9 @@ from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
 from petmjx.common.parallel_map import UnorderedResults
 from petmjx.engines.run_engine import engine_for
 from petmjx.options.run_options import AUTO
-from petmjx.packers.pack_candidates import finalists, learned_finalists
-from petmjx.packers.pack_flow import CPU, GPU, Flow, Searched
+from petmjx.packers.finalists import finalists, learned_finalists
+from petmjx.packers.pack_flow import CPU, GPU, Flow, Searched, WorldsOfPlans
 from petmjx.packers.pack_options import PhysicalOptions
-from petmjx.packers.pack_worlds import WorldsOfPlans
 from petmjx.packers.packed_orders import PackedOrder
 from petmjx.plans.order_generator import Order
 

@@ -27,10 +27,9 @@ from petmjx.packers import beam_search as beam_module
 from petmjx.packers import physical_packer as physical_module
 from petmjx.packers.balanced_packer import TASTES, pack_balanced
 from petmjx.packers.beam_search import search
-from petmjx.packers.pack_candidates import Finalist, finalists
-from petmjx.packers.pack_evaluation import Evaluation, choose, order_evaluation
+from petmjx.packers.finalists import Evaluation, Finalist, choose, finalists, order_evaluation
+from petmjx.packers.pack_flow import WorldsOfPlans
 from petmjx.packers.pack_options import PhysicalOptions
-from petmjx.packers.pack_worlds import WorldsOfPlans
 from petmjx.packers.packed_orders import FALLS, NO_PLACE, PackedOrder
 from petmjx.packers.packing_state import Packing
 from petmjx.packers.physical_packer import pack_physical

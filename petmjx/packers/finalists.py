@@ -1,15 +1,21 @@
-"""Evaluates packings by simulations of worlds in which boxes are placed exactly, and of worlds with errors."""
+"""Makes and evaluates the finalists of an order. A finalist is a packing that may be simulated, in a world in which
+boxes are placed exactly, and in worlds with errors. The results of simulations decide which finalist is chosen."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
+from petmjx.common.units import MM_PER_M
 from petmjx.engines.verdict import Verdict
-from petmjx.packers.pack_candidates import Finalist
+from petmjx.packers.baseline_packer import PlacedBox
+from petmjx.packers.beam_search import search
+from petmjx.packers.learned_packer import CLEARANCE_MM, pack_learned
 from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.sample_plans import as_placements
+from petmjx.plans.order_generator import Order, target_extent_mm
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 
@@ -19,6 +25,61 @@ SOURCE = "pack"
 FIRST_WORLDS: Final = 4
 """Number of worlds with errors that are simulated first. Most packings that fall too often can be refused after this
 number."""
+
+
+@dataclass(frozen=True)
+class Finalist:
+    """A packing of an order that may be simulated.
+
+    Attributes:
+        placed: boxes in packing order.
+        clearance_mm: free space between neighbours, mm.
+        volume_m3: volume of the boxes, m³.
+        height_mm: height of the highest top, mm.
+        utilisation: volume of the boxes / (area of the target × height of the highest top); BED-BPP's kpi_2.
+    """
+
+    placed: tuple[PlacedBox, ...]
+    clearance_mm: float
+    volume_m3: float
+    height_mm: float
+    utilisation: float
+
+
+def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
+    """For each free space between boxes in ``options.clearances_mm``, the best packing of an order. Packings are sorted
+    by volume, then by utilisation, largest first.
+
+    If all of these packings leave boxes out, the best packing without free space is added. The list is empty if there
+    is no place for any box.
+    """
+    searched = partial(search, order.items, target_extent_mm(order.target), width=options.width, branch=options.branch)
+    packings = {clearance: searched(clearance) for clearance in options.clearances_mm}
+    if 0.0 not in packings and all(len(packing.placed) < len(order.items) for packing in packings.values()):
+        packings[0.0] = searched(0.0)
+    candidates = [
+        _finalist(order, packing.placed, clearance, packing.worth.volume_m3, packing.height_mm)
+        for clearance, packing in packings.items()
+        if packing.placed
+    ]
+    return sorted(candidates, key=lambda finalist: (finalist.volume_m3, finalist.utilisation), reverse=True)
+
+
+def learned_finalists(order: Order, look_ahead: int) -> list[Finalist]:
+    """A list with one packing, made by the packer ``learned``. The list is empty if there is no place for any box."""
+    placed = pack_learned(order.items, target_extent_mm(order.target), look_ahead)
+    if not placed:
+        return []
+    height = max(box.corner_mm[2] + box.item.height_mm for box in placed)
+    return [_finalist(order, placed, CLEARANCE_MM, sum(box.item.volume_m3 for box in placed), height)]
+
+
+def _finalist(
+    order: Order, placed: Sequence[PlacedBox], clearance_mm: float, volume_m3: float, height_mm: float
+) -> Finalist:
+    length, width = target_extent_mm(order.target)
+    utilisation = volume_m3 / (length * width * height_mm / MM_PER_M**3)
+    return Finalist(tuple(placed), clearance_mm, volume_m3, height_mm, utilisation)
 
 
 @dataclass(frozen=True)
