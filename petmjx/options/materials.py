@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Final, Self
+from typing import Annotated, Final, Self, TypeVar
 
 from pydantic import Field, StrictFloat, model_validator
 
@@ -90,10 +90,19 @@ _MOST_NAMED: Final = 5
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 
 
-class FrictionPair(CheckedRecord):
+class _MaterialPair(CheckedRecord):
+    between: tuple[Name, Name] = Field(description="the two materials")
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """The two materials in alphabetical order, in lower case and without white space around them. Two pairs of the
+        same two materials have equal keys, in whatever order the materials are given."""
+        return _key(*self.between)
+
+
+class FrictionPair(_MaterialPair):
     """The coefficient of sliding friction between two materials, which may be the same material."""
 
-    between: tuple[Name, Name] = Field(description="the two materials")
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(
         description="coefficient of sliding friction between the two materials"
     )
@@ -109,17 +118,10 @@ class FrictionPair(CheckedRecord):
             raise complaint(f"must be ≤ friction, {self.friction:g}, got {self.kinetic:g}", "kinetic")
         return self
 
-    @property
-    def key(self) -> tuple[str, str]:
-        """The two materials in alphabetical order, in lower case and without white space around them. Two pairs of the
-        same two materials have equal keys, in whatever order the materials are given."""
-        return _pair(*self.between)
 
-
-class LandingPair(CheckedRecord):
+class LandingPair(_MaterialPair):
     """How a box of one material bounces and stops when it lands on another material, or on the same material."""
 
-    between: tuple[Name, Name] = Field(description="the two materials")
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(
         None,
         description="share of its speed with which a box of one material bounces off the other material; by default "
@@ -131,10 +133,8 @@ class LandingPair(CheckedRecord):
         "physics.landing_s",
     )
 
-    @property
-    def key(self) -> tuple[str, str]:
-        """The two materials in the form of ``FrictionPair.key``: in alphabetical order and in lower case."""
-        return _pair(*self.between)
+
+Pair = TypeVar("Pair", bound=_MaterialPair)
 
 
 def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> tuple[float | None, float | None]:
@@ -145,11 +145,9 @@ def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> 
         user_pairs: pairs that the user gives. The pairs of the user take precedence over petmjx's values, and later
             pairs take precedence over earlier pairs.
     """
-    pair = _pair(one, other)
-    user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
-    restitution = user_pair.restitution if user_pair is not None else None
-    usual = RESTITUTION_OF_PAIRS.get(pair) if restitution is None else restitution
-    return usual, user_pair.landing_s if user_pair is not None else None
+    user_pair = _last_of(user_pairs, one, other)
+    restitution, landing_s = (user_pair.restitution, user_pair.landing_s) if user_pair is not None else (None, None)
+    return RESTITUTION_OF_PAIRS.get(_key(one, other)) if restitution is None else restitution, landing_s
 
 
 def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
@@ -161,9 +159,8 @@ def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -
         user_pairs: pairs that the user gives. The pairs of the user take precedence over petmjx's values, and later
             pairs take precedence over earlier pairs.
     """
-    pair = _pair(one, other)
-    frictions = [friction_pair.friction for friction_pair in user_pairs if friction_pair.key == pair]
-    return frictions[-1] if frictions else FRICTION_OF_PAIRS.get(pair)
+    user_pair = _last_of(user_pairs, one, other)
+    return FRICTION_OF_PAIRS.get(_key(one, other)) if user_pair is None else user_pair.friction
 
 
 def kinetic_share_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
@@ -173,14 +170,19 @@ def kinetic_share_between(one: str, other: str, user_pairs: Sequence[FrictionPai
     Args:
         user_pairs: pairs of materials that the user gives, as in ``friction_between``.
     """
-    pair = _pair(one, other)
-    user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
-    static = FRICTION_OF_PAIRS.get(pair) if user_pair is None else user_pair.friction
-    kinetic = KINETIC_OF_PAIRS.get(pair) if user_pair is None else user_pair.kinetic
+    user_pair = _last_of(user_pairs, one, other)
+    static = friction_between(one, other, user_pairs)
+    kinetic = KINETIC_OF_PAIRS.get(_key(one, other)) if user_pair is None else user_pair.kinetic
     return None if kinetic is None or not static else kinetic / static
 
 
-def _pair(one: str, other: str) -> tuple[str, str]:
+def _last_of(user_pairs: Sequence[Pair], one: str, other: str) -> Pair | None:
+    """The last of the user's pairs that has these two materials; None if there is no such pair."""
+    key = _key(one, other)
+    return next((pair for pair in reversed(user_pairs) if pair.key == key), None)
+
+
+def _key(one: str, other: str) -> tuple[str, str]:
     first, second = sorted((one.strip().lower(), other.strip().lower()))
     return first, second
 

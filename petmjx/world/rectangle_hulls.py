@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.convex_hull import convex_hull
 from petmjx.common.units import FloatArray
 
 IntArray = NDArray[np.intp]
-
-Edge = tuple[float, float, float]
-"""An edge of a hull: the x and y components of the edge's inward normal, and the scalar product of this normal with any
-point of the edge."""
 
 LEAST_EDGE_M: Final = 1e-9
 """Shortest edge, m. Edges that are shorter than ``LEAST_EDGE_M`` are left out, since rounding determines their
@@ -25,21 +17,6 @@ direction."""
 
 _STRAIGHT_M: Final = 1e-12
 """Distance of a corner from a line, m, below which the corner counts as on the line: such a distance is rounding."""
-
-_Point = Sequence[float]
-
-
-def hull_edges(low: Sequence[_Point], high: Sequence[_Point]) -> list[Edge]:
-    """The edges of the hull of rectangles. Each rectangle is given by its lowest and highest corner (x, y), m."""
-    sides = zip(low, high, strict=True)
-    hull = convex_hull((x, y) for (x0, y0), (x1, y1) in sides for x in (x0, x1) for y in (y0, y1))
-    edges = []
-    for (x0, y0), (x1, y1) in pairwise([*hull, hull[0]]):
-        length = math.hypot(x1 - x0, y1 - y0)
-        if length > LEAST_EDGE_M:
-            normal_x, normal_y = (y0 - y1) / length, (x1 - x0) / length
-            edges.append((normal_x, normal_y, normal_x * x0 + normal_y * y0))
-    return edges
 
 
 class HullTable(NamedTuple):
@@ -72,7 +49,7 @@ class HullTable(NamedTuple):
 
 
 def hull_table(low: FloatArray, high: FloatArray, count: IntArray) -> HullTable:
-    """The hulls of s sets of rectangles, computed together. The edges are those that ``hull_edges`` finds for each set.
+    """The hulls of s sets of rectangles, computed together.
 
     Each edge of a hull is parallel to an axis, or joins the same corner (such as the lower left) of two rectangles. All
     other rectangles are on the inner side of the edge.

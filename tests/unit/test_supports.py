@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
+from shapely.geometry.polygon import orient
 from support.edges import plan_edges
 from support.plans import Box, make_plan, make_scene, stack
 
@@ -14,7 +16,7 @@ from petmjx.engines.mujoco.live_world import LiveWorld
 from petmjx.options.physics import PHYSICS
 from petmjx.options.simulation import Simulation
 from petmjx.world.history import CARRIER
-from petmjx.world.rectangle_hulls import hull_edges, hull_table
+from petmjx.world.rectangle_hulls import hull_table
 from petmjx.world.release_places import MOST_FOLLOWED_M, NOTHING, release_of
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.supports import TOUCH_M, bearing_of, bearings_of, find_bearings
@@ -212,26 +214,28 @@ def test_a_hull_s_edges_are_the_lines_with_all_corners_on_one_side() -> None:
         low = rng.integers(0, 6, (count, 2)).astype(float)
         high = low + rng.integers(1, 4, (count, 2))
         corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]])
-        edges = np.array(hull_edges(low.tolist(), high.tolist()))
-        inside = corners @ edges[:, :2].T - edges[:, 2]
-        np.testing.assert_allclose(np.hypot(edges[:, 0], edges[:, 1]), 1.0)
+        (normal,), (offset,) = hull_table(low, high, np.array([count]))
+        inside = corners @ normal.T - offset
+        np.testing.assert_allclose(np.hypot(*normal.T), 1.0)
         assert (inside >= -1e-12).all()
         assert ((np.abs(inside) < 1e-12).sum(axis=0) >= 2).all()
-        assert len(edges) >= 4
+        assert len(offset) >= 4
 
 
 def test_many_hulls_have_the_edges_of_each_alone() -> None:
-    """500 sets of one to six random rectangles: the distance of a point from the hull's edges is the same as for each
-    hull alone."""
+    """500 sets of one to six random rectangles: the distance of a point from the hull's edges is the same as from the
+    edges that shapely finds for each hull alone."""
     rng = np.random.default_rng(6)
     count = rng.integers(1, 7, 500)
     low = rng.integers(0, 8, (count.sum(), 2)) / 10
     high = low + rng.integers(1, 5, low.shape) / 10
     point = rng.uniform(-0.2, 1.4, (500, 2))
     ends = np.cumsum(count)
-    expected = [
-        min(x * normal_x + y * normal_y - offset for normal_x, normal_y, offset in hull_edges(low[i:k], high[i:k]))
-        for i, k, (x, y) in zip((ends - count).tolist(), ends.tolist(), point.tolist(), strict=True)
-    ]
+    expected = []
+    for i, k, place in zip((ends - count).tolist(), ends.tolist(), point, strict=True):
+        hull = shapely.convex_hull(shapely.multipolygons(shapely.box(*low[i:k].T, *high[i:k].T)))
+        ring = shapely.get_coordinates(orient(hull))
+        (side_x, side_y), (x, y) = np.diff(ring, axis=0).T, (place - ring[:-1]).T
+        expected.append(((side_x * y - side_y * x) / np.hypot(side_x, side_y)).min())
     inside = hull_table(low, high, count).inside_m(np.arange(500), point)
-    np.testing.assert_allclose(inside, expected, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(inside, expected, rtol=0, atol=1e-14)
