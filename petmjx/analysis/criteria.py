@@ -208,9 +208,9 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
     return share - least_share
 
 
-SUPPORT_SHARES: Final = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)
-"""Shares of a box's base that must be borne according to criteria: the whole base, and the shares in Bortfeldt &
-Wäscher's survey and in the ADAMS study."""
+SUPPORT_CRITERIA: Final = {f"support_{100 * share:.0f}": share for share in (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)}
+"""Name of a criterion → share of a box's base that must be borne. The shares are the whole base, and those in Bortfeldt
+& Wäscher's survey and in the ADAMS study."""
 
 LEAST_CORNERS: Final = 3
 
@@ -358,9 +358,9 @@ class Criterion:
     usual: bool = True
 
 
-def _support(share: float) -> Criterion:
+def _support(name: str, share: float) -> Criterion:
     return Criterion(
-        f"support_{100 * share:.0f}",
+        name,
         f"at least {100 * share:.0f} % of the base is borne",
         f"borne share - {share:g}",
         DIMENSIONLESS,
@@ -385,7 +385,7 @@ def _corner_area(name: str, least: tuple[float, float, float], source: str) -> C
 
 
 CRITERIA: Final = (
-    *map(_support, SUPPORT_SHARES),
+    *(_support(name, share) for name, share in SUPPORT_CRITERIA.items()),
     Criterion(
         "three_corners",
         f"at least {LEAST_CORNERS} of the 4 bottom corners lie on something",

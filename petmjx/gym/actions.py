@@ -10,8 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.analysis.criteria import SUPPORT_CRITERIA
 from petmjx.common.units import FloatArray
-from petmjx.gym.environment_options import ALL, CANDIDATES, CENTRE, LOADS, PHYSICS, SUPPORT, SURE, PalletizingOptions
+from petmjx.gym.environment_options import ALL, CANDIDATES, CENTRE, LOADS, PHYSICS, SURE, PalletizingOptions
 from petmjx.loop.candidate_places import Places
 from petmjx.loop.order_sources import Orders
 from petmjx.loop.pallets import Pallets
@@ -168,7 +169,7 @@ class Actions:
             pallet=on,
             max_height_mm=self._options.max_height_mm,
             grid_mm=self._grid,
-            least_support=SUPPORT.get(self._options.mask, 0.0),
+            least_support=SUPPORT_CRITERIA.get(self._options.mask, 0.0),
             gap_mm=self._options.gap_mm,
             hulls=self._options.mask == CENTRE,
         )

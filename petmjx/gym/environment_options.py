@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any, Final, Self
 
-from petmjx.analysis.criteria import SUPPORT_SHARES
+from petmjx.analysis.criteria import SUPPORT_CRITERIA
 from petmjx.common.argument_checks import flag_of, integer_of, number_of
 from petmjx.common.checked_records import hint, shown_value
 from petmjx.common.errors import InputError
@@ -27,8 +27,7 @@ MOST_OPEN: Final = 64
 MOST_ERRORS: Final = 10.0
 """Largest value of the option ``errors``, which is a multiple of a common robot's placement errors. The largest value
 gives errors of 20 mm. With larger errors, a box would no longer stand at its intended place."""
-SUPPORT: Final = {f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}
-MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, SURE, PHYSICS, LOADS)
+MASKS: Final = (GEOMETRY, *SUPPORT_CRITERIA, CENTRE, SURE, PHYSICS, LOADS)
 
 
 @dataclass(frozen=True)

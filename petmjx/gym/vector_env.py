@@ -116,14 +116,11 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
             reward[going], terminated[going], truncated[going] = stepped.reward, stepped.terminated, stepped.truncated
             terms = {f"reward_{name}": values for name, values in stepped.terms.items()}
             info = self._spread(going, terms)
-        over = terminated | truncated
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
-            ended_rows = np.flatnonzero(over)
+        self._over = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._over.any():
+            ended_rows = np.flatnonzero(self._over)
             info |= self._final(ended_rows, info)
             self._begin(ended_rows)
-            self._over[:] = False
-        else:
-            self._over = over
         return self.episodes.observed(self._all), reward, terminated, truncated, info | self._info(self._all)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -160,14 +157,12 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
     def _final(self, rows: NDArray[np.int64], so_far: Info) -> Info:
         """The last observations and information of the episodes that ended in this step, in Gymnasium's form."""
         observations = self.episodes.observed(rows)
-        last = np.full(self.num_envs, None, object)
-        for at, row in enumerate(rows.tolist()):
-            last[row] = {name: values[at] for name, values in observations.items()}
-        known = np.zeros(self.num_envs, bool)
-        known[rows] = True
+        last = np.empty(len(rows), object)
+        last[:] = [{name: values[at] for name, values in observations.items()} for at in range(len(rows))]
+        info = self._spread(rows, {"final_obs": last})
         terms = {name: values[rows] for name, values in so_far.items() if name.startswith("reward_")}
-        info = self._spread(rows, terms | self.episodes.info_of(rows))
-        return {"final_obs": last, "_final_obs": known, "final_info": info, "_final_info": known.copy()}
+        final_info = self._spread(rows, terms | self.episodes.info_of(rows))
+        return info | {"final_info": final_info, "_final_info": info["_final_obs"].copy()}
 
     def _checked_mask(self, mask: Any) -> NDArray[np.bool_]:
         reset_mask = np.asarray(mask)

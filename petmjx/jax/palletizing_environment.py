@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.analysis.criteria import SUPPORT_SHARES
+from petmjx.analysis.criteria import SUPPORT_CRITERIA
 from petmjx.common.argument_checks import integer_of, number_of, text_of
 from petmjx.common.checked_records import hint, shown_value
 from petmjx.common.errors import InputError
@@ -30,7 +30,7 @@ from petmjx.options.run_options import AUTO
 from petmjx.options.simulation import Simulation
 
 GEOMETRY: Final = "geometry"
-MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}}
+MASKS: Final = {GEOMETRY: None, **SUPPORT_CRITERIA}
 """Name of a mask of legal actions → smallest share of a box's base that must be supported. The value is None if any
 share is sufficient."""
 

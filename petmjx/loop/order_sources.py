@@ -124,9 +124,7 @@ class Orders:
 
     def draw(self, rng: np.random.Generator) -> Boxes:
         """Draw a random order of the source. If the source is ``endless``, the order is newly generated."""
-        if self._all is None:
-            return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))), self._articles)
-        return self._all[int(rng.integers(len(self._all)))]
+        return self.numbered(int(rng.integers(self.count)))
 
     def numbered(self, number: int) -> Boxes:
         """The order with this number, from 0 to ``count`` − 1."""
@@ -141,9 +139,7 @@ class Orders:
 
     def some(self, count: int) -> list[Boxes]:
         """All orders of the source, or the first ``count`` orders if the source is ``endless``."""
-        if self._all is not None:
-            return self._all
-        return [_of_order(draw_order(self._seed, number), self._articles) for number in range(count)]
+        return self._all if self._all is not None else [self.numbered(number) for number in range(count)]
 
 
 def _read(source: Any, articles: Articles | None, reading: OrderReading) -> list[Boxes]:
