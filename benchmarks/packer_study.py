@@ -250,12 +250,7 @@ def _differences(table: pd.DataFrame, other: pd.DataFrame) -> dict[str, list[flo
             differences[name] = _interval(deltas)
     if "stands" in differences:
         both = table[["stands"]].join(other[["stands"]], rsuffix="_other").dropna().to_numpy() > 0
-        counts = PairedCounts(
-            int(both.all(axis=1).sum()),
-            int((both[:, 0] & ~both[:, 1]).sum()),
-            int((~both[:, 0] & both[:, 1]).sum()),
-            int((~both).all(axis=1).sum()),
-        )
+        counts = PairedCounts.of(*both.T)
         if find_spec("scipy") is not None:
             differences["stands_mcnemar_p"] = [mcnemar_p(counts)]
     return differences

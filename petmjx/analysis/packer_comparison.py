@@ -284,8 +284,7 @@ def _packer_row(size: str, name: str, rows: pd.DataFrame, confidence: float) -> 
 
 def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) -> dict[str, Any]:
     wide = _standing_table(rows)
-    in_a, in_b = wide[a].to_numpy(bool), wide[b].to_numpy(bool)
-    counts = PairedCounts(*(int(np.sum(mask)) for mask in (in_a & in_b, in_a & ~in_b, in_b & ~in_a, ~in_a & ~in_b)))
+    counts = PairedCounts.of(wide[a].to_numpy(bool), wide[b].to_numpy(bool))
     low, high = newcombe_interval(counts, confidence)
     test = mcnemar_p(counts) if size == ALL_SIZES else float("nan")
     shares = {"difference": counts.difference, "low": low, "high": high, "p": test, "p_holm": float("nan")}

@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 from statistics import NormalDist
+from typing import Self
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
@@ -144,6 +145,11 @@ class PairedCounts:
     only_b: int
     neither: int
 
+    @classmethod
+    def of(cls, a: ArrayLike, b: ArrayLike) -> Self:
+        """Count trials. ``a`` and ``b`` are (n,) masks of the trials that succeeded with a, and with b."""
+        return cls(**{name: int(trials.sum()) for name, trials in paired_outcomes(a, b).items()})
+
     @property
     def n(self) -> int:
         """Number of trials."""
@@ -153,6 +159,13 @@ class PairedCounts:
     def difference(self) -> float:
         """Share of trials that succeed with b, minus share that succeed with a; NaN if there are no trials."""
         return (self.only_b - self.only_a) / self.n if self.n else float("nan")
+
+
+def paired_outcomes(a: ArrayLike, b: ArrayLike) -> dict[str, NDArray[np.bool_]]:
+    """For each field of ``PairedCounts``, the (n,) mask of the trials with this outcome. ``a`` and ``b`` are (n,) masks
+    of the trials that succeeded with a, and with b."""
+    in_a, in_b = np.asarray(a, bool), np.asarray(b, bool)
+    return {"both": in_a & in_b, "only_a": in_a & ~in_b, "only_b": ~in_a & in_b, "neither": ~in_a & ~in_b}
 
 
 def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDENCE) -> tuple[float, float]:

@@ -19,7 +19,14 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import data_frame, summary_table
-from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN, PairedCounts, newcombe_interval, wilson_interval
+from petmjx.results.share_intervals import (
+    ALL_PLANS,
+    ONE_PLAN,
+    PairedCounts,
+    newcombe_interval,
+    paired_outcomes,
+    wilson_interval,
+)
 from petmjx.runs.chain_legs import AS_IS, PLACING
 from petmjx.runs.sweep_worlds import SweepPlan
 
@@ -163,21 +170,14 @@ def _gains(worlds: pd.DataFrame, *, random: bool) -> pd.DataFrame:
     )
     stands = paired["verdict"] == Verdict.STABLE.value
     stood = paired["verdict_without"] == Verdict.STABLE.value
-    counted = {"both": stands & stood, "only_without": ~stands & stood, "only_with": stands & ~stood}
-    counted["neither"] = ~stands & ~stood
-    way = _KEYS[:3]
-    counts = paired[way].assign(**counted).groupby(way, observed=True).sum().astype("int64").reset_index()
-    rows = [_gain(PairedCounts(*numbers), random) for numbers in counts[[*counted]].itertuples(index=False, name=None)]
-    columns = ["gain", "gain_low", "gain_high"]
-    gains = pd.DataFrame(rows, columns=columns, index=counts.index, dtype="float64")
-    return pd.concat([counts[[*way, "only_with", "only_without"]], gains], axis=1).assign(leg=WHOLE_WAY)
-
-
-def _gain(counts: PairedCounts, random: bool) -> tuple[float, float, float]:
-    """The gain from a remedy, and the lower and upper end of its interval. In ``counts``, a is the chain without the
-    remedy, and b is the chain with the remedy."""
-    low, high = newcombe_interval(counts) if random and counts.n else (np.nan, np.nan)
-    return counts.difference, low, high
+    way, outcomes = _KEYS[:3], paired_outcomes(stood, stands)
+    counts = paired[way].assign(**outcomes).groupby(way, observed=True).sum().astype("int64").reset_index()
+    trials = [PairedCounts(*numbers) for numbers in counts[[*outcomes]].itertuples(index=False, name=None)]
+    ends = [newcombe_interval(of_way) if random and of_way.n else (np.nan, np.nan) for of_way in trials]
+    low, high = np.reshape(ends, (-1, 2)).T
+    gains = {"gain": np.array([of_way.difference for of_way in trials], float), "gain_low": low, "gain_high": high}
+    counts = counts.rename(columns={"only_a": "only_without", "only_b": "only_with"})
+    return counts[[*way, "only_with", "only_without"]].assign(leg=WHOLE_WAY, **gains)
 
 
 def write_chain(writer: RunWriter, chain: ChainColumns) -> None:

@@ -24,7 +24,7 @@ from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_tables import Parts
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import data_frame, summary_table
-from petmjx.results.share_intervals import ONE_PLAN, PairedCounts, holm, mcnemar_p, share_standing
+from petmjx.results.share_intervals import ONE_PLAN, PairedCounts, holm, mcnemar_p, paired_outcomes, share_standing
 from petmjx.runs.sweep_axes import Axis
 from petmjx.runs.sweep_file import Sweep, find_sweep, load_sweep
 from petmjx.world.variants import Distribution
@@ -178,18 +178,14 @@ def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
     one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
     judged = (one != Verdict.INVALID.value) & (other != Verdict.INVALID.value)
-    outcomes = {
-        "both": stands & stands_exact,
-        "only_carried": stands & ~stands_exact,
-        "only_exact": ~stands & stands_exact,
-        "neither": ~stands & ~stands_exact,
-    }
+    outcomes = paired_outcomes(stands, stands_exact)
     counted = pd.DataFrame({"plan_id": pairs["plan_id"], **{name: judged & row for name, row in outcomes.items()}})
     pair_counts = counted.groupby("plan_id", observed=True).sum().reset_index()
     trials = pair_counts[[*outcomes]].astype(int).itertuples(index=False, name=None)
     pair_counts["p_value"] = holm([mcnemar_p(PairedCounts(*counts)) for counts in trials])
     pair_counts["placing_matters"] = pair_counts["p_value"] < SIGNIFICANCE
-    return pair_counts.drop(columns=["both", "neither"])
+    columns = {"only_a": "only_carried", "only_b": "only_exact"}
+    return pair_counts.drop(columns=["both", "neither"]).rename(columns=columns)
 
 
 def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:

@@ -113,9 +113,7 @@ def paired_counts(a: pd.Series, b: pd.Series) -> PairedCounts:
         a, b: verdicts of the same worlds in the two runs.
     """
     judged = (a != Verdict.INVALID.value) & (b != Verdict.INVALID.value)
-    stands_a, stands_b = (verdicts[judged] == Verdict.STABLE.value for verdicts in (a, b))
-    counts = (stands_a & stands_b, stands_a & ~stands_b, ~stands_a & stands_b, ~stands_a & ~stands_b)
-    return PairedCounts(*(int(mask.sum()) for mask in counts))
+    return PairedCounts.of(*(verdicts[judged] == Verdict.STABLE.value for verdicts in (a, b)))
 
 
 def _two(runs: Sequence[ReportRun], pair: Comparison, n_plans: int) -> Markup:
