@@ -1,19 +1,11 @@
 """Force balance: determines whether forces between the boxes can hold a stack in balance, and with how much slack.
+docs/criteria.md, section "Force balance", defines the slack.
 
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
 Transactions on Graphics 28(5). At each corner of each contact area, the bodies may press on each other, with friction
 of at most μ times the pressing force. A stack is balanced if there are forces of this kind for which the forces and
 moments on every box, together with its weight, add up to zero.
-
-The slack is dimensionless. Let the contact areas under a box have n corners in all, and require that each of these
-corners carries at least s / n of the box's own weight. The slack is the largest s for which a stack with this
-requirement is balanced. At s = 1, every box rests evenly on all its corners. At s = 0, some box is about to tip. At s <
-0, the stack would need glue between a box and its support; the more negative s is, the stronger the glue. For a box
-with nothing on its top there is a closed form: take the ray that starts in the middle of the corners of the box's
-contact areas, passes through the box's centre of mass and ends at the edge of the corners' convex hull. Measure the
-position of the centre of mass along this ray, from 0 at the start of the ray to 1 at its end. The slack is 1 minus this
-position.
 
 A newly placed box affects only its structure: the new box and all boxes that contacts connect with it. Three shortcuts
 save time without changing the result:
@@ -23,12 +15,10 @@ save time without changing the result:
 - Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes.
   Friction can help, for example if another box lies across a box and its neighbour, and so holds the box. If friction
   is considered, the slack is the larger one of the slack without friction and the slack with friction.
-- For a structure of one box, the closed form above gives the slack without a linear programme.
+- For a structure of one box, a closed form gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
-friction. ``lean`` is off by default, because two sides that could press on each other need not do so. With friction at
-the sides, for example, the computation would let any box hang between two neighbours that press on it, even if nothing
-makes the neighbours press.
+friction. ``lean`` is off by default, because two sides that could press on each other need not do so.
 
 petmjx.analysis.force_intervals uses ``least_and_most`` and ``wrenches`` of this module.
 """

@@ -1,18 +1,9 @@
 """Computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing, and the rating on its
 leaderboard: ``petmjx.kpis``.
 
-The definitions of the KPIs are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md
-lists these KPIs and the columns that petmjx adds. ``COLUMNS`` lists the columns of the table.
-
-``direct_support`` determines on what a box lies, by the same method as BED-BPP's evaluator (bed-bpp-env e7459bf,
-``environment/space_3d.py`` and ``environment/cuboid.py``). For each square millimetre of the target (the pallet or roll
-container), the evaluator stores which box was placed there last and the height of this box's top. A new box lies on
-every box that is stored somewhere under it, except boxes whose top is more than 5 mm below the bottom of the new box.
-The support of the new box is the sum of the areas that it has in common with these boxes, as a share of its base. A box
-that lies on no other box counts as standing on the target, with support 1. BED-BPP's method has three consequences: if
-two supporting boxes overlap, their common area is counted twice; a box that is pushed in under another box supports it;
-and a floating box counts as standing on the target. In plans without overlapping and floating boxes, the support is the
-share of the base that lies on other boxes or on the target.
+The definitions of the KPIs, and the rule of ``direct_support``, are those of bed-bpp-env (e7459bf):
+``evaluation/packing_plan_evaluator.py``, ``environment/space_3d.py`` and ``environment/cuboid.py``. docs/kpis.md lists
+the KPIs and the columns that petmjx adds, and explains the rule. ``COLUMNS`` lists the columns of the table.
 """
 
 from __future__ import annotations

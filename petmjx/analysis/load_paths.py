@@ -1,37 +1,30 @@
 """Criteria of static stability that depend on the loads on boxes, and the polygons in which the top of a box can be
-loaded.
+loaded. docs/criteria.md explains the criteria.
 
 **Polygons** (load-bearable convex polygons): the polygon of a box is the area in which its top can be loaded without
-making this box or a box below it fall. Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast
-Stability Validation and Stable Rearrangement Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere
-on its top. For any other box, take those parts of the areas on which it lies that are inside the polygons of the boxes
-below; their convex hull is the polygon of the box. The box stands if its centre of mass is in its own polygon. Later
-boxes may press on a box only inside its polygon, where they cannot make any box tip. So no loads need to be computed
-for this criterion. The paper also allows for an uncertain centre of mass; petmjx takes the centre of mass as exact.
+making this box or a box below it fall. A box on the carrier can be loaded anywhere on its top. For any other box, take
+those parts of the areas on which it lies that are inside the polygons of the boxes below; their convex hull is the
+polygon of the box. Later boxes may press on a box only inside its polygon, where they cannot make any box tip. So no
+loads need to be computed for this criterion. Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast
+Stability Validation and Stable Rearrangement Planning", arXiv 2507.09123. The paper also allows for an uncertain centre
+of mass; petmjx takes the centre of mass as exact.
 
 **Criteria that pass loads down** determine whether the resultant of a box's weight and of the loads on the box acts
-over the box's supports. Each box is checked when it is placed, and all boxes below it are checked again. Two criteria
-pass loads down. Each has another rule for how a box distributes its weight and the load on it over its supports:
+over the box's supports. Each box is checked when it is placed, and all boxes below it are checked again. Each criterion
+has another rule for how a box distributes its weight and the load on it over its supports:
 
-- **lever rule** (the stacking tree): the box presses on each support with a force at the middle of the contact area.
-  Two supports share the load by the lever rule. With more than two supports, many sets of forces balance force and
-  moments; the rule takes the set with the least sum of squares. Source: Zhao, Zhu, Xu, Huang, Xu (2022), "Learning
-  practically feasible policies for online 3D bin packing", Science China Information Sciences 65, arXiv 2108.13680. As
-  on a lever, if the load acts beyond the middle of the outermost contact area, the rule gives a negative force on
+- **lever rule** (the stacking tree): forces at the middles of the contact areas. Source: Zhao, Zhu, Xu, Huang, Xu
+  (2022), "Learning practically feasible policies for online 3D bin packing", Science China Information Sciences 65,
+  arXiv 2108.13680. If the load acts beyond the middle of the outermost contact area, the rule gives a negative force on
   another support.
-- **even bedding** (mechanical equilibrium): the pressure on all contact areas of the box is one linear function of x
-  and y. The balance of force and moments determines this function, for any number of supports. Source of the criterion:
+- **even bedding** (mechanical equilibrium): a pressure that is a linear function of x and y. Source of the criterion:
   Ramos, Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability
-  constraints", Transportation Research Part B 91, 565-581. The balance of force and moments alone does not determine
-  how three or more supports share the load; the even bedding is petmjx's choice. (Public re-implementations let each
-  box press with its whole weight on every box directly below it, and do not pass loads further down.)
+  constraints", Transportation Research Part B 91, 565-581. The even bedding is petmjx's choice.
 
 In both rules, forces are linear in the load. So the weight of each box is passed down separately, and the load on a box
-after any placement is a sum over the boxes placed so far. However, real supports cannot pull. If the pressure of an
-even bedding would be negative somewhere, forces that only push are used instead: among these, the forces for which the
-supports, as springs, store the least energy (petmjx.world.load_sharing). If a resultant of the even bedding lies beyond
-an edge, a linear programme determines whether other balancing forces keep all resultants inside
-(petmjx.world.balance_programme).
+after any placement is a sum over the boxes placed so far. Real supports cannot pull: if the pressure of an even bedding
+would be negative somewhere, petmjx.world.load_sharing gives the forces. If a resultant of the even bedding lies beyond
+an edge, petmjx.world.balance_programme determines whether other balancing forces keep all resultants inside.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The laws of contacts: at rest, while sliding, and while landing.
+"""The laws of contacts: at rest, while sliding, and while landing. docs/rules.md, section 1, states the laws of sliding
+and landing exactly.
 
 **At rest.** MuJoCo's contacts are springs. If a contact of stiffness k and impedance d(x) carries the force f at rest,
 its depth x follows from (MuJoCo's documentation, chapter Computation, solver parameters)
@@ -10,55 +11,30 @@ time constant and ζ the damping ratio. At depths x beyond the width of ``solimp
 the contacts of a light box give way under a heavy load, even if they are meant to be stiff. With the physics ``pallet``
 and four contacts per face, contacts give way by 0.003 mm × (mass on the box) / (mass of the box).
 
-**Sliding.** In Coulomb's law, friction does not change the pressure of a sliding contact. The coefficient of kinetic
-friction may be smaller than that of static friction.
-
-In MuJoCo, friction changes the pressure: the two forces of a sliding contact together minimise one cost (associated
-friction; MuJoCo's documentation, chapter Computation, "Constraint model"). Let j be the acceleration minus the
-reference acceleration, R the regularisation, f the force, and n and t the indices of the normal and the tangent. At the
-minimum, a sliding contact obeys
+**Sliding.** In Coulomb's law, friction does not change the pressure of a sliding contact. In MuJoCo, the two forces of
+a sliding contact together minimise one cost (associated friction; MuJoCo's documentation, chapter Computation,
+"Constraint model"). Let j be the acceleration minus the reference acceleration, R the regularisation, f the force, and
+n and t the indices of the normal and the tangent. At the minimum, a sliding contact obeys
 
     j_n + R_n · f_n = μ · (|j_t| − R_t · |f_t|)
 
-In Coulomb's law, the right-hand side is 0. In MuJoCo, |j_t| is about the reference acceleration that would end the
-slip, |aref_t| = |v_t| · 2 / time constant of friction. So slip raises the normal force, and sliding boxes hop. The
-faster boxes slide, and the shorter the contact's time constant is, the higher they hop. De Saxcé's correction removes
-this effect: it lowers the reference acceleration along the normal by the right-hand side (G. de Saxcé and Z.-Q. Feng,
-"The bipotential method", Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato, "Numerical Methods
-for Nonsmooth Dynamical Systems", 2008, section 3.9):
+In Coulomb's law, the right-hand side is 0. In MuJoCo, slip raises the normal force, and sliding boxes hop. De Saxcé's
+correction lowers the reference acceleration along the normal by the right-hand side (G. de Saxcé and Z.-Q. Feng, "The
+bipotential method", Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato, "Numerical Methods for
+Nonsmooth Dynamical Systems", 2008, section 3.9):
 
     aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − slack, 0)
 
-The excess e depends on accelerations and forces, which in turn depend on e. So the excess is found by iteration. The
-iteration starts with the accelerations of the previous step. For boxes that slide steadily, the excess with which the
-iteration starts is already right. If a box slides while it lands, friction ends part of the slip, and the excess
-becomes smaller. Without the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two
-to three times as far.
+The excess e depends on accelerations and forces, which in turn depend on e. So the excess is found by iteration.
+Without the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as
+far.
 
-The correction is the same on all engines: petmjx/engines/mujoco/slip.py, petmjx/engines/mjx/slip.py, and in the kernels
-petmjx/engines/warp/kernels/constraint.py and ``respond`` in petmjx/engines/warp/solver/contact.cuh.
-
-**Landing.** At rest, a contact is a spring with a damper (docs/rules.md, section 1). With the law of contacts at rest,
-a landing box would sink centimetres into its support and would not bounce. So while a box lands, its contacts follow
-another law. MuJoCo's contacts have reference accelerations: the relative accelerations that the two bodies would have
-if the contact were hard. With the physics ``pallet``, contacts are nearly hard. So the relative acceleration of two
-bodies in contact is the reference acceleration, whatever their masses. The law of landing sets this reference
-acceleration:
-
-- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If a box lands on
-  another box, the box below lands, too. The velocities of both boxes before that step are remembered for
-  ``lasts_steps``.
-- Let v₀ be the speed at which a contact would close with the remembered velocities. At the end of the landing, the
-  contact should open at e·v₀, where the coefficient of restitution e is ``restitution`` or the value for the pair of
-  materials (Newton's law of impact). The contact should also open fast enough to lift the box out of the depth that it
-  has reached. So the contact is decelerated by (1 + e)·v₀ / ``landing_s``, or by less if less is enough in this step.
-  The force is constant during a landing and does not depend on the timestep. A box sinks v₀·``landing_s`` / 2 / (1 + e)
-  deep, plus the distance that it travels in the step before.
-- During a landing, all contacts of the world have the stiffness that they have at depths beyond ``solimp``'s width.
-  Without this stiffness, boxes below would be pressed in before their contacts became stiff.
-
-The contacts of bodies at rest close more slowly than ``FAST_M_S``, so the law of landing does not affect these
-contacts.
+**Landing.** With the law of contacts at rest, a landing box would sink centimetres into its support and would not
+bounce. MuJoCo's contacts have reference accelerations: the relative accelerations that the two bodies would have if the
+contact were hard. With the physics ``pallet``, contacts are nearly hard. So the law of landing sets the reference
+acceleration, whatever the masses of the bodies: a constant deceleration to the velocity of the rebound (Newton's law of
+impact). During a landing, all contacts of the world have the stiffness that they have at depths beyond ``solimp``'s
+width. Without this stiffness, boxes below would be pressed in before their contacts became stiff.
 """
 
 from __future__ import annotations

@@ -1,20 +1,9 @@
 """Forces of stretch film on the boxes of a pallet: film presses on the outer faces, and holds them by friction.
+docs/wrap.md explains the model.
 
-The model has three parts, for a pallet that is wrapped to its carrier:
-
-- **Tension.** Over its whole width, film pulls with the force of one turn × the number of turns. So a strip of height
-  h has the tension T = force · turns · h / width. Around a corner, the film pulls along both sides. So each side of the
-  load is pressed inwards by T at each of its two ends. The sum of both forces, 2·T, is spread over the outer faces of
-  that side. If there is a gap behind a box, the film draws the box into the gap and slackens. After the distance
-  ``SLACK_M``, the film no longer presses on the box.
-- **Hold.** Film sticks to an outer face by friction: with at most the film's friction coefficient × the force with
-  which the film presses on the face. If a box moves relative to the carrier, the film holds the box like a spring, with
-  at most this force. If more force is needed, the film slips.
-- **A hat** of film presses on all box tops on which no other box stands.
-
-If a face stands back from the outermost face of its side by more than ``MOST_BACK_M``, the face does not touch the
-film. The forces act at the boxes' centres of mass. Stretching, tearing and creeping of the film are not modelled. The
-source for the linear relation of force and turns is Sensors 2025, 25(22), 6883.
+If there is a gap behind a box, the film draws the box into the gap and slackens: after the distance ``SLACK_M``, the
+film no longer presses on the box. If a face stands back from the outermost face of its side by more than
+``MOST_BACK_M``, the face does not touch the film.
 """
 
 from __future__ import annotations
