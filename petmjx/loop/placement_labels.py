@@ -22,6 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from petmjx.common.argument_checks import integer_of, number_of
 from petmjx.common.prefetch import prefetch
@@ -256,11 +257,11 @@ class Labeller:
         for row, row_places in zip(rows.tolist(), of_row, strict=True):
             episode = running[row]
             explores = not episode.again and episode.rng.random() < self._explore
-            pick = _any_place(row_places, episode.rng) if explores else _careful_place(places, row_places, episode.rng)
-            if pick is None:
+            some = row_places if explores else _careful_places(places, row_places)
+            if not len(some):
                 episode.next, episode.again = episode.next + 1, False
                 continue
-            chosen.append(pick)
+            chosen.append(int(episode.rng.choice(some)))
             placed.append(row)
             episode.careful = not explores
         if not placed:
@@ -439,15 +440,10 @@ class _Packing:
         self._end_over([row])
 
 
-def _any_place(some: Any, rng: np.random.Generator) -> int | None:
-    return int(rng.choice(some)) if len(some) else None
-
-
-def _careful_place(places: Places, some: Any, rng: np.random.Generator) -> int | None:
-    """One of the lowest places with enough support, chosen at random; None if there is no such place."""
+def _careful_places(places: Places, some: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The lowest places with enough support. ``some`` are the indices of the places from which they are chosen."""
     borne = some[places.support[some] >= CAREFUL_SUPPORT]
-    lowest = borne[np.argsort(places.corner_mm[borne, 2], kind="stable")][:LOWEST]
-    return int(rng.choice(lowest)) if len(lowest) else None
+    return borne[np.argsort(places.corner_mm[borne, 2], kind="stable")][:LOWEST]
 
 
 def _label_of(outcome: Outcome) -> Label:

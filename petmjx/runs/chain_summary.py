@@ -193,10 +193,10 @@ def write_chain(writer: RunWriter, chain: ChainColumns) -> None:
     writer.write_summary(summary_table(summary, units, _DESCRIPTIONS))
 
 
-def arrivals(summary: pd.DataFrame, remedy: str = AS_IS) -> pd.DataFrame:
-    """Those rows of the summary that are about the whole journey of a single plan with the remedy ``remedy``, in the
-    order of the run."""
-    chosen = (summary["scope"] == ONE_PLAN) & (summary["leg"] == WHOLE_WAY) & (summary["remedy"] == remedy)
+def arrivals(summary: pd.DataFrame) -> pd.DataFrame:
+    """Those rows of the summary that are about the whole journey of a single plan without remedies, in the order
+    of the run."""
+    chosen = (summary["scope"] == ONE_PLAN) & (summary["leg"] == WHOLE_WAY) & (summary["remedy"] == AS_IS)
     return summary[chosen].reset_index(drop=True)
 
 

@@ -19,7 +19,7 @@ from petmjx.runs.confidence import write_confidence
 from petmjx.runs.study import FinishedWorld, Study
 from petmjx.runs.sweep_design import sweep_identity
 from petmjx.runs.sweep_file import Sweep
-from petmjx.runs.sweep_run import Answer, Batching, SweepRun, Tally
+from petmjx.runs.sweep_run import Batching, SweepRun, Tally
 from petmjx.runs.sweep_summary import (
     ShareColumns,
     SweepColumns,
@@ -97,7 +97,7 @@ class SweepStudy(Study):
         yield from SweepRun(
             self._plan,
             engine,
-            on_answer=self._take_answer,
+            on_answer=lambda answer: self._answers.append(search_row(answer, self._columns)),
             values_of=self._columns.of,
             recorded=recorded,
             recording=recording,
@@ -105,9 +105,6 @@ class SweepStudy(Study):
             batching=self._batching,
             tally=self._tally,
         ).worlds()
-
-    def _take_answer(self, answer: Answer) -> None:
-        self._answers.append(search_row(answer, self._columns))
 
     def values(self, world: FinishedWorld) -> Mapping[str, Any]:
         return self._columns.of(world)

@@ -346,7 +346,7 @@ class SweepPlan(Design):
         filmed = float(sim.wrap.holds or "wrap_turns" in self.sweep.axes)
         if self.sweep.legs:
             legs = [leg for legs in self.ways.values() for leg in legs]
-            drives = [self._leg_steps(leg) for leg in legs]
+            drives = [self._leg_samples(leg) + rest_steps(sim, sim.rest_s) for leg in legs]
             in_film = (steps for leg, steps in zip(legs, drives, strict=True) if leg.wrap_turns)
             filmed = max(filmed, sum(in_film) / max(sum(drives), 1.0))
         n_legs = len(drives) / len(self.ways) if self.sweep.legs else 1
@@ -361,10 +361,6 @@ class SweepPlan(Design):
             filmed=filmed,
             **statics_of(self.plans)._asdict(),
         )
-
-    def _leg_steps(self, leg: LegSpec) -> float:
-        """Expected number of steps of a leg after which the pallet still stands."""
-        return self._leg_samples(leg) + rest_steps(self.sweep.simulation, self.sweep.simulation.rest_s)
 
     @property
     def amount(self) -> str:
