@@ -1,10 +1,8 @@
 """Compares the answers of criteria with the verdicts of a simulation, and finds the threshold with which a criterion
-agrees best with the simulation.
+agrees best with the simulation. A criterion accepts a plan if all boxes of the plan are stable.
 
-A criterion accepts a plan if all boxes of the plan are stable. *Precision* is the share of accepted plans that stand.
-*Recall* is the share of standing plans that are accepted. Matthews' correlation coefficient (MCC; Matthews 1975,
-Biochimica et Biophysica Acta 405, 442-451) takes both kinds of error into account. MCC is 1 if all answers are right,
-and 0 if the answers are no better than chance.
+docs/criteria.md defines precision, recall and Matthews' correlation coefficient (MCC; Matthews 1975, Biochimica et
+Biophysica Acta 405, 442-451).
 """
 
 from __future__ import annotations

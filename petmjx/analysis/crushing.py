@@ -1,12 +1,6 @@
-"""Determines whether the force on the top of a box crushes the box: surely, possibly, or not. Both the force at rest
-and the peak of the force can crush a box. This module also computes the share of pallets that arrive without crushed
-boxes at the end of a transport chain.
-
-The strength of a box is not known exactly: the losses through stacking, moisture and time have a spread. The force at
-rest is not known exactly either: if a box has several supports, statics does not determine how they share the load. So
-a box is *surely* overloaded if the smallest possible force exceeds the largest possible strength. A box is *possibly*
-overloaded if the largest possible force exceeds the smallest possible strength. docs/loads.md explains crushing to
-users.
+"""Determines whether the force on the top of a box crushes the box: surely, possibly, or not (docs/loads.md). Both the
+force at rest and the peak of the force can crush a box. This module also computes the share of pallets that arrive
+without crushed boxes at the end of a transport chain.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
 """A rating of packers by physics: the share of all ordered boxes that are part of a plan that stands.
 
-The rating has the same form as that of the benchmark BED-BPP (docs/kpis.md), but uses petmjx's verdict. All boxes of an
-order are lost if the order has no plan, or if the plan falls or has an invalid simulation. Boxes that a plan leaves out
-are lost, too. So neither risky plans nor plans that leave out many boxes give a packer a good rating. A box of a plan
-counts only if it was ordered and has the ordered size and mass, and each ordered box counts at most once. If orders are
-given, the rating of a packer depends only on its own plans and on the orders.
+The rating has the same form as that of the benchmark BED-BPP (docs/kpis.md), but uses petmjx's verdict. docs/packers.md
+states which boxes and which orders count.
 """
 
 from __future__ import annotations

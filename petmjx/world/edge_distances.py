@@ -1,10 +1,5 @@
 """Distances of boxes' loads from the edges of their supports, for complete plans and for plans while they are built.
-
-A support of a box is a body that touches the box's base from below. The load of a box is its own weight plus the weight
-that rests on it. A load is inside the edges if it acts within the convex hull of the supports. If supports share loads
-like springs, a load may be beyond an edge although other shares would keep all loads inside. So petmjx searches for
-shares that keep all loads inside (petmjx.world.balance_programme). A load counts as beyond an edge only if vertical
-forces cannot balance the boxes.
+docs/metrics.md, section "Edges", explains the distances.
 
 A box that holds down other boxes may be placed too late, when these have already fallen. So a plan may fall while it is
 built, although all loads of the complete plan are inside. Therefore, the load of every box is checked after each

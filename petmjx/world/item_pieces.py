@@ -1,16 +1,12 @@
 """Items of a plan whose bodies consist of several pieces: interlayer sheets, and pallets among the boxes.
 
-**Sheets.** A sheet of cardboard or paper between two layers is an item of the plan, like a box. A rigid plate would
-carry a box over a hole in the layer below, but a real sheet does not. So a sheet carries load only above the bodies
-that lie under it in the plan. The sheet's body has one shape for each area that lies on a box or a board, or up to a
-centimetre above one. The body has no shape over gaps. All shapes of a body move together: like a real sheet, the body
-ties the boxes of a layer together by friction. Unlike a real sheet, the body does not sag or tear. A sheet under which
-nothing lies has a single shape.
+**Sheets** (docs/boxes-that-give.md). A rigid plate would carry a box over a hole in the layer below, but a real sheet
+does not. So a sheet's body has one shape for each area that lies on a box or a board, or up to a centimetre above one,
+and no shape over gaps. A sheet under which nothing lies has a single shape.
 
-**Pallets.** A pallet that stands on a trailer's floor, on a rack or on another load is an item of the plan, too. The
-item's kind is the name of a pallet type, as for a carrier. The item's body has one shape per board, so that it slides,
-tips and carries load as the real pallet does. The mass that the plan gives for the item is divided among the boards by
-volume.
+**Pallets** (docs/carriers.md). The item's kind is the name of a pallet type, as for a carrier. The item's body has one
+shape per board, so that it slides, tips and carries load as the real pallet does. The mass that the plan gives for the
+item is divided among the boards by volume.
 """
 
 from __future__ import annotations

@@ -1,15 +1,10 @@
 """Places at which boxes are released, so that they are at rest on their supports and overlap no other box.
+docs/rules.md, section 4, states the places.
 
-Contacts are soft. Under its present loads, a pile has sunk by up to some tenths of a millimetre. The contacts below a
-box are a tenth of a millimetre deep once they carry the box. A box released at its planned place would fall by the
-distance that the pile has sunk plus the depth of the contacts, land at centimetres per second, and might rock on an
-edge below it. So a box is released as deep in its support as its weight will press it. The box is also released lower
-by the distance by which the support has sunk.
-
-If places and sizes have errors, boxes may overlap when they appear. Contacts would throw overlapping boxes apart. The
-stiffer the contacts and the shorter the timestep, the faster overlapping boxes would be thrown apart. Whether the
-pallet stands would then depend on numbers that are not properties of boxes. So overlapping boxes are first moved apart
-horizontally, by the smallest possible translations.
+If places and sizes have errors, boxes may overlap when they appear. Contacts would throw overlapping boxes apart, the
+faster the stiffer the contacts and the shorter the timestep are. Whether the pallet stands would then depend on numbers
+that are not properties of boxes. So overlapping boxes are first moved apart horizontally, by the smallest possible
+translations.
 """
 
 from __future__ import annotations
