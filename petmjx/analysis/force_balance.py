@@ -15,7 +15,7 @@ save time without changing the result:
 - Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes.
   Friction can help, for example if another box lies across a box and its neighbour, and so holds the box. If friction
   is considered, the slack is the larger one of the slack without friction and the slack with friction.
-- For a structure of one box, a closed form gives the slack without a linear programme.
+- For a structure of one box, a closed form (``_slack_alone``) gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
 friction. ``lean`` is off by default, because two sides that could press on each other need not do so.
@@ -266,7 +266,12 @@ class _Structures:
 
 
 def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) slack of each box with nothing on its top, for vertical forces alone."""
+    """(n,) slack of each box with nothing on its top, for vertical forces alone.
+
+    Take the ray that starts in the middle of the corners of the box's contact areas, passes through the box's centre of
+    mass and ends at the edge of the corners' convex hull. The slack is 1 minus the position of the centre of mass on
+    this ray, where 0 is the start of the ray and 1 is the end.
+    """
     n = contacts.n_boxes
     middle = np.full((n, 2), np.nan)
     count = np.maximum(contacts.n_supports, 1)
