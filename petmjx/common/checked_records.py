@@ -168,7 +168,8 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
             if name not in fields:
                 raise complaint(f": unknown field; {hint(str(name), fields)}", str(name))
         for name, value in values.items():
-            converts = any(isinstance(entry, BeforeValidator) for entry in fields[name].metadata)
+            # text may be a name, such as "+x" for a direction, which a validator of the field converts
+            converts = isinstance(value, str) and any(isinstance(e, BeforeValidator) for e in fields[name].metadata)
             expected = "" if converts else _lax(fields[name].annotation, value)
             if expected:
                 raise complaint(f"{expected}, {shown_value(value)}", str(name))
