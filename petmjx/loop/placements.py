@@ -100,7 +100,7 @@ def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
     except Exception:  # converting an object of an unknown class may raise anything
         values = np.empty(0, dtype=object)
     if values.ndim != 1 or (values.dtype.kind not in "iu" and values.size):
-        raise InputError(f"{name} must be whole numbers of pallets, {shown_value(pallet)}")
+        raise InputError(f"{name} must be whole numbers (indices of pallets), {shown_value(pallet)}")
     wrong = values[(values < 0) | (values >= n)] if values.size else values
     if wrong.size:
         range_text = "there is pallet 0 alone" if n == 1 else f"there are pallets 0 to {n - 1}"

@@ -254,7 +254,7 @@ def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[st
     if other := next((name for name in run if name not in OF_RUN), None):
         raise InputError(f"{other}: a packer has no such option; the run options that it has are {', '.join(OF_RUN)}")
     if "confidence" in sure:
-        raise InputError("confidence: a packer has the option worlds instead, the number of worlds with errors")
+        raise InputError("confidence: a packer has no such option; set worlds, the number of worlds with errors")
     if "exact_too" in sure:
         raise InputError("exact_too is an option of scores with confidence, not of packers; leave it out")
     packer_options = PhysicalOptions(**of_packer)

@@ -173,8 +173,8 @@ class TimeLimit:
 
 
 class Together(NamedTuple):
-    """Parts of a search that run side by side. The search goes on when all of them have ended, and is sent the list of
-    their results."""
+    """Parts of a search that run side by side. The search goes on when all these parts have ended, and is sent the list
+    of the parts' results."""
 
     parts: Sequence[Steps[Any]]
 
@@ -206,7 +206,7 @@ class Question:
                 f"{other}: a repair has no such option; the run options that it has are {', '.join(OF_RUN)}"
             )
         if other := next((name for name in sure if name != "errors"), None):
-            raise InputError(f"{other}: a repair has the option worlds instead, the number of worlds with errors")
+            raise InputError(f"{other}: a repair has no such option; set worlds, the number of worlds with errors")
         if "errors" in sure and not options.worlds:
             raise InputError("errors needs worlds > 0")
         self.sim, run = Simulation(**of_simulation), RunOptions(**of_run)

@@ -373,7 +373,7 @@ def test_without_worlds_only_exact_placement_counts() -> None:
         ({"clearances_mm": []}, "clearances_mm must be 1 to 16 different numbers"),
         ({"clearances_mm": [-1]}, "clearances_mm must be from 0 to 200 mm"),
         ({"maximise": "height"}, "maximise must be 'utilisation' or 'share'"),
-        ({"confidence": 8}, "confidence: a packer has the option worlds"),
+        ({"confidence": 8}, "confidence: a packer has no such option; set worlds"),
         ({"out": "x"}, "out: a packer has no such option"),
         ({"worlds": 0, "errors": "confidence"}, "errors needs worlds > 0"),
         ({"worlds": 0, "maximise": "share"}, "maximise share needs worlds > 0"),

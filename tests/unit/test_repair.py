@@ -816,7 +816,7 @@ def test_notes_are_those_of_a_score() -> None:
         ({"level": 0.5}, "level needs a profile"),
         ({"profile": "eumos"}, "eumos"),
         ({"out": "x"}, "out: a repair has no such option"),
-        ({"confidence": 8}, "confidence: a repair has the option worlds"),
+        ({"confidence": 8}, "confidence: a repair has no such option; set worlds"),
         ({"most_move": 8}, "unknown option most_move"),
         ({"worlds": 0, "errors": Path("x.toml")}, "errors needs worlds"),
     ],
