@@ -261,12 +261,14 @@ def _rows_of_spread(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
 
 
 def _row_of_faces(measures: Mapping[str, Any], contacts: str, engine: str, note: str = "") -> Row:
-    """Share of runs with such starts that end with the camera's face up, and with equal faces up."""
+    """How often runs of a toss with uncertain starts end with the filmed face up, and how often two of these runs end
+    with the same face up."""
     measured, runs_agree = measures["same_face_as_measured"], measures["same_face_between_runs"]
     return Row(
-        f"agreement of runs with uncertain starts on the face that is up, {contacts}", _CUBE,
-        f"the filmed face is up in {percent(measured)} of runs",
-        f"two runs agree in {percent(runs_agree)} of pairs", percent(runs_agree - measured), engine, note,
+        f"runs of a toss with uncertain starts, {contacts}: which face is up at the end", _CUBE,
+        f"the filmed face in {percent(measured)} of runs",
+        f"the same face in both runs in {percent(runs_agree)} of pairs of runs", percent(runs_agree - measured),
+        engine, note,
     )  # fmt: skip
 
 
