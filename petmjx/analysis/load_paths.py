@@ -15,8 +15,8 @@ has another rule for how a box distributes its weight and the load on it over it
 
 - **lever rule** (the stacking tree): forces at the middles of the contact areas. Source: Zhao, Zhu, Xu, Huang, Xu
   (2022), "Learning practically feasible policies for online 3D bin packing", Science China Information Sciences 65,
-  arXiv 2108.13680. If the load acts beyond the middle of the outermost contact area, the rule gives a negative force on
-  another support.
+  arXiv 2108.13680. If the load acts beyond the middle of the outermost contact area, the lever rule gives a negative
+  force on another support.
 - **even bedding** (mechanical equilibrium): a pressure that is a linear function of x and y. Source of the criterion:
   Ramos, Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability
   constraints", Transportation Research Part B 91, 565-581. The even bedding is petmjx's choice.

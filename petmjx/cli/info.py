@@ -24,7 +24,8 @@ def info(
         typer.Option(
             "--write-as",
             metavar="FILE.toml",
-            help="Write down how the file is read. With --as FILE.toml it is then read without a guess.",
+            help="Write down how the file is read (columns, units, axes). With --as FILE.toml, the file is then read "
+            "without guesses.",
         ),
     ] = None,
     html: Annotated[

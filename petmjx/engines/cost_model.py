@@ -85,8 +85,8 @@ FALL_BOXES = 7
 
 STATIC_FALL_BOXES = 12
 """A fall in a static check of n boxes costs n / ``STATIC_FALL_BOXES`` times as much as a fall while boxes are placed
-one by one, since all boxes may fall. Plans of 24 boxes took 1 to 1.4 times as long as when placed one by one, and
-generated plans of 41 boxes 1.6 to 5 times as long."""
+one by one, since all boxes may fall. Static checks of plans of 24 boxes took 1 to 1.4 times as long as
+placing the boxes one by one, and those of generated plans of 41 boxes 1.6 to 5 times as long."""
 
 LOST = 0.3
 """Steps and cost of a fall in a placement with errors, relative to a fall without errors. A world with errors ends when
@@ -397,8 +397,8 @@ class Costs:
         mujoco, kernel: costs of ``mujoco`` and of ``mjx-warp-cpu`` on one CPU thread.
         kernel_start_s: time to start ``mjx-warp-cpu``, including compilation, s.
         kernel_load_s: as ``kernel_start_s``, with a kernel from an earlier run.
-        jax_step_s: time of a step of one world on ``mjx-jax`` on a CPU, s per box²; 57 steps/s with 40 boxes on two
-            cores.
+        jax_step_s: time of a step of one world of n boxes on ``mjx-jax`` on a CPU, divided by n², s. On two cores, a
+            world of 40 boxes takes 57 steps per second.
         gpu_step_s: time of a step of ``full_worlds`` worlds on a device, s per box to the power ``WARP_POWER``.
         full_worlds: number of worlds that fill the device.
         tail_worlds: cost of the end of a run, as a number of worlds: the last worlds leave the device nearly idle.

@@ -112,7 +112,8 @@ def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float 
 
 
 def _edge_sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
-    """Whether a load at a stored distance sets the flag. For distances at rest, the limit is ``KNIFE_EDGE_M`` only."""
+    """Whether the load of ``edge`` sets the flag of a world with this verdict. For loads at rest, only the limit
+    ``KNIFE_EDGE_M`` applies."""
     side = None if edge.when == AT_REST else verdict
     return bool(sets_flag(np.array([edge.edge_m]), side, rounding_m=_ROUNDING_M)[0])
 

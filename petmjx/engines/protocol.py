@@ -198,8 +198,9 @@ class Engine(MinimalEngine, Protocol):
         return getattr(self.run, "takes_stream", False)
 
     def beginnings(self, scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
-        """For each scene of n boxes, n + 1 keys. Worlds with the same key k are the same to the last bit until their
-        box k is placed, so they can start from the same state (``Job.pauses_after``).
+        """For each scene of n boxes, the keys 0 to n of its world. Key k stands for the carrier and the first k boxes.
+        If two worlds have the same key k, they are the same to the last bit until the next box is placed. So they can
+        start from the same state (``Job.pauses_after``).
 
         Raises:
             InputError: this engine does not have ``Capability.PAUSES``.

@@ -160,7 +160,8 @@ def with_box(
     load = mass_kg * jnp.stack([jnp.float32(1.0), x, y])
     loads = statics.load + jnp.einsum("bxy,y->bx", passed, load, precision=_EXACT)
     planes = hull_planes(contacts)[0]
-    offset = planes[:, 0] - planes[:, 1] * x - planes[:, 2] * y  # the offset is relative to the origin
+    # ``planes`` measures x and y from the middle of the box's base; ``offset`` belongs to x and y from the origin
+    offset = planes[:, 0] - planes[:, 1] * x - planes[:, 2] * y
     is_edge = planes[:, 0] > _NO_EDGE
     planes = jnp.stack([jnp.where(is_edge, offset, _NO_EDGE), planes[:, 1], planes[:, 2]], axis=1)
     is_in = row < len(statics.load)

@@ -4,10 +4,10 @@ doubt.
 The bearing of a box is the convex hull of its contacts with the boxes below it; for a box on the carrier, the bearing
 is the whole carrier. Loads are passed from box to box by the pressure plane of ``petmjx.packers.pile_balance`` (a
 pressure that is a linear function of x and y). Rigid boxes stand if any forces exist that balance them (the safe
-theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid blocks", Int. J. for Numerical
-Methods in Engineering 12, 1853–1871). So on a pallet that rests at its planned places, a box stands beyond doubt under
-two conditions. First, the weight of the new box, and the loads of all boxes that carry it, must act well inside the
-boxes' bearings. Second, no other load on the pallet may be near the edge of a bearing.
+theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid blocks", International Journal
+for Numerical Methods in Engineering 12, 1853–1871). So on a pallet that rests at its planned places, a box stands
+beyond doubt under two conditions. First, the weight of the new box, and the loads of all boxes that carry it, must act
+well inside the boxes' bearings. Second, no other load on the pallet may be near the edge of a bearing.
 
 A box falls beyond doubt if its weight acts well outside its bearing, and no body is near enough to catch the box before
 it has turned too far. Neighbours could hold the falling box only by friction. The friction at the neighbours is
@@ -399,8 +399,9 @@ class _Rests:
         """(r,) whether some body may catch each box before it has turned too far.
 
         When a box has turned by an angle, its middle has moved down by ``turns.outside`` times the sine of the angle,
-        and sideways by half of the box's height times the sine. The sideways motion alone is not sufficient for a lost
-        box, because the edge about which the box turns may slide.
+        and sideways by half of the box's height times the sine. Before a box has turned by ``TURN_DEG``, it is lost
+        only if both motions reach ``GONE_MM``. The sideways motion alone does not count, because the edge about which
+        the box turns may slide.
 
         Args:
             least: as in ``_turn_straight``.
@@ -452,7 +453,8 @@ class _Rests:
         sign = np.sign(towards.sum(axis=1))[:, None]
 
         def along(values: FloatArray) -> FloatArray:
-            """Coordinates along the direction in which the box turns (x or y), measured from the edge."""
+            """Distances of points from the edge about which the box turns, along x or y, positive on the side to which
+            the box falls."""
             return np.asarray(np.where(on_x, values[..., :1], values[..., 1:2])[..., 0] * sign - edge[:, None])
 
         def across(values: FloatArray) -> FloatArray:

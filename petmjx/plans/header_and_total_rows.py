@@ -34,11 +34,12 @@ def count_known_names(cells: Sequence[Any]) -> int:
 
 
 _LEAST_IN_ROWS: Final = 6
-"""A table has its names in the first column if at least this number of them is known, and more than in any row."""
+"""Smallest number of known column names in the first column of a table whose column names are in the first column. No
+row of such a table has as many known names as the first column."""
 
 
 def names_in_rows(rows: Sequence[tuple[Any, ...]]) -> bool:
-    """Whether the names are in the first column, so that each further column is a box."""
+    """Whether the column names are in the first column, so that each further column is a box."""
     n_known = count_known_names([row[0] if row else None for row in rows[:MOST_COLUMNS]])
     return n_known >= _LEAST_IN_ROWS and n_known > max(map(count_known_names, rows[:SEARCHED_ROWS]))
 

@@ -39,8 +39,8 @@ class NestedBox:
     Attributes:
         value: the object.
         place: its path in the file: "containers[0].boxes[3]".
-        around: (step, object) pairs for the objects that contain this object, outermost first. A step is the field's
-            name or the object's number.
+        around: the objects that contain this object, outermost first. Each is a pair: the last part of the containing
+            object's path, such as "containers[0]", and the containing object.
     """
 
     value: Mapping[str, Any]

@@ -277,9 +277,8 @@ def _properties_of(items: tuple[Item, ...], sizes: FloatArray) -> FloatArray:
 def _as_rows(
     stiff: FloatArray, sheets: NDArray[np.bool_], extents: FloatArray, com_mm: FloatArray, sizes: FloatArray
 ) -> FloatArray:
-    """Properties as rows of numbers. Equal boxes have equal rows in any orientation, because sides are sorted if the
-    centre of mass is in the middle.
-    """
+    """(n, 8) the properties of n boxes, as in ``_properties``. If the centre of mass of a box is in the middle, the
+    sizes are sorted, so that equal boxes have equal rows in any orientation."""
     off = com_mm.any(axis=1, keepdims=True)
     return np.column_stack([stiff, sheets, np.where(off, extents, sizes), com_mm])
 

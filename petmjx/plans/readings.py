@@ -67,7 +67,8 @@ class Evidence:
     side_mm: float = math.nan
 
     def of_units(self) -> str:
-        """A description of the boxes in the units of a reading."""
+        """The typical size and density that the boxes have in the units of the reading, in words. The user can thus
+        tell whether the units are right."""
         density = "" if math.isnan(self.density_kg_m3) else f", {three_digits(self.density_kg_m3)} kg/m³"
         return f"boxes with sides of about {three_digits(self.side_mm)} mm{density}"
 

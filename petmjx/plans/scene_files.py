@@ -144,7 +144,7 @@ class _Scene:
                 raise InputError(f"has more than {MOST_ROWS:,} boxes")
 
     def source(self, form: Any) -> BoxSource:
-        """The boxes as a list.
+        """The boxes that were collected, with notes about the meshes that were left out.
 
         Raises:
             InputError: the scene has no boxes.

@@ -32,10 +32,10 @@ SAFE_MM: Final = 12.0
 standard deviation of 3 mm (docs/confidence.md). ``SAFE_MM`` is four standard deviations."""
 
 ROOM_MM: Final = 8.0
-"""A box has room between two others if the gap between them is larger than the box by at least this. The errors of
-their places and sizes are 3 mm together. Without room, the box lands on one of the two. Of 24 generated plans that
-stand without errors, 8 fall in some worlds with errors. In 7 of these 8 plans, and in none of the others, a box has at
-most 4 mm of room."""
+"""A box that is lowered between two neighbours has enough room if the gap between the neighbours is larger than the box
+by at least this length. The errors of the boxes' places and sizes are 3 mm together. If the gap is too narrow, the box
+lands on top of a neighbour. Of 24 generated plans that stand without errors, 8 fall in some worlds with errors. In 7 of
+these 8 plans, and in none of the others, a box has at most 4 mm of room."""
 
 PERHAPS: Final = 0.5
 """Weight of a load that is beyond an edge under one sharing of loads, but possibly inside under another."""

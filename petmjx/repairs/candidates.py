@@ -284,8 +284,9 @@ class Candidates:
         return [k for _, k in sorted(ranks, key=lambda rank: rank[0])]
 
     def _risks(self, states: Sequence[State]) -> list[tuple[int, int]]:
-        """Two values for each changed plan: its weakness plus its trouble (``Balance``), in steps of ``SAME_WEAKNESS``;
-        and its cost, in steps of ``SAME_COST``."""
+        """Two numbers for each changed plan, by which plans are compared. The first is its weakness plus its trouble
+        (``Balance``), divided by ``SAME_WEAKNESS`` and rounded. The second is its cost, divided by ``SAME_COST`` and
+        rounded down. So plans that differ little count as equal."""
         some = balances([state.draft for state in states], self.sim)
         return [
             (round((balance.weakness + balance.trouble) / SAME_WEAKNESS), math.floor(state.cost / SAME_COST))

@@ -337,7 +337,13 @@ def _first(search: Search) -> State | None:
 
 
 def _repaired_by(search: Search, state: State | None, before: Share | None, after: Share | None) -> Repaired:
-    """The result of a search with one of its repairs, and the shares before and after it."""
+    """The result of a search with one of its repairs.
+
+    Args:
+        state: the repair; None: no repair.
+        before, after: shares of worlds with errors in which the plan stands before and after the repair; None: not
+            simulated.
+    """
     assert search.before is not None
     return Repaired(
         before=search.plan,

@@ -52,7 +52,8 @@ def read_in_process(plans: PlanSource | None, sim: Simulation, options: RunOptio
 
 
 def _suits_a_process(plans: PlanSource | None, options: RunOptions) -> bool:
-    """Whether ``plans`` are large files, and this process starts a GPU meanwhile."""
+    """Whether another process should read the plans: ``plans`` are large files, and this process may start a GPU while
+    they are read."""
     sources = plans if isinstance(plans, list | tuple) else [plans]
     if not all(isinstance(source, str | PathLike) for source in sources) or not may_use_gpu(options, plans):
         return False

@@ -47,7 +47,8 @@ class Batching:
         worlds: largest number of variants that start from stored states at the same time. If a single placement has
             more variants than this, all of them start together.
         drives: for searches and chains, largest number of simulations that start from stored states in one call of the
-            engine. For this limit, a search counts the first tests of all its items, and a chain counts all worlds.
+            engine. For this limit, a search counts the first tests of all its items (pairs of a profile and a
+            direction), and a chain counts all worlds.
         histories: largest number of settled states that are stored with their histories. A history with 43 boxes takes
             1 MB.
     """
@@ -149,7 +150,8 @@ class SweepRun:
 
     def worlds(self) -> Iterator[FinishedWorld]:
         """Simulate all missing worlds. Yields each world when its outcome is final, in any order."""
-        # The check pool is started while boxes are placed, because many drives may end soon after they begin.
+        # The check pool takes seconds to start, and is needed soon after the first drives begin. So it is started
+        # before the first boxes are placed.
         is_counted = self.plan.sweep.search is None
         self._check_pool = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if is_counted else None
         try:

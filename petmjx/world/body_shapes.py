@@ -149,9 +149,9 @@ class Room:
     """The space between the walls of one or several carriers.
 
     Attributes:
-        face: (…, 2, 2) coordinates of the walls' inner faces, m; infinite if there is no wall. Axis −2 is the low and
-            the high end, axis −1 is x and y.
-        top: (…, 2, 2) heights of the walls' tops, m.
+        face: (…, 2, 2) x or y of the inner face of each of the four walls of a carrier, m; infinite if there is no
+            wall. Axis −2: the wall at the low end, the wall at the high end. Axis −1: along x, along y.
+        top: (…, 2, 2) z of the upper edge of each wall, m, with the same axes.
     """
 
     face: FloatArray

@@ -115,11 +115,11 @@ kinetic friction. Between the two speeds, friction falls linearly, so that it do
 at rest are far slower (``petmjx.Quiet``)."""
 
 RELAXATION: Final = 0.8
-"""Share of the change of an excess e (see the module's docstring) that one iteration applies. Let p be μ² × (inverse
-mass along the tangent) / (inverse mass along the normal). If the whole change were applied, the iteration would
-converge only if p is below 1. For tall boxes with friction above 0.5, p is larger than 1. With the share
-``RELAXATION``, the iteration also converges for p up to 1.5, and otherwise takes hardly more rounds than with the whole
-change."""
+"""Relaxation factor: the share of the change of an excess e (see the module's docstring) that one iteration applies.
+Let p be μ² × (inverse mass along the tangent) / (inverse mass along the normal). If the whole change were applied, the
+iteration would converge only if p is below 1. For tall boxes with friction above 0.5, p is larger than 1. With the
+factor ``RELAXATION``, the iteration also converges for p up to 1.5, and otherwise takes hardly more rounds than with
+the whole change."""
 
 ENOUGH_M_S2: Final = 0.1
 """The iteration ends when no reference acceleration along a normal changes by more than this value, m/s²: a hundredth
@@ -133,9 +133,9 @@ is still 1 m/s² after twenty iterations."""
 
 
 FIRST_SHARE: Final = 1.1
-"""Share of the change of an excess that the first iteration of a step applies, if ``next_share`` chooses the shares of
-later iterations. With this value, bricks that slide and tip need 2.4 calls of the solver per step; with 0.8, 2.6 calls;
-with the constant share ``RELAXATION``, 3.1 calls."""
+"""Relaxation factor of the first iteration of a step, if ``next_share`` chooses the factors of later iterations: the
+iteration changes an excess by this multiple of the computed change. With this value, bricks that slide and tip need 2.4
+calls of the solver per step; with 0.8, 2.6 calls; with the constant factor ``RELAXATION``, 3.1 calls."""
 
 LEAST_M_S2: Final = ENOUGH_M_S2 / 10
 """Smallest change of an excess from which the next iteration's share is estimated, m/s². Smaller changes are within the
@@ -160,10 +160,11 @@ def kinetic_share(physics: Physics) -> float:
 
 
 def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> FloatArray:
-    """(k,) share of the change of each contact's excess e (see the module's docstring) that the next iteration applies.
+    """(k,) relaxation factor of the next iteration for each contact: the share of the change of the contact's excess e
+    (see the module's docstring) that the iteration applies.
 
-    The share is the one with which the last iteration would have left no change, provided that the change is a linear
-    function of the excess (Aitken's delta-squared process).
+    With this factor, the last iteration would have left no change, provided that the change is a linear function of the
+    excess (Aitken's delta-squared process).
 
     Args:
         share: (k,) share of the change that the last iteration applied.
@@ -184,10 +185,10 @@ FAST_M_S: Final = 0.1
 
 AT_REST: Final = 2.0
 """Depth of contacts at the end of a landing, as a multiple of ``solimp``'s width. The depth of contacts at rest is 1.3
-times the width. Contacts still push a little while a box rises out of them, so a landing ends with a deeper contact.
-With this value, the restitution of boxes that fall 10 mm differs by at most 0.03 from the restitution that was set (0.1
-to 0.3), at whatever moment of a timestep the boxes land. With a restitution of 0.1, a box that fell 10 mm rises by a
-tenth of a millimetre."""
+times the width. At the end of a landing, contacts are deeper than at rest, since they still push a little while the box
+rises out of them. With this value, the restitution of boxes that fall 10 mm differs by at most 0.03 from the
+restitution that was set (0.1 to 0.3), at whatever moment of a timestep the boxes land. With a restitution of 0.1, a box
+that fell 10 mm rises by a tenth of a millimetre."""
 
 _LONGER: Final = 2.0
 """Duration of a landing as a multiple of ``landing_s``. The multiple exceeds 1, since a second corner of the box may

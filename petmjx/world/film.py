@@ -87,7 +87,8 @@ def _film(scene: Scene) -> Film:
 
 
 def _hat(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(n,) each box's share of the top area on which no box stands. The share is 0 if another box stands on the box."""
+    """(n,) area of each box's top as a share of the area of all tops on which no box stands; 0 for a box on which
+    another box stands."""
     over = (low[:, None, :2] < high[None, :, :2]) & (high[:, None, :2] > low[None, :, :2])
     is_under = (over.all(axis=2) & (low[None, :, 2] >= high[:, None, 2] - 1e-3)).any(axis=1)
     area = np.where(is_under, 0.0, (high - low)[:, :2].prod(axis=1))

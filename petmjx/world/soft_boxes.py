@@ -154,7 +154,8 @@ def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_
     kappa = _mujocos_share() * stiffness_n_m / (mass * _network_kg(*half_size.tolist()))
     impedance, rate = IMPEDANCE, min(kappa * (1 - IMPEDANCE) / IMPEDANCE**2, most)
     if rate == most:
-        impedance = min(2 / (1 + (1 + 4 * most / kappa) ** 0.5), MOST_IMPEDANCE)  # this solves κ = d²k / (1 − d) for d
+        # this impedance solves kappa = most · impedance² / (1 − impedance)
+        impedance = min(2 / (1 + (1 + 4 * most / kappa) ** 0.5), MOST_IMPEDANCE)
     return EdgeLaw((-rate, -2 * rate**0.5), (impedance, impedance, 0.001))
 
 

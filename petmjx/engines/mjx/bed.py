@@ -31,7 +31,7 @@ _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 
 
 class Faces(NamedTuple):
-    """The geoms of a world, with their values for beds. The floor comes first.
+    """The values of a world's geoms from which beds of springs are computed. Geom 0 is the floor.
 
     Attributes:
         give: area divided by twice the stiffness, m³/N.

@@ -53,7 +53,7 @@ positions to 0.05 mm."""
 
 def padded_template(capacity: int, boards: int, sim: Simulation, *, held: bool) -> mujoco.MjModel:
     """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes. The template's sizes are
-    nominal; overrides replace them.
+    placeholders: in each world, the model fields of ``override_fields`` replace them.
 
     Args:
         boards: number of shapes of the carrier; with 0, nothing touches the carrier.

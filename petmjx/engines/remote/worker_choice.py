@@ -57,8 +57,8 @@ class WorkerStartup:
             self._decided.set()
 
     def give_up(self) -> None:
-        """End the started cluster and pool. Returns at once. If the process ends now, it waits until the start is
-        over."""
+        """Close the cluster and the pool as soon as they have started, in the thread that starts them. Returns at once.
+        If this process ends before they are closed, it waits for that thread, at most ``END_S`` seconds."""
         self._decided.set()
 
     def _live(self) -> None:

@@ -36,15 +36,16 @@ less than a time slice. With 512 jobs, the CPU needed more time between two slic
 
 REFILL_SHARE: Final = 2
 """New jobs join a table only while ``MOST_JOINING`` rows are free, or one in ``REFILL_SHARE`` rows of a smaller table,
-so that many jobs join together. Jobs that follow from outcomes join at once."""
+so that many jobs join together. Jobs that follow from outcomes, such as the drives that start from a settled placement,
+join at once."""
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
 """Number of jobs that one call of a compiled program writes into a table: ``JOIN_ROWS`` in general, ``FEEDBACK_ROWS``
 for jobs that follow from outcomes."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
-"""Largest memory for the profiles (motions of the carrier) of jobs that follow, bytes. This memory has room for 7,000
-different profiles of 20 s. Further worlds wait until the row of a profile is free."""
+"""Largest memory for the profiles (motions of the carrier) of the drives that follow from settled placements, bytes.
+This memory has room for 7,000 different profiles of 20 s. Further worlds wait until the row of a profile is free."""
 
 _SAMPLE_BYTES: Final = 3 * 4
 

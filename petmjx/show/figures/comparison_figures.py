@@ -59,7 +59,8 @@ def draw_packers(comparison: PackerComparison) -> Any:
 
 
 def _percent_of(rows: Sequence[Mapping[Any, Any]], value: str) -> list[list[float]]:
-    """The values and the low and high ends of the intervals in rows, each in per cent."""
+    """Three lists with one number per row, in per cent: the values in the column ``value``, the low ends of their
+    intervals, and the high ends of their intervals."""
     return [[100 * row[name] for row in rows] for name in (value, "low", "high")]
 
 

@@ -92,10 +92,13 @@ class Sample:
     def refusal(self) -> str:
         """Why the entry is not rated, in one line; "" if it is rated.
 
-        One different verdict refutes the run if the sample is ``exact`` and the replay is not near a threshold. If the
-        sample is not ``exact``, at least two different verdicts that are not near a threshold are needed. If all
-        different verdicts are near a threshold, they refute the run only if there are at least two of them, and if they
-        are more than half of the replays.
+        The entry is not rated if its run has a ``fault``, or if replays refute the run. Replays refute the run in three
+        cases:
+
+        - The sample is ``exact``, and one replay that is not near a threshold has another verdict than the run.
+        - Two replays that are not near a threshold have other verdicts than the run.
+        - At least two replays, near a threshold or not, have other verdicts than the run, and they are more than half
+          of the replays.
         """
         differing = [replay for replay in self.replays if replay.differs]
         firm = [replay for replay in differing if not replay.near]

@@ -76,7 +76,8 @@ def spring_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int) -> 
 
 @wp.func
 def spring_law(model: Ref[Model], spring: float, inverse_mass: float) -> wp.vec3:
-    """Stiffness, damping and impedance of a contact that is a spring at rest."""
+    """Stiffness, damping and impedance with which a contact at rest behaves like a spring of the stiffness ``spring``,
+    N/m."""
     time = model.solref[0]
     ratio = model.solref[1]
     if time > 0.0:

@@ -76,7 +76,8 @@ def _find_components(
     """Find the component of each box: the first of all boxes with which it is joined by contacts. Contacts with the
     carrier do not count.
 
-    Threads may overwrite each other's numbers with larger ones. The next round then finds the smaller ones again.
+    Two threads may write the component of the same box at the same time, and the larger number may remain. This does
+    no harm: the next round finds the smaller number again.
     """
     block = at.block
     for body in range(at.thread, at.placed + 1, at.threads):
@@ -110,8 +111,8 @@ def _find_levels(
     # Data out:
     work: Ref[Workspace],
 ) -> None:
-    """Find each body's distance from the root of its component, counted in contacts between bodies from ``least``
-    on."""
+    """Find each body's level: its distance from the root of its component, counted in contacts. Only contacts between
+    bodies with numbers of at least ``least`` count."""
     block = at.block
     for body in range(at.thread, at.placed + 1, at.threads):
         work.body_level[block, body] = wp.where(work.body_root[block, body] == body, 0, UNREACHED)
@@ -144,7 +145,9 @@ def renew_order(
     state: Ref[State],
     work: Ref[Workspace],
 ) -> None:
-    """Renew the order of bodies from the contacts of this step. Bodies of one level stay in packing order."""
+    """Renew the order of bodies from the contacts of this step. Within a component, bodies are sorted by their level
+    (their distance from the root, counted in contacts); bodies of equal level are in packing order. With more than
+    ``MANY_BOXES`` boxes, the whole order is then reversed."""
     block = at.block
     n = at.placed + 1
     many = at.placed > MANY_BOXES
@@ -155,7 +158,8 @@ def renew_order(
         if not many:
             work.body_component[block, body] = 0
         work.body_root[block, body] = work.body_component[block, body]
-    # The root of a component is its first body, then the body that is farthest from it.
+    # Distances are first counted from the component's first body. The body that is farthest from the first body then
+    # becomes the root.
     _find_levels(worlds, at, npair, least, work)
     for body in range(at.thread, n, at.threads):
         root = work.body_component[block, body]

@@ -79,7 +79,7 @@ def find_jitter(
 
 @wp.func
 def has_jitter(model: Ref[Model], state: Ref[State], looks: int, world: int, box: int) -> bool:
-    """Whether a box trembles. Right after a placement no box counts as trembling, since it is not yet known.
+    """Whether a box trembles. Until a first measurement after a placement is complete, no box counts as trembling.
 
     Args:
         looks: number of looks since the last placement.

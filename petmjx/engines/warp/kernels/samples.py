@@ -30,8 +30,9 @@ stopped. With a limit of 60 m/s², peaks were up to a fifth larger; with 1 m/s²
 
 @wp.func
 def tilt_of(q: wp.vec4) -> float:
-    """Angle between a box's z axis and the world's, degrees. It is computed from half the angle, since float32 resolves
-    this better.
+    """Angle between a box's z axis and the world's z axis, degrees. The angle is computed as
+    twice the half angle, which the quaternion gives directly, since float32 resolves small angles better in this way
+    than from their cosine.
     """
     return wp.degrees(2.0 * wp.atan2(wp.sqrt(q[1] * q[1] + q[2] * q[2]), wp.sqrt(q[0] * q[0] + q[3] * q[3])))
 
