@@ -56,9 +56,11 @@ if importlib.util.find_spec("hypothesis") is not None:
     settings.register_profile("petmjx", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("petmjx")
 
-# Whatever a shell starts in the background ignores Ctrl-C, and so would all that tests start.
+# Whatever a shell starts in the background ignores Ctrl-C, and after nohup also SIGHUP. So would all that tests start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # Programs of tests that make no engine are kept, too: where petmjx keeps its own, for all processes and later runs.
 CACHE = Path(os.environ.get("PETMJX_CACHE_DIR") or Path.home() / ".cache" / "petmjx")
