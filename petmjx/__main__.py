@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NoReturn
 
-from petmjx.common.processes import claim_process, collect_rarely
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
@@ -21,9 +19,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         from petmjx.cli import main as run
     except KeyboardInterrupt:  # Ctrl-C was pressed while modules were being imported
-        print("petmjx: interrupted", file=sys.stderr)
-        return 130
+        return _interrupted()
     return run(arguments)
+
+
+def _interrupted() -> int:
+    print("petmjx: interrupted", file=sys.stderr)
+    return 130
 
 
 def command() -> NoReturn:
@@ -33,9 +35,15 @@ def command() -> NoReturn:
     longer when programs of a GPU were loaded. So the process exits without freeing this memory; functions registered
     with ``atexit`` are still called. The garbage collector searches for cycles only rarely.
     """
-    claim_process()
-    collect_rarely()
-    code = main()
+    try:
+        from petmjx.common.processes import claim_process, collect_rarely
+
+        claim_process()
+        collect_rarely()
+    except KeyboardInterrupt:
+        code = _interrupted()
+    else:
+        code = main()
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):  # the stream has no reader, is closed, or is None

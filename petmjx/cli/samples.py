@@ -11,6 +11,7 @@ import typer
 from petmjx.cli import command_options as opt
 from petmjx.cli.console import print_skipped
 from petmjx.common.argument_checks import integer_of
+from petmjx.common.checked_records import hint
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable, printable_name
@@ -18,7 +19,7 @@ from petmjx.options.run_options import OF_ORDERS, Confidence
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
 from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
-from petmjx.packers.packer_registry import BASELINE
+from petmjx.packers.packer_registry import BASELINE, PACKERS
 from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
 if TYPE_CHECKING:
@@ -138,6 +139,8 @@ def samples(
     if packer == PHYSICAL:
         _write_physical(out, orders, n, seed, workers or cpu_threads(), options, reading)
         return
+    if packer is not None and packer not in PACKERS:
+        raise InputError(f"unknown packer {printable_name(packer)}; {hint(packer, [*PACKERS, PHYSICAL])}")
     if options:
         raise InputError(f"{next(iter(options))} needs the packer {PHYSICAL}")
     errors: list[InputError] = []

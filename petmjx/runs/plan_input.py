@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import pickle
 from os import PathLike
+from pathlib import Path
 from typing import Final
 
 from petmjx.common.machine import cpu_threads, cuda_devices
@@ -42,9 +43,13 @@ def read_input(plans: PlanSource | None, sim: Simulation, options: RunOptions) -
 
 def read_in_process(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> Answer | None:
     """Read the plans in a process. None if this fails: the caller then reads the plans itself, and gets the error."""
+    try:
+        task = pickle.dumps((plans, sim, options))
+    except Exception:  # a user's own class of paths may raise any error here
+        return None
     child = Child("petmjx.runs.reading_process")
     try:
-        child.tasks.put(pickle.dumps((plans, sim, options)))
+        child.tasks.put(task)
         answer: Answer | None = child.answers.get()
     finally:
         child.end()
@@ -56,5 +61,7 @@ def _suits_a_process(plans: PlanSource | None, options: RunOptions) -> bool:
     they are read."""
     sources = plans if isinstance(plans, list | tuple) else [plans]
     if not all(isinstance(source, str | PathLike) for source in sources) or not may_use_gpu(options, plans):
+        return False
+    if any(Path(source).is_symlink() for source in sources):  # "/dev/stdin" is a link to this process's own input
         return False
     return WORTH_A_PROCESS <= bytes_of_plans(plans) <= MOST_IN_A_PROCESS and cpu_threads() > 1 and bool(cuda_devices())

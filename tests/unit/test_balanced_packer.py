@@ -240,8 +240,12 @@ def test_the_command_tells_what_is_left_out(tmp_path: Path, capsys: pytest.Captu
         "order tall: 1 of 3 boxes is left out: item 2",
         f"1 plan in {packed}; 1 box of 1 order left out",
     ]
-    assert run("samples", "-n", "1", "--packer", "best", "-o", packed, "--overwrite") == 2
-    assert "unknown packer best" in only_line(capsys.readouterr().err)
+    for name, hints in {
+        "best": "there are baseline, balanced, learned, physical",
+        "physicl": "did you mean physical?",
+    }.items():
+        assert run("samples", "-n", "1", "--packer", name, "-o", packed, "--overwrite") == 2
+        assert f"unknown packer {name}; {hints}" in only_line(capsys.readouterr().err)
 
 
 def test_real_orders_are_packed_and_hold_more_than_the_baseline_places(real_data: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import warnings
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,26 @@ def test_errors_appear_in_the_process_of_the_run(tmp_path: Path, in_process: lis
     file.write_text('{"plan": [')
     with pytest.raises(InputError, match=r"plans\.json"):
         read_input(file, SIM, OPTIONS)
+    assert in_process == [None]
+
+
+class OwnPath:
+    """A user's class of paths that cannot be pickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.lock = path, threading.Lock()
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+
+def test_what_a_process_cannot_read_is_read_here(tmp_path: Path, in_process: list[Answer | None]) -> None:
+    """``/dev/stdin`` is a link, and means another file in another process. The process gets paths by pickle."""
+    file = plan_file(tmp_path, [make_plan("plan", stack(2))])
+    (tmp_path / "link").symlink_to(file)
+    assert len(read_input([tmp_path / "link"], SIM, OPTIONS).plan_set.plans) == 1
+    assert in_process == []
+    assert len(read_input(OwnPath(file), SIM, OPTIONS).plan_set.plans) == 1
     assert in_process == [None]
 
 
