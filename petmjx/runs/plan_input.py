@@ -60,8 +60,9 @@ def _suits_a_process(plans: PlanSource | None, options: RunOptions) -> bool:
     """Whether another process should read the plans: ``plans`` are large files, and this process may start a GPU while
     they are read."""
     sources = plans if isinstance(plans, list | tuple) else [plans]
-    if not all(isinstance(source, str | PathLike) for source in sources) or not may_use_gpu(options, plans):
+    paths = [Path(source) for source in sources if isinstance(source, str | PathLike)]
+    if len(paths) < len(sources) or not may_use_gpu(options, plans):
         return False
-    if any(Path(source).is_symlink() for source in sources):  # "/dev/stdin" is a link to this process's own input
+    if any(path.is_symlink() for path in paths):  # "/dev/stdin" is a link to the input of this process
         return False
     return WORTH_A_PROCESS <= bytes_of_plans(plans) <= MOST_IN_A_PROCESS and cpu_threads() > 1 and bool(cuda_devices())
