@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import pickle
 import warnings
 from typing import NamedTuple
 
 from petmjx.common.errors import PlanWarning
-from petmjx.engines.subprocess.task_pipe import next_of, own_pipes
+from petmjx.engines.subprocess.task_pipe import serve
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan_set import PlanSet
@@ -50,11 +48,7 @@ def read_here(plans: PlanSource | None, sim: Simulation, options: RunOptions) ->
 
 def main() -> None:
     """Read the plans that a task from standard input names, and write the answer to standard output."""
-    tasks, answers = own_pipes(0)
-    task = next_of(tasks)
-    pickle.dump(_answer_to(*task), answers, protocol=pickle.HIGHEST_PROTOCOL)
-    answers.flush()
-    os._exit(0)
+    serve(0, lambda task: _answer_to(*task))
 
 
 def _answer_to(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> Answer | None:
