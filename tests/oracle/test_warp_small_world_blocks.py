@@ -28,7 +28,7 @@ from support.worlds import simulate
 from petmjx.common.warp_cpp import with_cpp
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.verdict import Outcome
-from petmjx.engines.warp import block_pool
+from petmjx.engines.warp import block_launch, block_pool
 from petmjx.engines.warp.block_launch import FEW_BOXES, SIZES, Launch
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import BlockPool
@@ -99,7 +99,7 @@ def test_they_have_blocks_if_these_are_worth_while(
 
 
 def test_on_a_cpu_there_are_none() -> None:
-    if wp.get_device().is_cuda:
+    if block_launch.launch_device().is_cuda:
         pytest.skip("this is a GPU")
     assert (
         small_world_pool(BlockPool(replace(Launch.of(SIZES[0]), threads=SIZES[0].threads), 8, 4, 1, 1, 1), 10**6)
@@ -137,7 +137,7 @@ def test_a_block_has_as_many_worlds_as_shared_memory_has_room_for(
     shared_bytes: int, worlds: int, tiles: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     device = SimpleNamespace(is_cuda=True, max_shared_memory_per_block=shared_bytes, sm_count=3)
-    monkeypatch.setattr(wp, "get_device", lambda: device)
+    monkeypatch.setattr(block_launch, "launch_device", lambda: device)
     launch = Launch.of(FEW_BOXES)
     assert (launch.worlds, launch.threads, launch.lanes) == (worlds, 32 * worlds, 3 * worlds)
     assert launch.shared_words == tiles * PANEL**2

@@ -11,13 +11,12 @@ import pytest
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
-import warp as wp
 from support.plans import heap, make_scene
 from support.tiny_worlds import SHORT, STEP_NS, TINY, assert_equal_worlds, engine, tiny_scenes, watched_queues
 from support.worlds import simulate
 
 from petmjx.engines.verdict import Outcome
-from petmjx.engines.warp import block_pool, tail_blocks
+from petmjx.engines.warp import block_launch, block_pool, tail_blocks
 from petmjx.engines.warp.block_launch import LAST, SIZES, Launch
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import BlockPool
@@ -91,7 +90,7 @@ def test_before_those_have_one_that_are_expected_to_be_last() -> None:
 def test_no_other_block_has_room_beside_one_for_a_last_world(monkeypatch: pytest.MonkeyPatch) -> None:
     for shared_bytes in (227 << 10, 163 << 10, 99 << 10, 64 << 10):  # H100, A100, consumer cards, Turing
         device = SimpleNamespace(is_cuda=True, max_shared_memory_per_block=shared_bytes, sm_count=3)
-        monkeypatch.setattr(wp, "get_device", lambda device=device: device)
+        monkeypatch.setattr(block_launch, "launch_device", lambda device=device: device)
         usual = Launch.of(SIZES[0])
         pool = tail_pool(replace(ONE, launch=usual))
         assert pool is not None
@@ -103,7 +102,7 @@ def test_no_other_block_has_room_beside_one_for_a_last_world(monkeypatch: pytest
 
 
 def test_on_a_cpu_there_are_none() -> None:
-    if wp.get_device().is_cuda:
+    if block_launch.launch_device().is_cuda:
         pytest.skip("this is a GPU")
     assert tail_pool(BlockPool(Launch.of(SIZES[0]), 8, 4, 1, 1, 1)) is None
 

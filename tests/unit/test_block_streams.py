@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
+import jax
 import pytest
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -12,7 +14,7 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 import warp as wp
 
 from petmjx.engines.warp import block_launch
-from petmjx.engines.warp.block_launch import HEAD_START_NS, side_by_side
+from petmjx.engines.warp.block_launch import HEAD_START_NS, launch_device, side_by_side
 
 
 class Device:
@@ -68,6 +70,17 @@ def test_the_second_kernel_begins_a_little_later_and_what_follows_waits_for_both
             ("main", "waits for", second),
         ]
         done.clear()
+
+
+def test_a_run_uses_the_device_of_jax_and_not_warps_own_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With several GPUs, JAX leaves the last one as the current one, which Warp then takes for its default."""
+    monkeypatch.setattr(wp, "get_device", lambda name: SimpleNamespace(alias=name))
+    monkeypatch.setattr(wp, "get_cuda_device", lambda ordinal: SimpleNamespace(alias=f"cuda:{ordinal}"))
+    (device,) = jax.device_put(0.0).devices()
+    assert launch_device().alias == ("cpu" if device.platform == "cpu" else f"cuda:{device.id}")
+    second_gpu = SimpleNamespace(platform="gpu", id=1)
+    monkeypatch.setattr(jax, "device_put", lambda values: SimpleNamespace(devices=lambda: [second_gpu]))
+    assert launch_device().alias == "cuda:1"
 
 
 def test_one_kernel_waits_for_nothing(done: list[tuple[Any, ...]]) -> None:

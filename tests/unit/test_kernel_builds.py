@@ -33,11 +33,11 @@ def aot(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, dict[str, Any]]]:
 def test_a_build_compiles_the_kernel_that_a_run_would_launch(
     aot: list[tuple[str, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A run's launch follows from Warp's device, a build's from the limits alone."""
+    """A run's launch follows from JAX's device, a build's from the limits alone."""
     from petmjx.engines.warp import block_launch
 
     device = SimpleNamespace(is_cuda=True, sm_count=132, max_shared_memory_per_block=227 << 10)
-    monkeypatch.setattr(block_launch.wp, "get_device", lambda *name: device)
+    monkeypatch.setattr(block_launch, "launch_device", lambda: device)
     of_run = [block_launch.Launch.of(size, block_launch.Features(lands=True)) for size in block_launch.USUAL]
     monkeypatch.undo()
     monkeypatch.setattr("warp.compile_aot_module", lambda module, **options: aot.append((module.name, options)))

@@ -85,7 +85,7 @@ def test_an_engine_notes_the_kernels_that_it_loads(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(block_launch.wp, "force_load", lambda *_, **__: None)
     monkeypatch.setattr(block_launch, "kernel", lambda launch: block_launch.pause)
     block_launch.load_kernels([launch])
-    assert are_noted(CPU_KERNEL) != block_launch.wp.get_device().is_cuda
+    assert are_noted(CPU_KERNEL) != block_launch.launch_device().is_cuda
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Protocol
 
+import numpy as np
 import warp as wp
 
 from petmjx.common.warp_cpp import with_cpp
@@ -40,6 +41,18 @@ from petmjx.engines.warp.world_arrays import (
     Worlds,
     most_panels,
 )
+
+
+def launch_device() -> wp.Device:
+    """Warp's name for the device on which JAX places new arrays. All launches use this device.
+
+    Warp's own default is another device if several GPUs are visible: it is the GPU whose context the calling thread has
+    used last, and JAX uses the contexts of all GPUs when it starts. A kernel cannot read arrays of another GPU.
+    """
+    import jax  # processes that only compile kernels do not need JAX
+
+    (device,) = jax.device_put(np.zeros((), np.float32)).devices()
+    return wp.device_from_jax(device)
 
 
 @dataclass(frozen=True)
@@ -83,7 +96,7 @@ def others_may_call() -> Iterator[None]:
 
 
 def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
-    """Launch all blocks of these calls on Warp's current device. JAX calls this function.
+    """Launch all blocks of these calls on Warp's current device, which is the device of the call from JAX.
 
     Args:
         clock: (1,) a number that tells blocks on a CPU that the time slice has ended.
@@ -128,7 +141,7 @@ def load_kernels(launches: Sequence[Launch]) -> None:
     """Compile the kernels of these launches in parallel, or load them from Warp's cache."""
     kernels = [kernel(launch) for launch in launches] + own_kernels(len(launches))
     modules = list(dict.fromkeys(kernel.module for kernel in kernels))
-    device = wp.get_device()
+    device = launch_device()
     wp.force_load(device, modules, max_workers=len(modules))
     if not device.is_cuda:
         note_kernels(CPU_KERNEL)
@@ -147,7 +160,7 @@ def _more_streams(device: str, count: int) -> list[wp.Stream]:
 
 def own_kernels(count: int) -> list[wp.Kernel]:
     """The kernels that ``side_by_side`` itself launches."""
-    return [pause] if count > 1 and wp.get_device().is_cuda else []
+    return [pause] if count > 1 and launch_device().is_cuda else []
 
 
 @contextmanager
@@ -304,8 +317,8 @@ class Launch:
 
     @classmethod
     def here(cls, n_boxes: int, features: Features = NO_FEATURES) -> Launch:
-        """The launch for worlds of up to ``n_boxes`` boxes on Warp's current device. On a CPU, a block is one thread,
-        and one kernel serves all sizes and features."""
+        """The launch for worlds of up to ``n_boxes`` boxes on ``launch_device()``. On a CPU, a block is one thread, and
+        one kernel serves all sizes and features."""
         return cls.of(size_for(n_boxes), features)
 
     @classmethod
@@ -314,9 +327,9 @@ class Launch:
 
         Args:
             device: the device for which the kernel is compiled. If ``device`` is None, the kernel is compiled for
-                Warp's current device.
+                ``launch_device()``.
         """
-        device = device or wp.get_device()
+        device = device or launch_device()
         if not device.is_cuda:
             return cls(1, 1, 1, 0, most_panels(MAX_BOXES), features)
         panels = most_panels(size.most_boxes)

@@ -20,7 +20,7 @@ from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State, of_flat
 from petmjx.engines.protocol import Progress
 from petmjx.engines.subprocess.kernel_builds import KernelBuilds
-from petmjx.engines.warp.block_launch import USUAL, Features, Launch, load_kernels
+from petmjx.engines.warp.block_launch import USUAL, Features, Launch, launch_device, load_kernels
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 from petmjx.engines.warp.small_world_blocks import small_world_queues
 from petmjx.engines.warp.tail_blocks import tail_queues
@@ -61,6 +61,7 @@ def friction_damping(physics: Physics) -> float:
 def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
     """The constants of a run for the kernels: the fields of ``world_arrays.Model``, except those of a block pool."""
     physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
+    device = launch_device()
     return {
         "timestep": physics.timestep_s,
         "gravity": physics.gravity_m_s2,
@@ -110,10 +111,10 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "landing_time": physics.landing_s,
         "landing_lasts": lasts_steps(sim),
         "restitution": physics.restitution,
-        "due": wp.array(timetable.due, dtype=int),
-        "longest": wp.array(timetable.longest, dtype=int),
-        "settled": wp.array(timetable.settled, dtype=int),
-        "settled_nominally": wp.array(timetable.settled_nominally, dtype=int),
+        "due": wp.array(timetable.due, dtype=int, device=device),
+        "longest": wp.array(timetable.longest, dtype=int, device=device),
+        "settled": wp.array(timetable.settled, dtype=int, device=device),
+        "settled_nominally": wp.array(timetable.settled_nominally, dtype=int, device=device),
     }
 
 
@@ -186,7 +187,7 @@ def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> N
     Args:
         builds: processes that compile these kernels. The cache has the kernels when the processes have answered.
     """
-    if not wp.get_device().is_cuda:
+    if not launch_device().is_cuda:
         return
     features = Features(hands=not sim.placing.appears, lands=sim.physics.has_landings)
     with _COMPILING:
