@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 import petmjx
-from benchmarks.packers_compared import (
+from benchmarks.packers_of_study import (
     PHYSICAL,
     RULES_ONLINE,
     Numbered,

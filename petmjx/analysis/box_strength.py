@@ -23,13 +23,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from petmjx.analysis.arrival_shares import WAY_UNITS, ways_of
 from petmjx.analysis.crushing import (
     BOX_UNITS,
     PLAN_UNITS,
     SUSTAINED,
-    WAY_UNITS,
     crushed_worlds,
-    ways_of,
     with_crush_shares,
 )
 from petmjx.common.argument_checks import path_of

@@ -1,17 +1,12 @@
 """Determines whether the force on the top of a box crushes the box: surely, possibly, or not (docs/loads.md). Both the
-force at rest and the peak of the force can crush a box. This module also computes the share of pallets that arrive
-without crushed boxes at the end of a transport chain.
-"""
+force at rest and the peak of the force can crush a box."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 import pandas as pd
-
-from petmjx.engines.verdict import Verdict
 
 SURELY: Final = "surely"
 POSSIBLY: Final = "possibly"
@@ -33,17 +28,6 @@ BOX_UNITS: Final = {
 PLAN_UNITS: Final = {
     "crushed": ("", "surely, possibly or not: whether a box is overloaded, at rest or at the peak; null: unknown"),
     "crush_box": ("1", "the box with the largest crush_share_high"),
-}
-WAY_UNITS: Final = {
-    "plan_id": ("", "id of the packing plan"),
-    "remedy": ("", "what was changed in the chain; empty: nothing"),
-    "n_worlds": ("1", "worlds with a verdict"),
-    "n_standing": ("1", "those that arrive"),
-    "n_whole": ("1", "worlds that arrive without a possibly overloaded box"),
-    "n_possibly_whole": ("1", "worlds that arrive without a surely overloaded box"),
-    "share": ("1", "n_standing / n_worlds"),
-    "share_whole": ("1", "n_whole / n_worlds"),
-    "share_possibly_whole": ("1", "n_possibly_whole / n_worlds"),
 }
 
 SUSTAINED: Final = "sustained_top_force_n"
@@ -95,27 +79,3 @@ def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
     largest = rated_boxes.loc[rated_boxes.groupby(_KEY, sort=False)["crush_share_high"].idxmax(), [*_KEY, "box"]]
     worlds = worlds.merge(largest.rename(columns={"box": "crush_box"}), on=_KEY, how="left")
     return worlds[[*_KEY, *PLAN_UNITS]].astype({"crush_box": "Int32"})
-
-
-def ways_of(worlds: pd.DataFrame, plans: pd.DataFrame) -> pd.DataFrame:
-    """For each plan and remedy (a change to a transport chain), the share of pallets that arrive at the end of the
-    chain, and the share that arrive without crushed boxes.
-
-    Args:
-        worlds: the worlds of the run of a chain.
-        plans: one row for each of these worlds, with the column ``crushed``.
-    """
-    drawn = worlds.loc[worlds["variant"] > 0, [*_KEY, "verdict", "remedy"]]
-    drawn = drawn[drawn["verdict"].astype(str) != Verdict.INVALID.value].merge(plans[[*_KEY, "crushed"]], on=_KEY)
-    arrives = drawn["verdict"].astype(str) == Verdict.STABLE.value
-    counted: Mapping[str, pd.Series] = {
-        "n_worlds": pd.Series(True, index=drawn.index),
-        "n_standing": arrives,
-        "n_whole": arrives & (drawn["crushed"] == NOT),
-        "n_possibly_whole": arrives & (drawn["crushed"] != SURELY),
-    }
-    by_way = drawn[["plan_id", "remedy"]].assign(**counted).groupby(["plan_id", "remedy"], sort=False, as_index=False)
-    ways = by_way.sum()
-    shares = {"share": "n_standing", "share_whole": "n_whole", "share_possibly_whole": "n_possibly_whole"}
-    ways = ways.assign(**{share: ways[count] / ways["n_worlds"] for share, count in shares.items()})
-    return ways[[*WAY_UNITS]]

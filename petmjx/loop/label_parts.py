@@ -5,9 +5,9 @@ parts.
                                have, number of labels in the parts, next episode, list of parts
     DIR/parts/part-*.parquet   labels of whole episodes, in order
 
-Parts are written and read like those of a run (petmjx.results.run_table_files): a part is ignored until the list names
-it and its digest. So if a process is killed, only the labels of the last minute and of unfinished episodes are lost.
-Another process can then continue.
+Parts are written and read like those of a run (petmjx.results.tables_in_progress): a part is ignored until the list
+names it and its digest. So if a process is killed, only the labels of the last minute and of unfinished episodes are
+lost. Another process can then continue.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from petmjx.common.text import count_text
 from petmjx.loop.placement_labels import SCHEMA, Label
 from petmjx.results.run_folder import part_files, part_name, part_number, write_text
 from petmjx.results.run_manifest import differing_settings
-from petmjx.results.run_table_files import Tables
 from petmjx.results.run_tables import LISTED, Parts
 from petmjx.results.schema import SCHEMA_VERSION
+from petmjx.results.tables_in_progress import Tables
 
 UNFINISHED: Final = "unfinished.json"
 TABLE: Final = "parts"

@@ -38,9 +38,9 @@ from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder, mak
 from petmjx.results.run_info import RUNNING, RunInfo, now
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import FINISHED, RunResults, load_run
-from petmjx.results.run_table_files import MemoryParts, Tables
 from petmjx.results.run_tables import LISTED, Parts
 from petmjx.results.schema import Param, schemas
+from petmjx.results.tables_in_progress import MemoryParts, Tables
 from petmjx.results.to_json import to_json
 from petmjx.results.world_counts import COUNTED, WorldCounts
 from petmjx.results.world_rows import Part, Row

@@ -38,7 +38,7 @@ from petmjx.runs.chain_legs import MOST_LEGS, Leg, Remedy, check_chain, profiles
 from petmjx.runs.sweep_axes import AXIS_KINDS, MAX_STRENGTH, Axis, read_axes
 from petmjx.world.profiles.profile import Profile, Strength
 from petmjx.world.profiles.profile_registry import resolve
-from petmjx.world.profiles.profile_tables import MAX_NAME, FileName, define_profiles
+from petmjx.world.profiles.profiles_of_sweep_files import MAX_NAME, FileName, define_profiles
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = (_PACKAGE / "ready_sweeps", _PACKAGE.parent / "sweeps")

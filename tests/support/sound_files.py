@@ -22,7 +22,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_reader import load_plans
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
-from petmjx.world.profiles.profile_files import read_psd, read_windows
+from petmjx.world.profiles.measured_profiles import read_psd, read_windows
 from petmjx.world.scene import build_scene
 
 SWEEPS = Path(__file__).resolve().parents[2] / "sweeps"

@@ -34,7 +34,7 @@ from petmjx.plans.json_reader import MalformedPlans, scan_plans
 from petmjx.plans.plan_reader import load_plans
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.world.profiles.accelerations import HalfSine
-from petmjx.world.profiles.profile_files import read_psd, read_windows
+from petmjx.world.profiles.measured_profiles import read_psd, read_windows
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

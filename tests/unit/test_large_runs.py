@@ -18,7 +18,7 @@ import petmjx
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
-from petmjx.results import run_table_files
+from petmjx.results import tables_in_progress
 from petmjx.results.run_writer import RunWriter
 from petmjx.runs import sweep_run
 from petmjx.world.job import Job
@@ -80,13 +80,13 @@ def assert_ranked(folder: Path, plans: Sequence[petmjx.Plan] = PLANS) -> None:
 def writes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the parts of the table ``worlds`` that are written."""
     names: list[str] = []
-    write = run_table_files.write_table
+    write = tables_in_progress.write_table
 
     def noted(table: Any, path: Path) -> str:
         names.extend([path.name] if path.parent.name == "worlds" else [])
         return write(table, path)
 
-    monkeypatch.setattr(run_table_files, "write_table", noted)
+    monkeypatch.setattr(tables_in_progress, "write_table", noted)
     return names
 
 

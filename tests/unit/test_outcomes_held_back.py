@@ -15,7 +15,7 @@ from support.failing_engine import FailingEngine, outcome_of, worlds_failing
 from support.outcomes import make_outcome, make_plan
 
 import petmjx
-import petmjx.results.run_table_files as tables_module
+import petmjx.results.tables_in_progress as tables_module
 from petmjx.common.errors import InputError
 from petmjx.engines import attempts
 from petmjx.engines.attempt_stream import score_worlds

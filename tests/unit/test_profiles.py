@@ -18,10 +18,10 @@ from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.profiles.accelerations import RandomVibration, Tilt, psd_integral, psd_rms_g
 from petmjx.world.profiles.force_windows import JOLTS, RADIAL, RADIAL_CHAIN, SINE, Window, WindowProfile, chain
+from petmjx.world.profiles.measured_profiles import read_psd, read_windows
 from petmjx.world.profiles.profile import Profile, Strength
-from petmjx.world.profiles.profile_files import read_psd, read_windows
 from petmjx.world.profiles.profile_registry import BUILT_IN, FAMILIES, resolve
-from petmjx.world.profiles.profile_tables import define_profiles
+from petmjx.world.profiles.profiles_of_sweep_files import define_profiles
 from petmjx.world.random_streams import WorldKey
 
 DT = 0.002

@@ -21,7 +21,7 @@ from support.waiting import wait_for
 from test_results import part_files, write_run
 
 from petmjx.common.errors import InputError, PetmjxError
-from petmjx.results import run_folder, run_table_files, run_writer
+from petmjx.results import run_folder, run_writer, tables_in_progress
 from petmjx.results.run_file import write_run_file
 from petmjx.results.run_manifest import Manifest, records_of
 from petmjx.results.run_reader import load_run
@@ -97,13 +97,13 @@ def test_every_part_is_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """Worlds end in another order than that of the plans. The rows of each part are sorted, and ranks sort the rows of
     all parts."""
     written: list[str] = []
-    write = run_table_files.write_table
+    write = tables_in_progress.write_table
 
     def noted(table: Any, path: Path) -> str:
         written.append(str(path.relative_to(tmp_path)))
         return write(table, path)
 
-    monkeypatch.setattr(run_table_files, "write_table", noted)
+    monkeypatch.setattr(tables_in_progress, "write_table", noted)
     manifest = Manifest({"command": "score"}, records_of([make_plan(plan_id) for plan_id in "cabed"]))
     with RunWriter(tmp_path, {}, manifest=manifest, variants=range(1), worlds_per_part=2) as run:
         add_worlds(run, *"decab")
@@ -276,7 +276,7 @@ def test_an_error_in_the_body_is_told(tmp_path: Path) -> None:
 def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, ids in (("one", "ab"), ("two", "cd")):
         write_run(tmp_path / name, ids=tuple(ids))
-    copy = run_table_files.copy_file
+    copy = tables_in_progress.copy_file
 
     def cut_short(file: Path, place: Path) -> str:
         if file.is_relative_to(tmp_path / "two/boxes"):
@@ -288,7 +288,7 @@ def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkey
             for name in ("one", "two"):
                 run.adopt(load_run(tmp_path / name).parts, ranked=True)
 
-    monkeypatch.setattr(run_table_files, "copy_file", cut_short)
+    monkeypatch.setattr(tables_in_progress, "copy_file", cut_short)
     with pytest.raises(KeyboardInterrupt):
         merge()
     merged = load_run(tmp_path / "merged")

@@ -1,4 +1,4 @@
-"""The rules that detect quiet, rest and explosions in a world on C MuJoCo (docs/rules.md, sections 5 and 7).
+"""The rules that detect quiet and rest in a world on C MuJoCo (docs/rules.md, section 5).
 
 The class ``Rules`` in petmjx/engines/mjx/rules.py has the same rules in JAX.
 """
@@ -10,7 +10,6 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.engines.mujoco import box_motion
 from petmjx.engines.mujoco.jitter import Jitter
-from petmjx.engines.mujoco.timetable import NEVER
 from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene
 
@@ -99,30 +98,3 @@ class QuietRule:
         most = np.where(trembles, rule.slow_m_s, rule.still_m_s)
         waits = turns | (~stays & (moved > most * seconds))
         return bool((turns | (moved > rule.still_m_s * seconds)).any()), bool(waits.any())
-
-
-class Explosion:
-    """Detects simulations that cannot be right: accelerations stay large for some time, and no failed box causes them.
-
-    When light boxes land, or tipping boxes hit something, accelerations reach 240 rad/s² for a few steps. A single
-    sample with such accelerations is not an explosion. So samples right after a placement are ignored. And an explosion
-    is detected only if accelerations stay large, from sample to sample, for the time that a box needs to land.
-
-    Args:
-        landing: number of steps that a box needs to land.
-    """
-
-    def __init__(self, landing: int) -> None:
-        self._landing, self._fast_since = landing, NEVER
-
-    def seen(self, step: int, placed_at: int, too_fast: bool) -> bool:
-        """Whether the world has exploded, decided after the sample at ``step``.
-
-        Args:
-            placed_at: the step after which the last box was placed; while a hand carries a box, the current step.
-            too_fast: whether an acceleration is above its threshold although no box has crossed a threshold of failure.
-        """
-        if step - placed_at < self._landing:
-            return False
-        self._fast_since = min(self._fast_since, step) if too_fast else NEVER
-        return too_fast and step - self._fast_since >= self._landing

@@ -11,11 +11,12 @@ from petmjx.common.units import seconds_to_steps
 from petmjx.engines.metrics import CONFIRM_S
 from petmjx.engines.mujoco.cpu_budget import Budget
 from petmjx.engines.mujoco.drive import ActingDrive
+from petmjx.engines.mujoco.explosion import Explosion
 from petmjx.engines.mujoco.frame_recorder import WorldRecorder
 from petmjx.engines.mujoco.hand import Hand
 from petmjx.engines.mujoco.live_world import BodyState, LiveWorld
 from petmjx.engines.mujoco.open_models import Templates
-from petmjx.engines.mujoco.rest import Explosion, QuietRule
+from petmjx.engines.mujoco.rest import QuietRule
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
 from petmjx.engines.mujoco.soft_boxes import SoftState, SoftWorld
 from petmjx.engines.mujoco.stepper import Stepper

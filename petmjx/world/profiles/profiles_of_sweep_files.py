@@ -13,8 +13,7 @@ from petmjx.common.checked_records import LIST, VALUE, CheckedRecord, by_entry, 
 from petmjx.common.errors import InputError
 from petmjx.world.profiles.accelerations import HalfSine, PsdTable, RandomVibration, Tilt, Trapezoid, eumos_40509
 from petmjx.world.profiles.force_windows import WindowProfile, chain
-from petmjx.world.profiles.profile import MAX_PROFILE_S, Profile
-from petmjx.world.profiles.profile_files import (
+from petmjx.world.profiles.measured_profiles import (
     MAX_FORCE,
     MAX_PUSH_S,
     MAX_WINDOWS,
@@ -26,6 +25,7 @@ from petmjx.world.profiles.profile_files import (
     read_psd,
     read_windows,
 )
+from petmjx.world.profiles.profile import MAX_PROFILE_S, Profile
 from petmjx.world.profiles.profile_registry import BUILT_IN, FAMILIES, resolve
 
 _USERS: Final = "user's sweep file"

@@ -1,0 +1,51 @@
+"""The share of pallets that arrive at the end of a transport chain, and the share that arrive without crushed boxes
+(docs/loads.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import pandas as pd
+
+from petmjx.analysis.crushing import NOT, SURELY
+from petmjx.engines.verdict import Verdict
+
+WAY_UNITS: Final = {
+    "plan_id": ("", "id of the packing plan"),
+    "remedy": ("", "what was changed in the chain; empty: nothing"),
+    "n_worlds": ("1", "worlds with a verdict"),
+    "n_standing": ("1", "those that arrive"),
+    "n_whole": ("1", "worlds that arrive without a possibly overloaded box"),
+    "n_possibly_whole": ("1", "worlds that arrive without a surely overloaded box"),
+    "share": ("1", "n_standing / n_worlds"),
+    "share_whole": ("1", "n_whole / n_worlds"),
+    "share_possibly_whole": ("1", "n_possibly_whole / n_worlds"),
+}
+
+_WORLD: Final = ["plan_id", "variant"]
+"""The columns that identify a world."""
+
+
+def ways_of(worlds: pd.DataFrame, plans: pd.DataFrame) -> pd.DataFrame:
+    """For each plan and remedy (a change to a transport chain), the share of pallets that arrive at the end of the
+    chain, and the share that arrive without crushed boxes.
+
+    Args:
+        worlds: the worlds of the run of a chain.
+        plans: one row for each of these worlds, with the column ``crushed``.
+    """
+    drawn = worlds.loc[worlds["variant"] > 0, [*_WORLD, "verdict", "remedy"]]
+    drawn = drawn[drawn["verdict"].astype(str) != Verdict.INVALID.value].merge(plans[[*_WORLD, "crushed"]], on=_WORLD)
+    arrives = drawn["verdict"].astype(str) == Verdict.STABLE.value
+    counted: Mapping[str, pd.Series] = {
+        "n_worlds": pd.Series(True, index=drawn.index),
+        "n_standing": arrives,
+        "n_whole": arrives & (drawn["crushed"] == NOT),
+        "n_possibly_whole": arrives & (drawn["crushed"] != SURELY),
+    }
+    by_way = drawn[["plan_id", "remedy"]].assign(**counted).groupby(["plan_id", "remedy"], sort=False, as_index=False)
+    ways = by_way.sum()
+    shares = {"share": "n_standing", "share_whole": "n_whole", "share_possibly_whole": "n_possibly_whole"}
+    ways = ways.assign(**{share: ways[count] / ways["n_worlds"] for share, count in shares.items()})
+    return ways[[*WAY_UNITS]]

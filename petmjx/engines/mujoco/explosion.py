@@ -1,0 +1,36 @@
+"""The rule that detects explosions (simulations that have become numerically unstable) in a world on C MuJoCo
+(docs/rules.md, section 7).
+
+The class ``Rules`` in petmjx/engines/mjx/rules.py has the same rule in JAX.
+"""
+
+from __future__ import annotations
+
+from petmjx.engines.mujoco.timetable import NEVER
+
+
+class Explosion:
+    """Detects simulations that cannot be right: accelerations stay large for some time, and no failed box causes them.
+
+    When light boxes land, or tipping boxes hit something, accelerations reach 240 rad/s² for a few steps. A single
+    sample with such accelerations is not an explosion. So samples right after a placement are ignored. And an explosion
+    is detected only if accelerations stay large, from sample to sample, for the time that a box needs to land.
+
+    Args:
+        landing: number of steps that a box needs to land.
+    """
+
+    def __init__(self, landing: int) -> None:
+        self._landing, self._fast_since = landing, NEVER
+
+    def seen(self, step: int, placed_at: int, too_fast: bool) -> bool:
+        """Whether the world has exploded, decided after the sample at ``step``.
+
+        Args:
+            placed_at: the step after which the last box was placed; while a hand carries a box, the current step.
+            too_fast: whether an acceleration is above its threshold although no box has crossed a threshold of failure.
+        """
+        if step - placed_at < self._landing:
+            return False
+        self._fast_since = min(self._fast_since, step) if too_fast else NEVER
+        return too_fast and step - self._fast_since >= self._landing
