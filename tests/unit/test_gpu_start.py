@@ -21,6 +21,7 @@ from petmjx.engines.remote import worker_choice as of_workers
 from petmjx.engines.remote.ray_actor import Recipe
 from petmjx.engines.remote.worker_resources import Node
 from petmjx.engines.run_engine import engine_warmup
+from petmjx.engines.subprocess import kernel_builds
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 
@@ -82,6 +83,46 @@ def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(gpu_start.importlib, "import_module", lambda name: 1 / 0)
     with engine_warmup(RunOptions(engine="mjx-warp"), None, Simulation()):
         pass
+
+
+def _launch_on(device: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("block_launch", "programs"):
+        monkeypatch.setattr(f"petmjx.engines.warp.{module}.launch_device", lambda: device)
+
+
+@pytest.fixture
+def on_a_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """An empty cache, and a GPU for Warp. The fixture has the launches whose kernels were loaded."""
+    programs = pytest.importorskip("petmjx.engines.warp.programs")
+    loaded: list[object] = []
+    _launch_on(SimpleNamespace(is_cuda=True, sm_count=132, max_shared_memory_per_block=227 << 10), monkeypatch)
+    monkeypatch.setattr(programs, "load_kernels", loaded.extend)
+    monkeypatch.setattr(kernel_builds, "cuda_limits", lambda: (90, 227 << 10))
+    monkeypatch.setenv("PETMJX_CACHE_DIR", str(tmp_path))
+    monkeypatch.delenv("WARP_CACHE_PATH", raising=False)
+    return loaded
+
+
+def test_kernels_that_are_loaded_are_noted(on_a_gpu: list[object]) -> None:
+    gpu_start.compile_ahead(Simulation(), None)
+    assert len(on_a_gpu) == 3
+    assert kernel_builds.builds_if_missing(Simulation()) is None
+
+
+@pytest.mark.parametrize("hindrance", ["the program ends", "JAX has no GPU"])
+def test_kernels_that_are_not_loaded_are_not_noted(
+    hindrance: str, on_a_gpu: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a false note, the next run would start no processes, and would compile the kernels itself."""
+    monkeypatch.setattr(kernel_builds, "KernelBuilds", lambda builds: builds)
+    if hindrance == "the program ends":
+        ended = threading.Thread(target=lambda: None)
+        monkeypatch.setattr(threading, "main_thread", lambda: ended)
+    else:
+        _launch_on(SimpleNamespace(is_cuda=False), monkeypatch)
+    gpu_start.compile_ahead(Simulation(), None)
+    assert not on_a_gpu
+    assert kernel_builds.builds_if_missing(Simulation()) is not None
 
 
 class _Cluster:

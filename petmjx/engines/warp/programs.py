@@ -179,23 +179,24 @@ _COMPILING = Lock()
 once."""
 
 
-def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> None:
+def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> bool:
     """Before the plans are known, compile the kernels that most runs with these options need, or load them from Warp's
-    cache. Plans with compliant boxes, stretch film, or many boxes need other kernels. Without a GPU, nothing is
-    compiled.
+    cache. Plans with compliant boxes, stretch film, or many boxes need other kernels. Returns whether the kernels are
+    loaded, and so in the cache: without a GPU, and when the program is ending, nothing is loaded.
 
     Args:
         builds: processes that compile these kernels. The cache has the kernels when the processes have answered.
     """
     if not launch_device().is_cuda:
-        return
+        return False
     features = Features(hands=not sim.placing.appears, lands=sim.physics.has_landings)
     with _COMPILING:
         for _ in builds.answers() if builds is not None else ():
             pass
         if not threading.main_thread().is_alive():
-            return  # the process is ending, and needs no kernels any more
+            return False  # the process is ending, and needs no kernels any more
         load_kernels([Launch.of(size, features) for size in USUAL])
+    return True
 
 
 MOST_KEPT = 16
