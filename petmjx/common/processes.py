@@ -77,7 +77,7 @@ def on_threads(function: Callable[[Piece], Result], pieces: Sequence[Piece], mos
     """
     if len(pieces) <= _FEW or most == 1:
         return [function(piece) for piece in pieces]
-    with ThreadPoolExecutor(min(cpu_threads(), most)) as pool:
+    with ThreadPoolExecutor(min(cpu_threads(), most), thread_name_prefix="petmjx-pieces") as pool:
         return list(pool.map(function, pieces))
 
 

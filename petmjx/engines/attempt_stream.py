@@ -279,7 +279,7 @@ class WorldSource(Generic[AnyWorld]):
         self._worlds, self._deliver, self._stream, self._has_room = worlds, deliver, stream, has_room
         self._error: BaseException | None = None
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="petmjx-worlds", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="petmjx-source", daemon=True)
 
     def start(self) -> None:
         self._thread.start()

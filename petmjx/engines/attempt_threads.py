@@ -20,7 +20,7 @@ class ThreadSimulator:
     """
 
     def __init__(self, threads: int) -> None:
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="petmjx-beside")
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="petmjx-attempts")
         self._answers = queue.SimpleQueue[Answer]()
         self._unanswered, self._closed = 0, False
         self._of_thread = threading.local()

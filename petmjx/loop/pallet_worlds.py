@@ -84,7 +84,7 @@ class PalletWorlds:
             return self._rested(rows)
         self.placing = True
         try:
-            with ThreadPoolExecutor(1) as pool:
+            with ThreadPoolExecutor(1, thread_name_prefix="petmjx-pallets") as pool:
                 future = pool.submit(self._rested, rows)
                 meanwhile()
         finally:

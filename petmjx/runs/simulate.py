@@ -226,7 +226,7 @@ class _Run:
             ends_s = array("d")
             for world in study.worlds(self.engine, writer.recorded, self.recording, self.progress):
                 if not ends_s:  # load pandas while the engine works: the results need it later
-                    threading.Thread(target=import_module, args=("pandas",), name="petmjx-tables").start()
+                    threading.Thread(target=import_module, args=("pandas",), name="petmjx-pandas").start()
                 self._write(writer, world)
                 ends_s.append(time.monotonic())
                 if watcher is not None:

@@ -91,10 +91,14 @@ def test_worlds_one_by_one_are_the_same_and_share_programs(one_by_one: FakeEngin
 
 
 def test_a_run_that_is_closed_leaves_no_thread(one_by_one: FakeEngine) -> None:
+    def simulating() -> list[str]:
+        return [thread.name for thread in threading.enumerate() if thread.name.startswith("petmjx-mjx-jax")]
+
     run = one_by_one.run(JOBS, SHORT)
     next(run)
+    assert simulating()
     run.close()
-    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith(one_by_one.name)]
+    assert not simulating()
 
 
 # ---------------------------------------------------------------------- memory

@@ -178,7 +178,7 @@ class MjxJaxEngine(Engine):
         threads = cpu_threads() if self._one_by_one else 1
         waiting = [Group.of(jobs, alike) for alike in stackable_jobs(jobs)]
         running: dict[Future[None], tuple[Group, list[int], Batch]] = {}
-        with ThreadPoolExecutor(threads, self.name) as pool:
+        with ThreadPoolExecutor(threads, thread_name_prefix="petmjx-mjx-jax") as pool:
             try:
                 while waiting or running:
                     while waiting and len(running) < (2 * threads if self._one_by_one else 1):

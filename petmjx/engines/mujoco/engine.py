@@ -84,7 +84,7 @@ class MujocoEngine(Engine):
         stream = JobStream.of(jobs)
         running: dict[int, Budget] = {}
         pending: set[Future[tuple[Outcome, float]]] = set()
-        with QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
+        with QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-mujoco") as pool:
             try:
                 while True:
                     new = stream.take(most - len(pending), least=1 if pending else most, wait=not pending)

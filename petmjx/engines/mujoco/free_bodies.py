@@ -31,5 +31,5 @@ def paths(bodies: FreeBodies, sim: Simulation, threads: int) -> FloatArray:
             poses[row] = live.pose
         return poses
 
-    with QUIET_MUJOCO, ThreadPoolExecutor(threads, thread_name_prefix="petmjx-world") as pool:
+    with QUIET_MUJOCO, ThreadPoolExecutor(threads, thread_name_prefix="petmjx-mujoco") as pool:
         return np.array(list(pool.map(path, range(len(bodies.scenes)))))

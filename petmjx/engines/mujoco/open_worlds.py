@@ -228,7 +228,7 @@ class MujocoWorlds(OpenWorlds):
         """The results of ``work`` for all items, computed on threads. After an interruption, the worlds stop within a
         few dozen steps, and later calls continue their simulation."""
         try:
-            with QUIET_MUJOCO, ThreadPoolExecutor(self._threads, thread_name_prefix="petmjx-world") as pool:
+            with QUIET_MUJOCO, ThreadPoolExecutor(self._threads, thread_name_prefix="petmjx-mujoco") as pool:
                 try:
                     return list(pool.map(work, of))
                 except BaseException:

@@ -99,7 +99,7 @@ class Worker:
             elif problem := why_no_warp_at_once():
                 raise EngineUnavailable(f"engine {self._recipe.name} cannot run here: {problem}")
             else:
-                threading.Thread(target=self._build, daemon=True).start()
+                threading.Thread(target=self._build, name="petmjx-engine", daemon=True).start()
             device = device_name(self._recipe.name, self._threads)
         except Exception as raised:
             error = _sendable(raised)
@@ -127,7 +127,8 @@ class Worker:
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
         progress = Progress()
         end_errors: list[BaseException] = []
-        runner = threading.Thread(target=self._run, args=(jobs, sim, progress, news, end_errors), daemon=True)
+        arguments = jobs, sim, progress, news, end_errors
+        runner = threading.Thread(target=self._run, args=arguments, name="petmjx-chunk", daemon=True)
         runner.start()
         going, last_message = True, ""
         while going:

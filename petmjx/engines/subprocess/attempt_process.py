@@ -166,7 +166,7 @@ def main() -> None:
             answers.write(data)
             answers.flush()
 
-    pool = ThreadPoolExecutor(max(cpu_threads() - 1, 1), thread_name_prefix="petmjx-beside")
+    pool = ThreadPoolExecutor(max(cpu_threads() - 1, 1), thread_name_prefix="petmjx-attempts")
     while (task := next_of(tasks)) is not None:
         pool.submit(answer, task)
     os._exit(0)  # the outcomes of running tasks are no longer needed

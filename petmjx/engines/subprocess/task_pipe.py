@@ -48,7 +48,7 @@ class Child:
                 stderr=subprocess.DEVNULL,
             )
             for target in (self._write, self._read):
-                threading.Thread(target=target, args=(self._popen,), name="petmjx-beside", daemon=True).start()
+                threading.Thread(target=target, args=(self._popen,), name="petmjx-pipe", daemon=True).start()
         except (OSError, RuntimeError):  # too little memory, or an interpreter inside another program
             self.answers.put(None)
 

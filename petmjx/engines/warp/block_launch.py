@@ -134,7 +134,7 @@ MOST_THREADS: Final = 1024
 def _threads() -> ThreadPoolExecutor:
     """Threads for the thread blocks of all engines on the CPU. Threads are started when they are needed at the same
     time, and are kept, since every time slice needs them."""
-    return ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="mjx-warp")
+    return ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="petmjx-mjx-warp-cpu")
 
 
 def load_kernels(launches: Sequence[Launch]) -> None:
