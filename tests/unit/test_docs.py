@@ -212,6 +212,30 @@ def test_no_text_points_outside_the_repository() -> None:
     assert not outside, "\n".join(outside)
 
 
+def thread_calls(path: Path) -> Iterator[tuple[int, str | None]]:
+    """The calls in a source file that start a thread or make a pool of threads: line, and name or prefix of names."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            function = ast.unparse(node.func)
+            keyword = {"threading.Thread": "name", "ThreadPoolExecutor": "thread_name_prefix"}.get(function)
+            if keyword is not None:
+                names = [entry.value for entry in node.keywords if entry.arg == keyword]
+                yield node.lineno, str(names[0].value) if names and isinstance(names[0], ast.Constant) else None
+
+
+def test_every_thread_has_a_name_and_a_line_on_the_page() -> None:
+    page = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
+    on_the_page = set(re.findall(r"`(petmjx-[\w-]+)`", page))
+    calls = {
+        f"{relative(source)}:{line}": name
+        for source in SOURCES
+        if relative(source).startswith("petmjx/")
+        for line, name in thread_calls(source)
+    }
+    assert {where: name for where, name in calls.items() if name not in on_the_page} == {}
+    assert on_the_page == set(calls.values()), "the page names no other threads"
+
+
 def test_the_readme_is_short_and_its_table_is_that_of_the_page() -> None:
     """The README is short. It shows some lines of the output of ``make demo``; docs/results.md explains all lines."""
     lines = (REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines()

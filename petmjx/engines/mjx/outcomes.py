@@ -30,10 +30,11 @@ def outcomes(
     sim: Simulation,
     recorder: Recorder,
 ) -> Iterator[Outcome]:
-    """The outcomes, with histories, of the rows (worlds in the device's table) that ``read_back`` has fetched.
+    """The outcomes, with histories, of rows (worlds in the device's table). Each batch is copied to the host when its
+    first outcome is requested.
 
     Args:
-        picked: the states of the rows on the host.
+        picked: the states of the rows, still on the device.
         jobs: row → job of the world in this row.
         stream_numbers: row → number of this job for ``Outcome.job``.
     """

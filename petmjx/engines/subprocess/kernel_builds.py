@@ -1,4 +1,4 @@
-"""Compiles kernels of mjx-warp before they are needed, each in a process of its own.
+"""Compiles kernels of mjx-warp before they are needed, in processes, several at the same time.
 
 NVRTC compiles a kernel in some 15 s. In the process of a run, compiling would begin only when JAX and Warp have
 started, and would share the interpreter's lock with the reading of plans. Separate processes begin to compile at once.

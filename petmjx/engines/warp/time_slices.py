@@ -225,7 +225,7 @@ class TableSlices:
         self._table.give_up(np.flatnonzero(is_live), Flag.OUT_OF_MEMORY)
 
     def _read_ended(self, status: NDArray[np.int32]) -> SliceResult:
-        """Fetch the results of the worlds that have ended, and free their rows."""
+        """Copy the results of the worlds that have ended, on the device, and free their rows."""
         table = self._table
         ended = table.ended(status)
         picked = read_back(ended, table.table, table.worlds, table.run.sim)
