@@ -44,7 +44,7 @@ class _End:
 _END: Final = _End()
 
 
-def run_engine(
+def outcomes_of_stream(
     engine: Engine, stream: JobStream[Any], sim: Simulation, progress: Progress, most: int
 ) -> Generator[Outcome]:
     """Simulate the jobs of a stream. An engine that cannot read a stream gets lists of jobs, one list after another.
@@ -140,7 +140,7 @@ class AttemptRunner(Generic[AnyWorld]):
         checked = Capability.CHECKS in engine.capabilities
         progress, tells = self.engines.progress, getattr(engine, "tells", False)
         progress.at_hand, progress.pauses = None, tells
-        answers = run_engine(engine, stream, self.sim, progress, self.most)
+        answers = outcomes_of_stream(engine, stream, self.sim, progress, self.most)
         arrivals: list[tuple[Pending[AnyWorld], Outcome]] = []
         while True:
             try:

@@ -17,7 +17,7 @@ from typing import Any, Final, Generic, TypeVar
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.text import count_text, one_line, three_digits
 from petmjx.common.units import FloatArray
-from petmjx.engines.attempt_runner import run_engine
+from petmjx.engines.attempt_runner import outcomes_of_stream
 from petmjx.engines.attempts import ready_for
 from petmjx.engines.cost_model import Costs
 from petmjx.engines.engine_choice import GAIN
@@ -203,7 +203,7 @@ class _Shared(Generic[Faster]):
 
         feed()
         stream.close()  # further jobs are added only between outcomes
-        with closing(run_engine(engine, stream, self._sim, self._progress, sys.maxsize)) as outcomes:
+        with closing(outcomes_of_stream(engine, stream, self._sim, self._progress, sys.maxsize)) as outcomes:
             for outcome in outcomes:
                 job = None
                 if outcome is not None:

@@ -19,7 +19,7 @@ import pandas as pd
 from petmjx.common.errors import InputError
 from petmjx.common.machine import cpu_threads, why_no_warp, why_no_warp_on_cpu
 from petmjx.common.text import printable_name
-from petmjx.engines.attempt_runner import run_engine
+from petmjx.engines.attempt_runner import outcomes_of_stream
 from petmjx.engines.attempts import Engines, may_go_on
 from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.engine_choice import make_engine, options_of
@@ -527,7 +527,7 @@ class TrialStream:
         stream.close()  # for the engine, all further jobs follow from outcomes
         self._feed(stream, queue, lane)
         progress, compiled_s = Progress(pauses=True), self._limit.compiled_s
-        with closing(run_engine(lane.engine, stream, lane.sim, progress, MOST_LISTED)) as outcomes:
+        with closing(outcomes_of_stream(lane.engine, stream, lane.sim, progress, MOST_LISTED)) as outcomes:
             for outcome in outcomes:
                 self._limit.compiled_s = compiled_s + progress.compile_s
                 self._limit.check(self._share)

@@ -15,13 +15,13 @@ from support.plans import make_scene
 from petmjx.engines.mjx import readback, scene_rows
 from petmjx.engines.mjx.frame_recorder import Recorder
 from petmjx.engines.mjx.outcomes import outcomes
-from petmjx.engines.mjx.readback import READ_BACK_ROWS, prepare_readback, read_back, reduce_metrics
+from petmjx.engines.mjx.readback import READBACK_ROWS, prepare_readback, readbacks_of, reduce_metrics
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, upload_worlds
 from petmjx.engines.mjx.world_state import State, fresh_state, take_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
-SIM, ROWS, BOXES = Simulation(), 2 * READ_BACK_ROWS + 5, 3
+SIM, ROWS, BOXES = Simulation(), 2 * READBACK_ROWS + 5, 3
 
 
 @pytest.fixture(scope="module")
@@ -38,14 +38,14 @@ def tables() -> tuple[Worlds, State]:
     return worlds, jax.tree.map(random, state)
 
 
-@pytest.mark.parametrize("count", [0, 1, READ_BACK_ROWS, READ_BACK_ROWS + 1, ROWS])
+@pytest.mark.parametrize("count", [0, 1, READBACK_ROWS, READBACK_ROWS + 1, ROWS])
 def test_they_have_the_bits_of_the_table(count: int, tables: tuple[Worlds, State]) -> None:
     worlds, table = tables
     rows = np.random.default_rng(count).permutation(ROWS)[:count]
-    batches = [batch.on_host() for batch in read_back(rows, table, worlds, SIM)]
-    assert len(batches) == -(-count // READ_BACK_ROWS)
+    batches = [batch.on_host() for batch in readbacks_of(rows, table, worlds, SIM)]
+    assert len(batches) == -(-count // READBACK_ROWS)
     for number, (state, measured) in enumerate(batches):
-        some = jnp.asarray(np.resize(rows[number * READ_BACK_ROWS :][:READ_BACK_ROWS], READ_BACK_ROWS))
+        some = jnp.asarray(np.resize(rows[number * READBACK_ROWS :][:READBACK_ROWS], READBACK_ROWS))
         chosen = take_rows(table, some)
         jax.tree.map(assert_same_bits, state, chosen)
         # results that are computed from NaN are NaN, but their bits are not defined
@@ -53,33 +53,33 @@ def test_they_have_the_bits_of_the_table(count: int, tables: tuple[Worlds, State
 
 
 def test_what_was_prepared_compiles_nothing(tables: tuple[Worlds, State]) -> None:
-    worlds, table = (take_rows(record, jnp.arange(READ_BACK_ROWS + 3)) for record in tables)
+    worlds, table = (take_rows(record, jnp.arange(READBACK_ROWS + 3)) for record in tables)
     with compiled_programs() as compiled:
         prepare_readback(table, worlds, SIM)
     assert compiled, "the listener hears of programs"
     with compiled_programs() as compiled:
-        read_back(np.arange(3), table, worlds, SIM)
-        read_back(np.arange(READ_BACK_ROWS + 3), table, worlds, SIM)
+        readbacks_of(np.arange(3), table, worlds, SIM)
+        readbacks_of(np.arange(READBACK_ROWS + 3), table, worlds, SIM)
     assert compiled == []
 
 
 def test_of_a_small_table_no_more_rows_are_picked_than_it_has(tables: tuple[Worlds, State]) -> None:
     worlds, table = (take_rows(record, jnp.arange(5)) for record in tables)
     rows = np.array([4, 0, 2])
-    ((state, _),) = (batch.on_host() for batch in read_back(rows, table, worlds, SIM))
+    ((state, _),) = (batch.on_host() for batch in readbacks_of(rows, table, worlds, SIM))
     jax.tree.map(assert_same_bits, state, take_rows(table, jnp.asarray([4, 0, 2, 4, 0])))
 
 
 def test_outcomes_have_their_stream_numbers_in_each_batch(
     tables: tuple[Worlds, State], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(readback, "READ_BACK_ROWS", 2)
+    monkeypatch.setattr(readback, "READBACK_ROWS", 2)
     jobs, rows = [Job(make_scene(BOXES))] * 5, np.array([4, 0, 2, 3, 1])
     worlds = take_rows(tables[0], jnp.arange(5))
     table = fresh_state(worlds, all_placed=True, ends=jnp.full(5, NEVER, jnp.int32), rest_steps=1)
     table = table._replace(steps_done=10 * jnp.arange(5, dtype=jnp.int32))
     numbers = [11, 22, 33, 44, 55]
-    all_outcomes = outcomes(read_back(rows, table, worlds, SIM), jobs, numbers, SIM, Recorder(jobs, SIM))
+    all_outcomes = outcomes(readbacks_of(rows, table, worlds, SIM), jobs, numbers, SIM, Recorder(jobs, SIM))
     steps = [(outcome.job, outcome.n_steps) for outcome in all_outcomes]
     assert steps == [(55, 40), (11, 0), (33, 20), (44, 30), (22, 10)]
 

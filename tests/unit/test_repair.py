@@ -17,7 +17,7 @@ from support.plans import Box, make_plan, stack
 import petmjx
 from petmjx.cli.main import main
 from petmjx.common.errors import InputError
-from petmjx.engines.attempt_runner import run_engine
+from petmjx.engines.attempt_runner import outcomes_of_stream
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
@@ -366,10 +366,10 @@ def test_drafts_join_the_worlds_that_are_being_simulated(monkeypatch: pytest.Mon
 
     def counted(*arguments: Any) -> Iterator[Any]:
         runs.append("judged")
-        return run_engine(*arguments)
+        return outcomes_of_stream(*arguments)
 
     scores = question.scores
-    monkeypatch.setattr("petmjx.repairs.trials.run_engine", counted)
+    monkeypatch.setattr("petmjx.repairs.trials.outcomes_of_stream", counted)
     monkeypatch.setattr(question, "scores", lambda asked, _: [runs.append("scored"), *scores(asked)][1:])
     draft = Draft.of(make_plan(boxes=stack(2)))
     stream = TrialStream(question)

@@ -22,7 +22,7 @@ from petmjx.engines.mjx.free_bodies import paths
 from petmjx.engines.mjx.host_to_device import GRANULE, Batch, is_out_of_memory, load, round_up
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.mjx.outcomes import outcomes
-from petmjx.engines.mjx.readback import read_back
+from petmjx.engines.mjx.readback import readbacks_of
 from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout, Program
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
@@ -161,7 +161,7 @@ class MjxJaxEngine(Engine):
         progress = progress or Progress()
         with self._running, closing(self._batches(jobs, sim, progress)) as batches:
             for batch_jobs, batch in batches:
-                picked = read_back(np.arange(len(batch_jobs)), batch.table, batch.worlds, sim)
+                picked = readbacks_of(np.arange(len(batch_jobs)), batch.table, batch.worlds, sim)
                 made = outcomes(picked, batch.jobs, batch_jobs, sim, batch.recorder)
                 for count, outcome in enumerate(made, start=1):
                     progress.at_hand = len(batch_jobs) - count

@@ -17,7 +17,7 @@ from petmjx.engines.mjx.world_constants import Worlds, device_array
 from petmjx.engines.mjx.world_state import State, take_rows
 from petmjx.options.simulation import Simulation
 
-READ_BACK_ROWS: Final = 256
+READBACK_ROWS: Final = 256
 """Number of rows that are read back at a time; a smaller table has fewer rows. Each number of rows needs its own
 program."""
 
@@ -67,13 +67,13 @@ def _readback_words(table: State, worlds: Worlds, rows: Int[Array, " row"], sim:
 
 
 def prepare_readback(table: State, worlds: Worlds, sim: Simulation) -> None:
-    """Compile the programs of ``read_back`` while the device is busy, so that later calls need no compilation."""
-    read_back(np.zeros(1, np.int64), table, worlds, sim)
+    """Compile the programs of ``readbacks_of`` while the device is busy, so that later calls need no compilation."""
+    readbacks_of(np.zeros(1, np.int64), table, worlds, sim)
 
 
-def read_back(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[Readback]:
+def readbacks_of(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[Readback]:
     """Rows of a table, still on the device, in batches of equal size. The last batch is padded."""
-    size = min(READ_BACK_ROWS, len(table.status))
+    size = min(READBACK_ROWS, len(table.status))
 
     def kind(of_row: tuple[int, ...], dtype: Any) -> Any:
         return jax.ShapeDtypeStruct((size, *of_row), dtype)  # type: ignore[no-untyped-call]  # JAX has no types for it

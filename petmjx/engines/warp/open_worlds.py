@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from petmjx.engines.mjx.host_to_device import Batch, load, round_up
 from petmjx.engines.mjx.outcomes import outcomes
-from petmjx.engines.mjx.readback import read_back
+from petmjx.engines.mjx.readback import readbacks_of
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import Worlds, device_array, padded_rows, upload_worlds
 from petmjx.engines.mjx.world_state import State, Status, put_rows, take_rows
@@ -169,7 +169,7 @@ class WarpWorlds(OpenWorlds):
         """The outcomes of paused worlds that get no more boxes."""
         begun = OpenState(batch.worlds, self._jitted_finish(OpenState(batch.worlds, state)))
         ended = self._to_the_end(begun, batch.profiles)
-        picked = read_back(np.arange(len(jobs)), ended.state, ended.worlds, self._sim)
+        picked = readbacks_of(np.arange(len(jobs)), ended.state, ended.worlds, self._sim)
         return list(outcomes(picked, jobs, range(len(jobs)), self._sim, batch.recorder))
 
     def _to_the_end(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:

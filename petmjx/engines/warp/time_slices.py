@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.readback import prepare_readback, read_back
+from petmjx.engines.mjx.readback import prepare_readback, readbacks_of
 from petmjx.engines.mjx.world_state import Status
 from petmjx.engines.verdict import Flag
 from petmjx.engines.warp.block_pool import BlockPools
@@ -228,7 +228,7 @@ class TableSlices:
         """Copy the results of the worlds that have ended, on the device, and free their rows."""
         table = self._table
         ended = table.ended(status)
-        picked = read_back(ended, table.table, table.worlds, table.run.sim)
+        picked = readbacks_of(ended, table.table, table.worlds, table.run.sim)
         jobs = {row: table.jobs[row] for row in ended.tolist()}
         stream_numbers = {row: table.stream_numbers[row] for row in ended.tolist()}
         table.end(ended)
