@@ -21,7 +21,7 @@ import pandas as pd
 
 from petmjx.analysis.kpis import COLUMNS
 from petmjx.analysis.packer_kpis import KPIS, against_orders
-from petmjx.analysis.packer_runs import ARRIVES, MEASURES, MISSING, Run, doubts, plans_of, runs_by_packer
+from petmjx.analysis.packer_runs import ARRIVES, MEASURES, MISSING, RunSource, doubts, plans_of, runs_by_packer
 from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
@@ -173,7 +173,7 @@ class PackerComparison:
 
 
 def compare_packers(
-    runs: Sequence[Run] | Mapping[str, Run],
+    runs: Sequence[RunSource] | Mapping[str, RunSource],
     confidence: float = DEFAULT_CONFIDENCE,
     *,
     orders: str | PathLike[str] | None = None,

@@ -38,10 +38,10 @@ ARRIVES: Final = "p_arrives"
 """Column with the share of a plan's simulations in which the pallet arrives at the end of the transport chain. The
 column exists if all runs simulated transport chains."""
 
-Run = RunResults | str | Path
+RunSource = RunResults | str | Path
 
 
-def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
+def runs_by_packer(runs: Sequence[RunSource] | Mapping[str, RunSource]) -> dict[str, RunResults]:
     """Name of each packer → its run. If no names are given, packers are named after the folders of the runs.
 
     Raises:

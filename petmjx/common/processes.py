@@ -55,7 +55,7 @@ def _begin(gpu: bool, nice: int) -> None:
     threading.Thread(target=wait, name="petmjx-parent", daemon=True).start()
 
 
-MOST_THREADS: Final = 2
+DEFAULT_THREADS: Final = 2
 """Default number of threads. More threads would only wait for Python's global lock. As an example, computing places for
 boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen, on the
 CPU of a machine with an H200 GPU."""
@@ -68,7 +68,9 @@ Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
 
-def on_threads(function: Callable[[Piece], Result], pieces: Sequence[Piece], most: int = MOST_THREADS) -> list[Result]:
+def on_threads(
+    function: Callable[[Piece], Result], pieces: Sequence[Piece], most: int = DEFAULT_THREADS
+) -> list[Result]:
     """Call ``function`` for each piece, on several threads. The results are in the order of the pieces.
 
     Args:

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.processes import MOST_THREADS, on_threads
+from petmjx.common.processes import DEFAULT_THREADS, on_threads
 from petmjx.common.units import FloatArray
 from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.placements import Placements
@@ -78,7 +78,7 @@ def free_places(
     # pallets with similar numbers of boxes are computed together, which saves time
     order = np.argsort(count, kind="stable")
     n_done = np.cumsum((of_each * (count + 1))[order])
-    share = int(n_done[-1] // (2 * MOST_THREADS)) if len(order) else 0
+    share = int(n_done[-1] // (2 * DEFAULT_THREADS)) if len(order) else 0
     at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
     free_mm, extent_mm = np.array([gap_mm, gap_mm, 0.0]), (extent_mm[0] + gap_mm, extent_mm[1] + gap_mm)
     chunks = np.split(order, np.flatnonzero(np.diff(n_done // at_once)) + 1) if len(order) else []

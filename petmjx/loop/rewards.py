@@ -60,7 +60,7 @@ TERMS: Final[dict[str, tuple[str, Callable[[Placement], FloatArray]]]] = {
 }
 """Name of a term → description of the term, and the function that computes its values."""
 
-USUAL: Final = {"utilisation": 10.0, "fall": 1.0, "illegal": 0.1}
+USUAL_WEIGHTS: Final = {"utilisation": 10.0, "fall": 1.0, "illegal": 0.1}
 
 
 def weights_of(rewards: Any) -> dict[str, float]:
@@ -70,7 +70,7 @@ def weights_of(rewards: Any) -> dict[str, float]:
         InputError: a term is unknown, or a weight is not a number.
     """
     if rewards is None:
-        return dict(USUAL)
+        return dict(USUAL_WEIGHTS)
     if not isinstance(rewards, Mapping):
         raise InputError(f"rewards must be a table of weights, {shown_value(rewards)}")
     for name in rewards:

@@ -17,7 +17,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_name
 from petmjx.common.units import MM_PER_M
 from petmjx.options.materials import STEEL, WOOD
-from petmjx.options.walls import USUAL, Side, Walls
+from petmjx.options.walls import USUAL_WALLS, Side, Walls
 
 
 class Carrier(StrEnum):
@@ -391,6 +391,6 @@ def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
 
 def walls_of(carrier: Carrier | OwnCarrier, walls: Walls) -> Walls:
     """The walls of a carrier, with a value for each field except possibly ``friction``. A field that the user does not
-    set has the carrier's value, or, if the carrier has none, the value from ``USUAL``."""
-    of_carrier = carrier.walls if isinstance(carrier, OwnCarrier) else WALLS_OF_CARRIERS.get(carrier, USUAL)
-    return walls.or_of(of_carrier).or_of(USUAL)
+    set has the carrier's value, or, if the carrier has none, the value from ``USUAL_WALLS``."""
+    of_carrier = carrier.walls if isinstance(carrier, OwnCarrier) else WALLS_OF_CARRIERS.get(carrier, USUAL_WALLS)
+    return walls.or_of(of_carrier).or_of(USUAL_WALLS)

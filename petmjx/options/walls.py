@@ -39,7 +39,7 @@ class Walls(CheckedRecord):
 
     A wall is a rigid upright plate along a whole side, and part of the carrier's body. If a field is None, the
     carrier's own value is used (``petmjx.options.carriers.walls_of``), or, if the carrier has none, the value from
-    ``USUAL``.
+    ``USUAL_WALLS``.
     """
 
     sides: Annotated[tuple[Side, ...] | None, CliFlag("--walls", "SIDE,…")] = Field(
@@ -134,7 +134,7 @@ class Walls(CheckedRecord):
         return None
 
 
-USUAL: Final = Walls(
+USUAL_WALLS: Final = Walls(
     sides=(), height_mm=1500.0, gap_mm=0.0, thickness_mm=30.0, mass_kg_m2=6.0, friction=None, material="wood"
 )
 """The values of fields of ``Walls`` that neither the user nor the carrier sets. The mass per area is an assumption,

@@ -67,7 +67,7 @@ PLACEMENTS_S: Final = 2.0
 """Delay before a run writes its table ``placements``, s, unless worlds are written earlier. Writing the table takes 0.3
 s for 10,003 plans, and would otherwise delay the first worlds."""
 
-LOOK_S: Final = 1.0
+REPLY_WAIT_S: Final = 1.0
 """Time between two checks whether the writer's thread is still running, s, while another thread waits for an answer."""
 
 
@@ -305,7 +305,7 @@ class RunWriter(RunInfo):
         self._queue.put(request)
         while True:
             with contextlib.suppress(Empty):
-                result, error = request.reply.get(timeout=LOOK_S)
+                result, error = request.reply.get(timeout=REPLY_WAIT_S)
                 break
             if not self._thread.is_alive() and request.reply.empty():
                 raise _CutShortError  # the writer's thread ended before it answered this request

@@ -74,7 +74,7 @@ class Tally:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class SearchAnswer:
     """The answer of a search for one placement, one profile and one direction.
 
     Attributes:
@@ -129,7 +129,7 @@ class SweepRun:
 
     plan: SweepPlan
     engine: Engine
-    on_answer: Callable[[Answer], None] = lambda answer: None
+    on_answer: Callable[[SearchAnswer], None] = lambda answer: None
     values_of: Callable[[FinishedWorld], Mapping[str, Any]] = lambda world: {}
     recorded: CompletedWorlds = field(default_factory=CompletedWorlds)
     recording: Recording = NO_RECORDING
@@ -487,7 +487,7 @@ class SweepRun:
         items = self.plan.search_items()
         for which, ((group, number), bracket) in enumerate(zip(searches, bisection.items, strict=True)):
             self.on_answer(
-                Answer(
+                SearchAnswer(
                     group,
                     items[number],
                     bracket,

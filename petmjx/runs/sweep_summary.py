@@ -22,7 +22,7 @@ from petmjx.runs.level_search import failure_mode
 from petmjx.runs.study import FinishedWorld
 from petmjx.runs.sweep_axes import AXIS_KINDS, Axis
 from petmjx.runs.sweep_design import REMEDY
-from petmjx.runs.sweep_run import Answer
+from petmjx.runs.sweep_run import SearchAnswer
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.runs.transport_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.world.profiles.accelerations import Tilt
@@ -221,7 +221,7 @@ def _binned_values(values: pd.Series[float], lowest: float, highest: float) -> p
 # Searches.
 
 
-def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
+def search_row(answer: SearchAnswer, columns: SweepColumns) -> dict[str, Any]:
     """One row of the summary of a search: column → value."""
     group, bracket = answer.group, answer.bracket
     box = bracket.box if bracket.box >= 0 else None

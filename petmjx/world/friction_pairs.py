@@ -30,7 +30,7 @@ LARGER: Final = -1.0
 two shapes, as is usual in MuJoCo."""
 
 
-USUAL: Final = LARGER
+FROM_PHYSICS: Final = LARGER
 """Marks an entry without a value in a table of restitutions, of landing times or of kinetic friction. For this entry,
 ``Physics`` gives the value: restitution, landing time, or kinetic friction as a share of static friction."""
 
@@ -58,13 +58,13 @@ def scaled_pairs(
 
 def filled_up(table: FloatArray | None, entry: tuple[int, ...] = ()) -> FloatArray:
     """(``MOST_SURFACES``, ``MOST_SURFACES``, …) a world's table of friction, of landings or of kinetic friction, filled
-    up with entries without a value (``LARGER`` and ``USUAL``, which are the same number).
+    up with entries without a value (``LARGER`` and ``FROM_PHYSICS``, which are the same number).
 
     Args:
         table: (k, k, …) the table. If ``table`` is None, no entry has a value.
         entry: shape of an entry, which is (2,) for landings.
     """
-    filled = np.full((MOST_SURFACES, MOST_SURFACES, *entry), USUAL)
+    filled = np.full((MOST_SURFACES, MOST_SURFACES, *entry), FROM_PHYSICS)
     if table is not None:
         filled[: len(table), : len(table)] = table
     return filled
@@ -81,9 +81,9 @@ class Surfaces(NamedTuple):
         of_boxes: (n,) surface number of each box.
         of_boards: (s,) surface number of each board and wall of the carrier.
         friction: (k, k) coefficient of sliding friction between two surfaces, or ``LARGER``.
-        landing: (k, k, 2) coefficient of restitution and landing time, s, between two surfaces, or ``USUAL``.
-        kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or ``USUAL``. If
-            ``kinetic`` is None, no pair has a share of its own.
+        landing: (k, k, 2) coefficient of restitution and landing time, s, between two surfaces, or ``FROM_PHYSICS``.
+        kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or
+            ``FROM_PHYSICS``. If ``kinetic`` is None, no pair has a share of its own.
     """
 
     of_boxes: NDArray[np.intp]
@@ -119,7 +119,7 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
             f"surfaces, got {len(of_boxes) + len(of_boards)}"
         )
     n = 1 + len(of_boxes) + len(of_boards)
-    table, landing, kinetic = np.full((n, n), LARGER), np.full((n, n, 2), USUAL), np.full((n, n), USUAL)
+    table, landing, kinetic = np.full((n, n), LARGER), np.full((n, n, 2), FROM_PHYSICS), np.full((n, n), FROM_PHYSICS)
     for row, one in enumerate(of_boxes, start=1):
         for column, other in enumerate(of_boxes, start=1):
             table[row, column] = _pair_friction(one, other, sim)
@@ -139,7 +139,7 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
         np.array([surface_of_board[board] for board in boards]),
         table,
         landing,
-        kinetic if (kinetic != USUAL).any() else None,
+        kinetic if (kinetic != FROM_PHYSICS).any() else None,
     )
 
 
@@ -177,12 +177,12 @@ def _pair_friction(one: str, other: str, sim: Simulation) -> float:
 def _kinetic(one: str, other: str, sim: Simulation) -> float:
     """The entry of two materials in the table of kinetic friction as a share of static friction."""
     share = kinetic_share_between(one, other, sim.friction_pairs) if one and other else None
-    return USUAL if share is None else share
+    return FROM_PHYSICS if share is None else share
 
 
 def _landing(one: str, other: str, sim: Simulation) -> tuple[float, float]:
     """The entry of two materials in the table of restitutions and landing times."""
     if not (one and other):
-        return USUAL, USUAL
+        return FROM_PHYSICS, FROM_PHYSICS
     restitution, landing_s = landing_between(one, other, sim.landing_pairs)
-    return USUAL if restitution is None else restitution, USUAL if landing_s is None else landing_s
+    return FROM_PHYSICS if restitution is None else restitution, FROM_PHYSICS if landing_s is None else landing_s

@@ -79,11 +79,11 @@ class Scene:
             ``petmjx.world.friction_pairs.LARGER``. If ``pair_friction`` is None, the larger coefficient of the two
             shapes is used for every pair.
         pair_landing: (k, k, 2) coefficient of restitution and landing time, s, between two surfaces, or
-            ``petmjx.world.friction_pairs.USUAL``. If ``pair_landing`` is None, the values of ``Physics`` are used for
-            every pair.
+            ``petmjx.world.friction_pairs.FROM_PHYSICS``. If ``pair_landing`` is None, the values of ``Physics`` are
+            used for every pair.
         pair_kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or
-            ``petmjx.world.friction_pairs.USUAL``. If ``pair_kinetic`` is None, the value of ``Physics`` is used for
-            every pair.
+            ``petmjx.world.friction_pairs.FROM_PHYSICS``. If ``pair_kinetic`` is None, the value of ``Physics`` is used
+            for every pair.
         placing: how boxes are placed.
         approach: (n, 2) horizontal unit vectors along which carried boxes move to their places. If a row is 0, the
             box's direction follows from its neighbours. If ``approach`` is None, the directions of all boxes follow

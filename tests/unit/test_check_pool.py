@@ -18,7 +18,7 @@ from support.plans import make_plan, make_world, stack
 
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.outcome_checks import outcome_checks
-from petmjx.engines.subprocess.check_pool import LOOK_S, MOST_WAITING, CheckPool
+from petmjx.engines.subprocess.check_pool import CHECK_WAIT_S, MOST_WAITING, CheckPool
 from petmjx.engines.subprocess.task_pipe import next_of
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.simulation import Simulation
@@ -133,7 +133,7 @@ def test_a_process_that_hangs_is_not_waited_for_without_end(
 ) -> None:
     one, other = pids(check_pool)
     check_pool.exchanged(given(raw, "started"), JOBS, SIM, wait=True)
-    monkeypatch.setattr("petmjx.engines.subprocess.check_pool.HANGS_S", 2 * LOOK_S)
+    monkeypatch.setattr("petmjx.engines.subprocess.check_pool.HANGS_S", 2 * CHECK_WAIT_S)
     os.kill(one, signal.SIGSTOP)
     check_pool.exchanged(given(raw, 0), JOBS, SIM, wait=False)
     outcomes = dict(check_pool.exchanged([], [], SIM, wait=True))
@@ -183,7 +183,7 @@ def test_they_end_with_the_run(check_pool: CheckPool[Any]) -> None:
 def test_after_ctrl_c_all_that_hang_are_waited_for_a_moment_together(
     check_pool: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("petmjx.engines.subprocess.check_pool.INTERRUPTED_S", 2 * LOOK_S)
+    monkeypatch.setattr("petmjx.engines.subprocess.check_pool.INTERRUPTED_S", 2 * CHECK_WAIT_S)
     stopped = pids(check_pool)
     for pid in stopped:
         os.kill(pid, signal.SIGSTOP)

@@ -100,7 +100,7 @@ def test_what_has_fallen_by_then_is_unstable(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_it_is_shown_how_far_a_long_world_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(budgets, "LONG_S", 0.0)
-    monkeypatch.setattr("petmjx.engines.mujoco.engine.LOOK_S", 0.01)
+    monkeypatch.setattr("petmjx.engines.mujoco.engine.WORLD_WAIT_S", 0.01)
     progress = Progress(pauses=True)
     shown = []
     for outcome in MujocoEngine(1).run([Job(make_scene(stack(12, size_mm=(400, 300, 50))))], Simulation(), progress):

@@ -25,7 +25,7 @@ MANY: Final = 1_000
 """From this number of rows on, several threads copy faster than one, since NumPy releases the interpreter's lock while
 it copies."""
 
-MOST_THREADS: Final = 8
+MOST_ROW_THREADS: Final = 8
 
 Rows = dict[str, NDArray[Any]]
 """Name of a field of ``world_constants.Worlds`` → its rows, one per scene."""
@@ -51,7 +51,7 @@ def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 
 
 def gather_rows(arrays: Iterable[NDArray[Any]], source: NDArray[np.int64]) -> list[NDArray[Any]]:
     """For each array, the rows whose numbers are in ``source``. ``source`` contains many numbers more than once."""
-    threads = MOST_THREADS if len(source) >= MANY else 1
+    threads = MOST_ROW_THREADS if len(source) >= MANY else 1
     return on_threads(partial(np.take, indices=source, axis=0), [*arrays], threads)
 
 
@@ -78,7 +78,7 @@ def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boar
         else:
             _put(rows, numbers[0], group_scenes[0], sim)
 
-    on_threads(put, [*stackable_groups(scenes)], MOST_THREADS if n >= MANY else 1)
+    on_threads(put, [*stackable_groups(scenes)], MOST_ROW_THREADS if n >= MANY else 1)
     for values in rows.values():
         values[n:] = values[0]
     return rows

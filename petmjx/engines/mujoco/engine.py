@@ -27,7 +27,7 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
-LOOK_S: Final = 0.25
+WORLD_WAIT_S: Final = 0.25
 """Longest uninterrupted wait for a world, s. This wait may delay the reaction to a signal, such as Ctrl-C."""
 
 
@@ -94,7 +94,7 @@ class MujocoEngine(Engine):
                         timeout_s = self.world_timeout_s
                         pending.add(pool.submit(_simulate, n_begun, job, sim, stop, timeout_s, running))
                         n_begun += 1
-                    finished, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
+                    finished, pending = wait(pending, WORLD_WAIT_S, FIRST_COMPLETED)
                     last_line = _say(progress, last_line, "" if finished else _oldest(running))
                     if not finished and progress.pauses:
                         yield None  # type: ignore[misc]  # None is allowed only with ``Progress.pauses``

@@ -34,7 +34,7 @@ THREADS_EACH: Final = 4
 MOST_WAITING: Final = 8
 """Largest number of unfinished checks of a process. Eight checks of 256 outcomes each take 20 MB."""
 
-LOOK_S: Final = 0.005
+CHECK_WAIT_S: Final = 0.005
 """Longest uninterrupted wait for an answer, s. Signals and other work are handled after each wait."""
 
 INTERRUPTED_S: Final = 2.0
@@ -55,7 +55,7 @@ NICE: Final = 5
 CheckTask = tuple[Sequence[Outcome], Sequence[Job], Simulation]
 """The arguments of ``outcome_checks``."""
 
-Answer = tuple[Sequence[Outcome], Sequence[tuple[FloatArray, FloatArray]]]
+CheckAnswer = tuple[Sequence[Outcome], Sequence[tuple[FloatArray, FloatArray]]]
 """Outcomes without their boxes, and two arrays for the boxes of each outcome: distances of loads from edges in the
 plan, and at rest, m."""
 
@@ -99,7 +99,7 @@ class CheckPool(Generic[Key]):
 
     def _hangs(self, waits: int) -> bool:
         """Whether a check process hangs, judged by the number of waits for its answer."""
-        return waits * LOOK_S >= HANGS_S if self._until_s is None else time.monotonic() >= self._until_s
+        return waits * CHECK_WAIT_S >= HANGS_S if self._until_s is None else time.monotonic() >= self._until_s
 
     @property
     def has_unanswered(self) -> bool:
@@ -163,7 +163,7 @@ class CheckPool(Generic[Key]):
         waits = 0  # waits are counted instead of seconds: while this process is stopped (Ctrl-Z), no answer is late
         while process.unanswered:
             try:
-                answer = process.child.answers.get(timeout=LOOK_S) if wait else process.child.answers.get_nowait()
+                answer = process.child.answers.get(timeout=CHECK_WAIT_S) if wait else process.child.answers.get_nowait()
             except queue.Empty:
                 if not wait or until():
                     return
@@ -200,7 +200,7 @@ def main() -> None:
     serve(NICE, _checked)
 
 
-def _checked(task: CheckTask) -> Answer | str:
+def _checked(task: CheckTask) -> CheckAnswer | str:
     """The answer of a check process. If the check raises an error, the answer is a line of text."""
     try:
         outcomes = outcome_checks(*task)

@@ -18,12 +18,12 @@ from petmjx.common.errors import InputError
 from petmjx.common.machine import cpu_threads, cuda_limits
 from petmjx.engines.kernel_notes import are_noted, note_kernels
 from petmjx.engines.subprocess.kernel_build_process import BuildAnswer, GpuLimits, KernelBuild
-from petmjx.engines.subprocess.task_pipe import LOOK_S, Child
+from petmjx.engines.subprocess.task_pipe import ANSWER_WAIT_S, Child
 from petmjx.options.simulation import Simulation
 
-USUAL: Final = ("usual", "few", "last")
-"""Block sizes of most runs, as in ``petmjx.engines.warp.block_launch.USUAL``. The kernel that takes longest is the
-first."""
+USUAL_SIZES: Final = ("usual", "few", "last")
+"""Block sizes of most runs, as in ``petmjx.engines.warp.block_launch.USUAL_SIZES``. The kernel that takes longest is
+the first."""
 
 SHARED_KB: Final = {75: 64, 80: 163, 86: 99, 87: 163, 89: 99, 90: 227, 100: 227, 103: 227, 110: 227, 120: 99, 121: 99}
 """Compute capability times ten → largest shared memory of a thread block, kB (CUDA C++ Programming Guide, "Technical
@@ -54,14 +54,17 @@ def gpu_of(arch: int) -> GpuLimits:
 def usual_builds(sim: Simulation, gpu: GpuLimits) -> list[KernelBuild]:
     """The kernels that most runs with these options need on a GPU."""
     hands, lands = not sim.placing.appears, sim.physics.has_landings
-    return [KernelBuild(gpu, size, hands, lands) for size in USUAL]
+    return [KernelBuild(gpu, size, hands, lands) for size in USUAL_SIZES]
 
 
 def all_builds(gpus: Sequence[GpuLimits]) -> list[KernelBuild]:
     """The kernels for exact placing and placing by hand, for plans of all sizes: on these GPUs, and on this CPU."""
     lands = Simulation().physics.has_landings
     on_gpus = [
-        KernelBuild(gpu, size, hands, lands) for gpu in gpus for hands in (False, True) for size in (*USUAL, "large")
+        KernelBuild(gpu, size, hands, lands)
+        for gpu in gpus
+        for hands in (False, True)
+        for size in (*USUAL_SIZES, "large")
     ]
     return [KernelBuild(None, "large", False, lands), *on_gpus]
 
@@ -76,7 +79,7 @@ class KernelBuilds:
     def __init__(self, builds: Sequence[KernelBuild]) -> None:
         self._waiting = deque(builds)
         self._children: dict[Child, KernelBuild] = {}
-        for _ in range(min(MOST_PROCESSES, max(cpu_threads(), len(USUAL)), len(builds))):
+        for _ in range(min(MOST_PROCESSES, max(cpu_threads(), len(USUAL_SIZES)), len(builds))):
             self._begin_next(None)
 
     def answers(self) -> Iterator[BuildAnswer]:
@@ -87,7 +90,7 @@ class KernelBuilds:
                 first = next(iter(self._children))
                 child = next((child for child in self._children if not child.answers.empty()), first)
                 try:
-                    answer = child.answers.get(timeout=LOOK_S)
+                    answer = child.answers.get(timeout=ANSWER_WAIT_S)
                 except queue.Empty:
                     continue
                 build = self._children.pop(child)

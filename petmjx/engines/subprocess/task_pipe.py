@@ -18,7 +18,7 @@ from typing import IO, Any, Final, TypeVar
 from petmjx.common.machine import own_environment
 from petmjx.common.processes import collect_rarely
 
-LOOK_S: Final = 0.25
+ANSWER_WAIT_S: Final = 0.25
 """Longest uninterrupted wait for an answer, s. Signals are handled after each wait."""
 
 _NO_GPU: Final = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
@@ -89,7 +89,7 @@ def arrived(answers: queue.SimpleQueue[Item], *, wait: bool) -> Iterator[Item]:
     """The answers in a queue. ``wait``: whether to wait for the first answer."""
     while True:
         try:
-            answer = answers.get(timeout=LOOK_S) if wait else answers.get_nowait()
+            answer = answers.get(timeout=ANSWER_WAIT_S) if wait else answers.get_nowait()
         except queue.Empty:
             if wait:
                 continue

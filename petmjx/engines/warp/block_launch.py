@@ -226,7 +226,7 @@ LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
 blocks fills a multiprocessor."""
 
 
-USUAL: Final = (SIZES[0], FEW_BOXES, LAST)
+USUAL_SIZES: Final = (SIZES[0], FEW_BOXES, LAST)
 """The blocks of most runs, which have no large plans."""
 
 

@@ -20,7 +20,7 @@ from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State, of_flat
 from petmjx.engines.protocol import Progress
 from petmjx.engines.subprocess.kernel_builds import KernelBuilds
-from petmjx.engines.warp.block_launch import USUAL, Features, Launch, launch_device, load_kernels
+from petmjx.engines.warp.block_launch import USUAL_SIZES, Features, Launch, launch_device, load_kernels
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 from petmjx.engines.warp.small_world_blocks import small_world_queues
 from petmjx.engines.warp.tail_blocks import tail_queues
@@ -195,7 +195,7 @@ def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> b
             pass
         if not threading.main_thread().is_alive():
             return False  # the process is ending, and needs no kernels any more
-        load_kernels([Launch.of(size, features) for size in USUAL])
+        load_kernels([Launch.of(size, features) for size in USUAL_SIZES])
     return True
 
 
