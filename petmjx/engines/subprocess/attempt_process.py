@@ -1,4 +1,4 @@
-"""Simulates single worlds again (further *attempts*) in a process beside a run, on engines with one thread each.
+"""The attempt process simulates single worlds again (further *attempts*) beside a run, on engines with one thread.
 
 ``SubprocessSimulator`` sends tasks to the process, and receives the answers. ``main`` is the work of the process. The
 process sees no GPU, so its JAX and Warp use the CPU, even if those of the run's process use a GPU. The process ends
