@@ -11,7 +11,7 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, usable_plans
-from petmjx.results.run_manifest import PlanRecord, records_of
+from petmjx.results.plan_records import PlanRecord, records_of
 
 
 class PlanInput(NamedTuple):

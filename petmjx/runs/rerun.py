@@ -14,9 +14,10 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, find_plan, gather_plans
 from petmjx.results.plan_lookup import how_read, plan_file
+from petmjx.results.plan_records import plan_digest
 from petmjx.results.plan_table import kept_plans
 from petmjx.results.run_folder import RUN_FILE
-from petmjx.results.run_manifest import Manifest, plan_digest
+from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.chain_summary import is_chain
 from petmjx.runs.confidence import PLACING, confidence_sweep

@@ -31,9 +31,10 @@ from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, are_files
 from petmjx.results.history_tables import Recording, recording_of
 from petmjx.results.plan_lookup import plans_in_place
+from petmjx.results.plan_records import PlanRecord
 from petmjx.results.plan_table import placements_table
 from petmjx.results.resume import engine_of_run
-from petmjx.results.run_manifest import Manifest, PlanRecord
+from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.to_json import to_json
