@@ -275,11 +275,11 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
         plan for plan in plan_set.plans if plan.source not in plan_set.readings
     ]  # plans of other tools have already been converted to petmjx's convention
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
-    conventions = _find_conventions(own_plans, own_odd, extent_mm)
+    conventions = find_conventions(own_plans, own_odd, extent_mm)
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
 
 
-def _find_conventions(
+def find_conventions(
     plans: Sequence[Plan], odd: Iterable[PlanWarnings], carrier_extent_mm: tuple[float, float] | None
 ) -> list[str]:
     """A line for each convention that plans appear to follow instead of petmjx's.

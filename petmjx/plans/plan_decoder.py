@@ -6,8 +6,8 @@ checks field by field and has the text of each error. For the same file, both wa
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from operator import attrgetter
 from typing import Annotated, Any, Final, NamedTuple
@@ -22,6 +22,7 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.input_conventions import InputConventions
 from petmjx.plans.json_reader import LONGEST_VALUE, Entry, MalformedPlans, scan_plans
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_columns import plan_of_rows
 from petmjx.plans.plan_fields import (
     FARTHEST_MM,
     LARGEST_KG,
@@ -216,7 +217,7 @@ def _plans_of(
     begins = np.concatenate([[0], ends[:-1]])
     are_good = np.logical_and.reduceat(is_good, begins)  # every plan has placements
     return [
-        _plan(plan_id, options.source, slice(begin, end), arrays, shared) if all_good else None
+        plan_of_rows(plan_id, options.source, slice(begin, end), arrays, shared) if all_good else None
         for plan_id, begin, end, all_good in zip(
             plan_ids, begins.tolist(), ends.tolist(), are_good.tolist(), strict=True
         )
@@ -226,32 +227,6 @@ def _plans_of(
 def _triples(values: Iterable[tuple[float, float, float]], count: int) -> FloatArray:
     """(count, 3) the triples as an array. ``numpy.array`` of a list of tuples would take four times as long."""
     return np.fromiter(chain.from_iterable(values), np.float64, 3 * count).reshape(-1, 3)
-
-
-_DEFAULTS: Final[dict[str, Any]] = {field.name: field.default for field in fields(Plan)}
-_SET_FIELD: Final = object.__setattr__  # the only means of setting a field, since the class is frozen
-
-
-def _plan(
-    plan_id: str,
-    source: str,
-    rows: slice,
-    arrays: Mapping[str, NDArray[Any]],
-    texts: Mapping[str, Sequence[str]],
-) -> Plan:
-    """The plan of some rows. The checks of its constructor are skipped, because they were made for all plans
-    together."""
-    values = _DEFAULTS | {"plan_id": plan_id, "source": source}
-    for name, array in arrays.items():
-        values[name] = array[rows]
-    for name, column in texts.items():
-        values[name] = tuple(column[rows])
-    if not any(values["product_groups"]):
-        values["product_groups"] = ()
-    plan = object.__new__(Plan)
-    for name, value in values.items():
-        _SET_FIELD(plan, name, value)
-    return plan
 
 
 def read_entry(entry: Entry, options: DecoderOptions) -> ReadEntry:

@@ -171,6 +171,27 @@ def read_plans(
     return loading.done()
 
 
+def read_json_plans(
+    source: str, text: bytearray, options: RunOptions, extent_mm: tuple[float, float] | None
+) -> tuple[PlanSet, UnreadFields]:
+    """Read a text in BED-BPP's form. A text in another form is skipped.
+
+    Args:
+        source: name of the file in messages.
+        extent_mm: see :func:`load_plans`.
+
+    Returns:
+        The plans, and the counts of the fields that petmjx ignores, of which ``PlanSet.notes`` does not tell.
+
+    Raises:
+        InputError: with ``strict``, a plan would be skipped.
+    """
+    given = InputConventions.checked(options.units, options.anchor)
+    loading = _PlanLoader(options, given, DEFAULT_MAX_BOXES, extent_mm, None)
+    loading.read_json_text(source, text)
+    return with_conventions(loading.found, extent_mm), loading.unread
+
+
 def is_box_object(value: Any) -> bool:
     """Whether a Python object may contain boxes in another tool's form: dictionaries, an array, py3dbp's objects."""
     if isinstance(value, list | tuple):
@@ -264,6 +285,14 @@ class _PlanLoader:
                 self._read_text(source, path)
         except (OSError, ValueError) as error:
             self._skip(source, None, f"{source}: cannot be read ({reason(error)})")
+        self._count_unlisted(source)
+
+    def read_json_text(self, source: str, text: bytearray) -> None:
+        """Read a text in BED-BPP's form. A text in another form is skipped."""
+        if not looks_like_own_json(text):
+            self._skip(source, None, f"{source}: is not in BED-BPP's form")
+            return
+        self._read_own_json(source, text, damaged=False)
         self._count_unlisted(source)
 
     def read_frame(self, frame: SupportsArrow) -> None:
@@ -410,13 +439,21 @@ class _PlanLoader:
                     break
 
     def _read_json(self, source: str, path: Path, data: bytearray, damaged: bool) -> None:
-        """Read the plans of a text. If the text turns out not to be JSON, its plans are removed again.
+        """Read the plans of a text in BED-BPP's form or in the form of another tool.
 
         Args:
             damaged: whether the text is known to be damaged JSON. If so, the plans before the damage are kept.
         """
-        if not damaged and not looks_like_own_json(data) and not self._is_left_to_own(source, path, data):
-            return
+        if damaged or looks_like_own_json(data) or self._is_left_to_own(source, path, data):
+            self._read_own_json(source, data, damaged)
+
+    def _read_own_json(self, source: str, data: bytearray, damaged: bool) -> None:
+        """Read the plans of a text in BED-BPP's form. If the text turns out not to be JSON, its plans are removed
+        again.
+
+        Args:
+            damaged: see :meth:`_read_json`.
+        """
         n_good, n_skipped = len(self.found.plans), len(self.found.skipped)
         n_plans, unread = self.n_plans, self.unread.copy()
         options = DecoderOptions(source, self.max_boxes, self.given, self.names, self.unread)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 from os import PathLike
@@ -57,8 +57,19 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
                 "units and anchor apply only to files and data frames; for plan objects, give them to Plan.from_boxes"
             )
         plans = given
-    gathered = gather_plans(plans, sim, options)
     earlier_lines = plans.conventions if isinstance(plans, PlanSet) else ()
+    return usable_of(gather_plans(plans, sim, options), sim, options, earlier_lines)
+
+
+def usable_of(gathered: PlanSet, sim: Simulation, options: RunOptions, earlier_lines: Collection[str] = ()) -> PlanSet:
+    """The plans of :func:`gather_plans` that can be simulated. Warns as :func:`usable_plans`.
+
+    Args:
+        earlier_lines: lines about conventions of which the user has already been warned.
+
+    Raises:
+        InputError: as :func:`usable_plans`.
+    """
     warn([line for line in gathered.conventions if line not in earlier_lines])
     plan_set = without_vanishing_boxes(gathered, sim.size_reduction_mm, options.strict)
     plan_set = without_narrow_walls(plan_set, sim.carrier, sim.walls, options.strict)
@@ -81,8 +92,7 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
     Files are read and checked. Plan objects are used unchanged, except that a repeated id is replaced by a new one.
     """
-    extent = extent_m(sim.carrier)
-    extent_mm = None if extent is None else (extent[0] * MM_PER_M, extent[1] * MM_PER_M)
+    extent_mm = carrier_extent_mm(sim)
     source: Any = bundled_path() if plans is None else plans
     if not isinstance(source, PlanSet | SupportsArrow):
         alone = isinstance(source, str | PathLike | Plan)
@@ -96,6 +106,12 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     else:
         plan_set = read_plans(source, options, extent_mm=extent_mm)
     return plan_set if options.articles is None else _with_articles(plan_set, options.articles, options.strict)
+
+
+def carrier_extent_mm(sim: Simulation) -> tuple[float, float] | None:
+    """Extent of the carrier along x and y, mm. None if the carrier is as large as the plan."""
+    extent = extent_m(sim.carrier)
+    return None if extent is None else (extent[0] * MM_PER_M, extent[1] * MM_PER_M)
 
 
 def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:

@@ -1,4 +1,4 @@
-"""Reads the plans of a run: in the process of the run, or in a process of its own while JAX and Warp start.
+"""Reads the plans of a run: in the process of the run, or in other processes while JAX and Warp start.
 
 Reading 10,003 plans and starting JAX and Warp take two to three seconds each, and both need Python's global lock. So in
 one process, they would take turns, and the GPU would wait for both.
@@ -7,18 +7,22 @@ one process, they would take turns, and the GPU would wait for both.
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from petmjx.common.machine import cpu_threads, cuda_devices
 from petmjx.engines.run_engine import bytes_of_plans, may_use_gpu
 from petmjx.engines.subprocess.task_pipe import Child
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
-from petmjx.plans.convention_checks import warn
-from petmjx.plans.plan_sources import PlanSource
-from petmjx.runs.reading_process import Answer, PlanInput, read_here
+from petmjx.plans.plan_pieces import Piece, joined, pieces_of
+from petmjx.plans.plan_set import PlanSet
+from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, usable_of, usable_plans
+from petmjx.results.plan_records import PlanRecord, records_of
+from petmjx.runs.reading_process import Answer
 
 WORTH_A_PROCESS: Final = 16 << 20
 """Smallest size of plan files, in bytes, for which a process reads the plans: about 1,500 plans. Smaller files are read
@@ -28,6 +32,24 @@ MOST_IN_A_PROCESS: Final = 4 << 30
 """Largest size of plan files, in bytes, for which a process reads the plans. For a moment, the plans are in the memory
 of both processes."""
 
+MOST_PROCESSES: Final = 6
+"""Largest number of processes that read pieces of a file. With six processes, starting them takes as long as reading
+the pieces of 10,003 plans."""
+
+THREADS_EACH: Final = 2
+"""A machine with k times this number of CPU threads gets up to k processes."""
+
+
+class PlanInput(NamedTuple):
+    """The plans of a run.
+
+    Attributes:
+        records: plan id → record of the plan. There may also be records of skipped plans.
+    """
+
+    plan_set: PlanSet
+    records: dict[str, PlanRecord]
+
 
 def read_input(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanInput:
     """Read the plans of a run.
@@ -35,29 +57,82 @@ def read_input(plans: PlanSource | None, sim: Simulation, options: RunOptions) -
     Raises:
         InputError: as ``usable_plans``.
     """
-    if _suits_a_process(plans, options) and (answer := read_in_process(plans, sim, options)) is not None:
-        warn(answer.warnings)
-        return answer.plan_input
+    if _suits_processes(plans, options) and (gathered := read_in_processes(plans, sim, options)) is not None:
+        return gathered._replace(plan_set=usable_of(gathered.plan_set, sim, options))
     return read_here(plans, sim, options)
 
 
-def read_in_process(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> Answer | None:
-    """Read the plans in a process. None if this fails: the caller then reads the plans itself, and gets the error."""
+def read_here(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanInput:
+    """Read the plans of a run in this process.
+
+    Raises:
+        InputError: as ``usable_plans``.
+    """
+    plan_set = usable_plans(plans, sim, options)
+    return PlanInput(plan_set, records_of(plan_set.plans, plan_set.numbers))
+
+
+def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanInput | None:
+    """All plans of a source (``gather_plans``), read in one or more processes. None if this fails: the caller then
+    reads the plans itself, and gets the error."""
+    pieces = _pieces(plans, options)
+    sources: Sequence[PlanSource | Piece | None] = pieces or [plans]
     try:
-        task = pickle.dumps((plans, sim, options))
+        tasks = [pickle.dumps((source, sim, options)) for source in sources]
     except Exception:  # a user's own class of paths may raise any error here
         return None
-    child = Child("petmjx.runs.reading_process")
+    answers = _answers(tasks)
+    if answers is None:
+        return None
+    if not pieces:
+        (answer,) = answers
+        return PlanInput(answer.content.plan_set, answer.records)
+    plan_set = joined([answer.content for answer in answers], carrier_extent_mm(sim))
+    if plan_set is None:
+        return None
+    records = {
+        plan_id: record._replace(number=plan_set.numbers[plan_id])
+        for answer in answers
+        for plan_id, record in answer.records.items()
+    }
+    return PlanInput(plan_set, records)
+
+
+def _answers(tasks: Sequence[bytes]) -> list[Answer] | None:
+    """The answers of processes to one task each. None if a process cannot answer."""
+    children = [Child("petmjx.runs.reading_process") for _ in tasks]
+    answers: list[Answer] = []
     try:
-        child.tasks.put(task)
-        answer: Answer | None = child.answers.get()
+        for child, task in zip(children, tasks, strict=True):
+            child.tasks.put(task)
+        for child in children:
+            answer: Answer | None = child.answers.get()
+            if answer is None:
+                return None
+            answers.append(answer)
+            child.end()
     finally:
-        child.end()
-    return answer
+        for child in children:
+            child.end()
+    return answers
 
 
-def _suits_a_process(plans: PlanSource | None, options: RunOptions) -> bool:
-    """Whether another process should read the plans: ``plans`` are large files, and this process may start a GPU while
+def _pieces(plans: PlanSource | None, options: RunOptions) -> list[Piece]:
+    """Pieces of the plans' file that processes can read at the same time; empty if one process should read all
+    plans."""
+    count = min(MOST_PROCESSES, cpu_threads() // THREADS_EACH, bytes_of_plans(plans) // WORTH_A_PROCESS)
+    if count < 2 or options.limit is not None or options.articles is not None:
+        return []
+    (file,) = plans if isinstance(plans, list | tuple) and len(plans) == 1 else (plans,)
+    if not isinstance(file, str | PathLike):
+        return []
+    with suppress(OSError, ValueError):
+        return pieces_of(Path(file), count)
+    return []
+
+
+def _suits_processes(plans: PlanSource | None, options: RunOptions) -> bool:
+    """Whether other processes should read the plans: ``plans`` are large files, and this process may start a GPU while
     they are read."""
     sources = plans if isinstance(plans, list | tuple) else [plans]
     paths = [Path(source) for source in sources if isinstance(source, str | PathLike)]

@@ -17,25 +17,24 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.runs import plan_input
-from petmjx.runs.plan_input import read_in_process, read_input
-from petmjx.runs.reading_process import Answer, PlanInput, read_here
+from petmjx.runs.plan_input import PlanInput, read_here, read_in_processes, read_input
 
 SIM, OPTIONS = Simulation(), RunOptions(engine="mjx-warp")
 
 
 @pytest.fixture
-def in_process(monkeypatch: pytest.MonkeyPatch) -> list[Answer | None]:
-    """A machine with a GPU, where files of any size are read in a process. The list gets the answers."""
-    answers: list[Answer | None] = []
+def in_process(monkeypatch: pytest.MonkeyPatch) -> list[PlanInput | None]:
+    """A machine with a GPU, where files of any size are read in a process. The list gets what the process has read."""
+    answers: list[PlanInput | None] = []
 
-    def noted(*arguments: Any) -> Answer | None:
-        answers.append(read_in_process(*arguments))
+    def noted(*arguments: Any) -> PlanInput | None:
+        answers.append(read_in_processes(*arguments))
         return answers[-1]
 
     monkeypatch.setattr(plan_input, "cuda_devices", lambda: ("a GPU",))
     monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2)
     monkeypatch.setattr(plan_input, "WORTH_A_PROCESS", 1)
-    monkeypatch.setattr(plan_input, "read_in_process", noted)
+    monkeypatch.setattr(plan_input, "read_in_processes", noted)
     return answers
 
 
@@ -53,7 +52,7 @@ def facts(result: PlanInput) -> list[Any]:
     return [arrays, result.records, plan_set.numbers, plan_set.notes, plan_set.skipped, plan_set.conventions]
 
 
-def test_a_process_reads_the_same(tmp_path: Path, in_process: list[Answer | None]) -> None:
+def test_a_process_reads_the_same(tmp_path: Path, in_process: list[PlanInput | None]) -> None:
     file = plan_file(tmp_path, [make_plan(f"plan {n}", stack(n)) for n in (1, 3, 2)])
     plans = json.loads(file.read_text())
     file.write_text(json.dumps({"faulty": [{"item": 1}], **plans}))
@@ -65,7 +64,32 @@ def test_a_process_reads_the_same(tmp_path: Path, in_process: list[Answer | None
     assert [record.number for record in result.records.values()] == [1, 2, 3]
 
 
-def test_warnings_of_the_process_are_issued_here(tmp_path: Path, in_process: list[Answer | None]) -> None:
+def test_processes_read_pieces_of_a_large_file(
+    tmp_path: Path, in_process: list[PlanInput | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2 * plan_input.THREADS_EACH)
+    file = plan_file(tmp_path, [make_plan(f"plan {n}", stack(1 + n % 4)) for n in range(9)])
+    plans = json.loads(file.read_text())
+    file.write_text(json.dumps({**plans, "faulty": [{"item": 1}], "last": plans["plan 0"]}))
+    result = read_input(file, SIM, OPTIONS)
+    assert in_process[0] is not None
+    assert facts(result) == facts(read_here(file, SIM, OPTIONS))
+    assert result.plan_set.numbers["last"] == 10
+
+
+def test_an_id_in_two_pieces_is_found(
+    tmp_path: Path, in_process: list[PlanInput | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2 * plan_input.THREADS_EACH)
+    file = plan_file(tmp_path, [make_plan(f"plan {n}", stack(2)) for n in range(6)])
+    file.write_text(file.read_text().replace("plan 5", "plan 0"))
+    result = read_input(file, SIM, OPTIONS)
+    assert in_process == [None]
+    assert facts(result) == facts(read_here(file, SIM, OPTIONS))
+    assert "repeated plan id" in result.plan_set.skipped[0].message
+
+
+def test_warnings_of_the_process_are_issued_here(tmp_path: Path, in_process: list[PlanInput | None]) -> None:
     centers = [(size, (x + size[0] / 2, y + size[1] / 2, z + size[2] / 2), kg) for size, (x, y, z), kg in stack(3)]
     file = plan_file(tmp_path, [make_plan(f"plan {n}", centers) for n in range(3)])
     with warnings.catch_warnings(record=True) as here:
@@ -77,12 +101,14 @@ def test_warnings_of_the_process_are_issued_here(tmp_path: Path, in_process: lis
     assert [str(warning.message) for warning in caught] == [str(warning.message) for warning in here] != []
 
 
-def test_errors_appear_in_the_process_of_the_run(tmp_path: Path, in_process: list[Answer | None]) -> None:
+def test_errors_appear_in_the_process_of_the_run(tmp_path: Path, in_process: list[PlanInput | None]) -> None:
     file = tmp_path / "plans.json"
     file.write_text('{"plan": [')
     with pytest.raises(InputError, match=r"plans\.json"):
         read_input(file, SIM, OPTIONS)
-    assert in_process == [None]
+    with pytest.raises(InputError, match=r"not JSON at line 1"):
+        read_input(file, SIM, OPTIONS.model_copy(update={"strict": True}))
+    assert in_process[1:] == [None]
 
 
 class OwnPath:
@@ -95,7 +121,7 @@ class OwnPath:
         return str(self.path)
 
 
-def test_what_a_process_cannot_read_is_read_here(tmp_path: Path, in_process: list[Answer | None]) -> None:
+def test_what_a_process_cannot_read_is_read_here(tmp_path: Path, in_process: list[PlanInput | None]) -> None:
     """``/dev/stdin`` is a link, and means another file in another process. The process gets paths by pickle."""
     file = plan_file(tmp_path, [make_plan("plan", stack(2))])
     (tmp_path / "link").symlink_to(file)
@@ -106,7 +132,7 @@ def test_what_a_process_cannot_read_is_read_here(tmp_path: Path, in_process: lis
 
 
 def test_small_files_and_plan_objects_need_no_process(
-    tmp_path: Path, in_process: list[Answer | None], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, in_process: list[PlanInput | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = make_plan("plan", stack(2))
     read_input([plan], SIM, OPTIONS)
