@@ -82,7 +82,7 @@ def _why_unusable(folder: Path) -> str:
         folder.mkdir(parents=True, exist_ok=True)
         # Warp makes a subfolder for each of its versions. If root made a subfolder in a user's home, the user cannot
         # write to it.
-        for place in (folder, *(entry for entry in folder.iterdir() if entry.is_dir() and entry.name[:1].isdigit())):
+        for place in (folder, *(entry for entry in folder.iterdir() if entry.name[:1].isdigit() and entry.is_dir())):
             with tempfile.TemporaryFile(dir=place):
                 pass
     except (OSError, ValueError) as error:

@@ -16,6 +16,7 @@ from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, gather_plans
 from petmjx.results.plan_records import PlanRecord, records_of
 
+
 class Answer(NamedTuple):
     """What the process has read.
 
