@@ -38,6 +38,10 @@ PENDING_BOXES: Final = 1 << 20
 """The thread that makes worlds pauses while the waiting jobs have this number of boxes. The scenes of these jobs take
 130 MB."""
 
+PENDING_BOXES_GPU: Final = 1 << 17
+"""The same number if a GPU takes the jobs: 3,000 plans of 43 boxes. Until the first time slice of the GPU, the thread
+that makes worlds and the thread that loads them take turns, since both need Python's global lock."""
+
 FIRST_WORLDS: Final = 1600
 """Number of worlds with which a GPU begins. This number of worlds is enough to keep all thread blocks for worlds of few
 boxes busy (``small_world_blocks``). The other worlds start on the GPU later."""
@@ -50,11 +54,12 @@ def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
     """A pool of processes that check the outcomes of ``worlds`` worlds while an engine simulates; None if the engine
     needs no pool, or if there are too few worlds.
     """
-    return (
-        CheckPool.here()
-        if engine.name in BESIDE and Capability.CHECKS not in engine.capabilities and worlds >= LARGE
-        else None
-    )
+    return CheckPool.here() if _is_gpu(engine) and worlds >= LARGE else None
+
+
+def _is_gpu(engine: Engine) -> bool:
+    """Whether an engine simulates on a GPU in this process, and not in workers, which check outcomes themselves."""
+    return engine.name in BESIDE and Capability.CHECKS not in engine.capabilities
 
 
 def score_worlds(
@@ -73,10 +78,10 @@ def score_worlds(
     """Simulate worlds and yield the final result of each world, in any order.
 
     A thread makes the worlds and puts their jobs into a ``JobStream``, from which the engine takes the jobs. The thread
-    waits while the jobs in the stream have ``PENDING_BOXES`` boxes. Invalid worlds are collected, and simulated again
-    together at the end, or earlier if ``most_pending`` of them wait. So the memory of a run does not grow with its
-    number of worlds. If CPU threads make an attempt beside a GPU (petmjx/engines/attempts.py), this attempt begins at
-    once.
+    waits while the jobs in the stream have ``PENDING_BOXES`` boxes (``PENDING_BOXES_GPU`` for a GPU). Invalid worlds
+    are collected, and simulated again together at the end, or earlier if ``most_pending`` of them wait. So the memory
+    of a run does not grow with its number of worlds. If CPU threads make an attempt beside a GPU
+    (petmjx/engines/attempts.py), this attempt begins at once.
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
     a settled pallet. ``following`` is called after each outcome, and returns each world exactly once. An engine that
@@ -104,7 +109,7 @@ def score_worlds(
     if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
     stream = JobStream[Pending[AnyWorld]](
-        most_boxes=PENDING_BOXES * engine.devices,
+        most_boxes=PENDING_BOXES_GPU if _is_gpu(engine) else PENDING_BOXES * engine.devices,
         feedback=following is not None,
         begin_with=begin_with,
         bounds=bounds,
