@@ -5,15 +5,17 @@ from __future__ import annotations
 import importlib
 from contextlib import suppress
 
+from petmjx.common.processes import no_collection
 from petmjx.common.warp_setup import set_up_warp
 from petmjx.engines.subprocess.kernel_builds import KernelBuilds, builds_if_missing, note_kept
 from petmjx.options.simulation import Simulation
 
 
 def start_gpu() -> None:
-    """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two. Errors are ignored
-    here: the engine that needs these libraries reports them."""
-    with suppress(Exception):
+    """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two, and would take a quarter
+    longer if the garbage collector scanned the many new objects. Errors are ignored here: the engine that needs these
+    libraries reports them."""
+    with suppress(Exception), no_collection():
         importlib.import_module("petmjx.engines.mjx.jax_setup").set_up_jax()
         set_up_warp()
         importlib.import_module("petmjx.engines.warp.engine")
