@@ -260,9 +260,10 @@ def test_memory_that_runs_out_as_a_world_becomes_a_job_ends_the_run_after_the_ou
     assert plan_ids == ["p0", "p1", "p2"]
 
 
-def test_few_boxes_are_pending_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(attempt_stream, "PENDING_BOXES", 3)
-    engine = FailingEngine()
+@pytest.mark.parametrize(("name", "limit"), [("mujoco", "PENDING_BOXES"), ("mjx-warp", "PENDING_BOXES_GPU")])
+def test_few_boxes_are_pending_at_a_time(name: str, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(attempt_stream, limit, 3)
+    engine = FailingEngine(name)
     assert len(list(score_worlds(worlds_failing(*[0] * 10), SIM, engine))) == 10
     assert all(len(jobs) <= 3 for _, jobs in engine.calls)
 
