@@ -12,7 +12,7 @@ from petmjx.options.simulation import Simulation
 
 
 def start_gpu() -> None:
-    """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two, and would take a quarter
+    """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two. It would take a quarter
     longer if the garbage collector scanned the many new objects. Errors are ignored here: the engine that needs these
     libraries reports them."""
     with suppress(Exception), no_collection():

@@ -79,10 +79,11 @@ def pieces_of(file: Path, count: int) -> list[Piece]:
             at = begin + (end - begin) * number // count
             opened.seek(at)
             cut = _CUT.search(opened.read(_WINDOW))
-            if cut is not None and bounds[-1] < at + cut.start(1) < end:
+            if cut is not None and bounds[-1] < at + cut.start(1):
                 bounds.append(at + cut.end(1))
-    bounds.append(end + 1)  # every other piece ends one byte before the next one begins, which is the comma
-    return [Piece(file, one, following - 1) for one, following in pairwise(bounds)]
+    bounds.append(end + 1)
+    # between two pieces there is a comma
+    return [Piece(file, begin, next_begin - 1) for begin, next_begin in pairwise(bounds)]
 
 
 class PieceContent(NamedTuple):
