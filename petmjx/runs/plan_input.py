@@ -100,11 +100,12 @@ def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOpt
 
 def _answers(tasks: Sequence[bytes]) -> list[Answer] | None:
     """The answers of processes to one task each. None if a process cannot answer."""
-    children = [Child("petmjx.runs.reading_process") for _ in tasks]
+    children: list[Child] = []
     answers: list[Answer] = []
     try:
-        for child, task in zip(children, tasks, strict=True):
-            child.tasks.put(task)
+        for task in tasks:
+            children.append(Child("petmjx.runs.reading_process"))
+            children[-1].tasks.put(task)
         for child in children:
             answer: Answer | None = child.answers.get()
             if answer is None:
