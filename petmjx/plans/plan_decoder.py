@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.processes import no_collection
-from petmjx.common.text import is_text
 from petmjx.common.units import FloatArray
 from petmjx.plans.input_conventions import InputConventions
 from petmjx.plans.json_reader import LONGEST_VALUE, Entry, MalformedPlans, scan_plans
@@ -195,8 +194,6 @@ def _plans_of(
         "articles": [item.article for item in items],
         "product_groups": ["" if item.product_group is msgspec.UNSET else item.product_group for item in items],
     }
-    if not all(is_text("".join(column)) for column in texts.values()):
-        return [None] * len(plans)
     is_good = (
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all(1)
         & ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG))
@@ -212,6 +209,7 @@ def _plans_of(
         "sequence": sequence,
         "orientation": orientation,
     }
+    # msgspec refuses strings that cannot be written as UTF-8, so names need no check
     shared = {name: list(map(names.setdefault, column, column)) for name, column in texts.items()}
     ends = np.cumsum([len(plan) for plan in plans])
     begins = np.concatenate([[0], ends[:-1]])

@@ -107,6 +107,16 @@ def test_faults_and_rare_fields_are_the_same(name: str, tmp_path: Path, monkeypa
     assert sum(decoded) in (0, 5, 6)  # the other plans need not be read field by field
 
 
+def test_names_that_are_no_text_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same bad name in plans that are decoded one after another. The fast decoder relies on msgspec here."""
+    monkeypatch.setattr(plan_decoder, "_MOST_PLANS", 2)
+    plans = json.loads(TEXT)
+    for plan_id in IDS[1::2]:
+        plans[plan_id][0]["item"]["article"] = "\udc00 lone"
+    plan_set, _ = same(json.dumps(plans), tmp_path, monkeypatch)
+    assert [skipped.plan_id for skipped in plan_set.skipped] == IDS[1::2]
+
+
 @pytest.mark.parametrize(
     "text",
     [
