@@ -18,7 +18,7 @@ from petmjx.engines.run_engine import bytes_of_plans, may_use_gpu
 from petmjx.engines.subprocess.task_pipe import Child
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
-from petmjx.plans.plan_pieces import Piece, joined, pieces_of
+from petmjx.plans.plan_segments import Segment, joined, segments_of
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, usable_of, usable_plans
 from petmjx.results.plan_records import PlanRecord, records_of
@@ -33,8 +33,8 @@ MOST_IN_A_PROCESS: Final = 4 << 30
 of both processes."""
 
 MOST_PROCESSES: Final = 6
-"""Largest number of processes that read pieces of a file. With six processes, starting them takes as long as reading
-the pieces of 10,003 plans."""
+"""Largest number of processes that read segments of a file. With six processes, starting them takes as long as reading
+the segments of 10,003 plans."""
 
 THREADS_EACH: Final = 2
 """A machine with k times this number of CPU threads gets up to k processes."""
@@ -75,8 +75,8 @@ def read_here(plans: PlanSource | None, sim: Simulation, options: RunOptions) ->
 def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanInput | None:
     """All plans of a source (``gather_plans``), read in one or more processes. None if this fails: the caller then
     reads the plans itself, and gets the error."""
-    pieces = _pieces(plans, options)
-    sources: Sequence[PlanSource | Piece | None] = pieces or [plans]
+    segments = _segments(plans, options)
+    sources: Sequence[PlanSource | Segment | None] = segments or [plans]
     try:
         tasks = [pickle.dumps((source, sim, options)) for source in sources]
     except Exception:  # a user's own class of paths may raise any error here
@@ -84,7 +84,7 @@ def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOpt
     answers = _answers(tasks)
     if answers is None:
         return None
-    if not pieces:
+    if not segments:
         (answer,) = answers
         return PlanInput(answer.content.plan_set, answer.records)
     plan_set = joined([answer.content for answer in answers], carrier_extent_mm(sim))
@@ -118,8 +118,8 @@ def _answers(tasks: Sequence[bytes]) -> list[Answer] | None:
     return answers
 
 
-def _pieces(plans: PlanSource | None, options: RunOptions) -> list[Piece]:
-    """Pieces of the plans' file that processes can read at the same time; empty if one process should read all
+def _segments(plans: PlanSource | None, options: RunOptions) -> list[Segment]:
+    """Segments of the plans' file that processes can read at the same time; empty if one process should read all
     plans."""
     count = min(MOST_PROCESSES, cpu_threads() // THREADS_EACH, bytes_of_plans(plans) // WORTH_A_PROCESS)
     if count < 2 or options.limit is not None or options.articles is not None:
@@ -128,7 +128,7 @@ def _pieces(plans: PlanSource | None, options: RunOptions) -> list[Piece]:
     if not isinstance(file, str | PathLike):
         return []
     with suppress(OSError, ValueError):
-        return pieces_of(Path(file), count)
+        return segments_of(Path(file), count)
     return []
 
 

@@ -11,7 +11,7 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan_columns import PlanColumns
 from petmjx.plans.plan_fields import UnreadFields
-from petmjx.plans.plan_pieces import Piece, PieceContent, read_piece
+from petmjx.plans.plan_segments import Segment, SegmentContent, read_segment
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, gather_plans
 from petmjx.results.plan_records import PlanRecord, records_of
@@ -23,7 +23,7 @@ class Answer(NamedTuple):
     Attributes:
         columns: the plans.
         rest: the other attributes of the set of plans.
-        unread: counts of fields that petmjx ignores, if the process has read a piece.
+        unread: counts of fields that petmjx ignores, if the process has read a segment.
         records: plan id → record of the plan.
     """
 
@@ -33,9 +33,9 @@ class Answer(NamedTuple):
     records: dict[str, PlanRecord]
 
     @property
-    def content(self) -> PieceContent:
+    def content(self) -> SegmentContent:
         """The set of plans, and the counts of ignored fields."""
-        return PieceContent(replace(self.rest, plans=self.columns.plans), self.unread)
+        return SegmentContent(replace(self.rest, plans=self.columns.plans), self.unread)
 
 
 def main() -> None:
@@ -43,16 +43,16 @@ def main() -> None:
     serve(0, lambda task: answer_to(*task))
 
 
-def answer_to(source: PlanSource | Piece | None, sim: Simulation, options: RunOptions) -> Answer | None:
-    """The plans of a source, or of a piece of a file. None after an error or a warning: the process of the run then
+def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: RunOptions) -> Answer | None:
+    """The plans of a source, or of a segment of a file. None after an error or a warning: the process of the run then
     reads the plans itself, so that the error or warning appears there."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            if isinstance(source, Piece):
-                content = read_piece(source, options, carrier_extent_mm(sim))
+            if isinstance(source, Segment):
+                content = read_segment(source, options, carrier_extent_mm(sim))
             else:
-                content = PieceContent(gather_plans(source, sim, options), UnreadFields())
+                content = SegmentContent(gather_plans(source, sim, options), UnreadFields())
         except Exception:
             return None
     if content is None or caught:

@@ -64,7 +64,7 @@ def test_a_process_reads_the_same(tmp_path: Path, in_process: list[PlanInput | N
     assert [record.number for record in result.records.values()] == [1, 2, 3]
 
 
-def test_processes_read_pieces_of_a_large_file(
+def test_processes_read_segments_of_a_large_file(
     tmp_path: Path, in_process: list[PlanInput | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2 * plan_input.THREADS_EACH)
@@ -77,7 +77,7 @@ def test_processes_read_pieces_of_a_large_file(
     assert result.plan_set.numbers["last"] == 10
 
 
-def test_an_id_in_two_pieces_is_found(
+def test_an_id_in_two_segments_is_found(
     tmp_path: Path, in_process: list[PlanInput | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2 * plan_input.THREADS_EACH)

@@ -1,9 +1,8 @@
-"""Pieces of a large JSON file of plans, which several processes read at the same time.
+"""Segments of a large JSON file of plans, which several processes read at the same time.
 
-A file is cut where a list seems to end and another entry seems to begin. The text around such a place does not prove
-this, since it could also be part of a plan. But if every piece in braces is a JSON object, the file has exactly the
-entries of its pieces. So the pieces are read separately, and if one of them is not such an object, the whole file is
-read again.
+A file is cut where a list seems to end and a plan seems to begin. The text around such a place proves nothing, since
+it could also be part of a plan. But if every segment, in braces, is a JSON object, then the file has exactly the
+entries of its segments. If a segment is no JSON object, the whole file is read again.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ _CUT: Final = re.compile(
 """The end of a list, a comma, and an entry that begins like a plan."""
 
 
-class Piece(NamedTuple):
+class Segment(NamedTuple):
     """A part of the text between the outermost braces of a JSON file: the bytes from ``begin`` to ``end``."""
 
     file: Path
@@ -44,7 +43,7 @@ class Piece(NamedTuple):
     end: int
 
     def text(self) -> bytearray:
-        """The piece in braces.
+        """The segment in braces.
 
         Raises:
             OSError: the file cannot be read, or has become shorter.
@@ -59,9 +58,9 @@ class Piece(NamedTuple):
         return text
 
 
-def pieces_of(file: Path, count: int) -> list[Piece]:
-    """Cut a JSON file into about ``count`` pieces of similar sizes. Fewer pieces if no plan ends near a cut; none if
-    the file is not a JSON object.
+def segments_of(file: Path, count: int) -> list[Segment]:
+    """Cut a JSON file into up to ``count`` segments of similar sizes. The list is empty if the file is not a JSON
+    object.
 
     Raises:
         OSError, ValueError: the file cannot be read.
@@ -82,12 +81,12 @@ def pieces_of(file: Path, count: int) -> list[Piece]:
             if cut is not None and bounds[-1] < at + cut.start(1):
                 bounds.append(at + cut.end(1))
     bounds.append(end + 1)
-    # between two pieces there is a comma
-    return [Piece(file, begin, next_begin - 1) for begin, next_begin in pairwise(bounds)]
+    # between two segments there is a comma
+    return [Segment(file, begin, next_begin - 1) for begin, next_begin in pairwise(bounds)]
 
 
-class PieceContent(NamedTuple):
-    """The plans of a piece, numbered from 0.
+class SegmentContent(NamedTuple):
+    """The plans of a segment, numbered from 0.
 
     Attributes:
         unread: counts of the fields that petmjx ignores. ``plan_set.notes`` does not tell of them.
@@ -97,8 +96,8 @@ class PieceContent(NamedTuple):
     unread: UnreadFields
 
 
-def read_piece(piece: Piece, options: RunOptions, extent_mm: tuple[float, float] | None) -> PieceContent | None:
-    """Read the plans of a piece. None if the piece has an error that is not about one plan, or is not in BED-BPP's
+def read_segment(segment: Segment, options: RunOptions, extent_mm: tuple[float, float] | None) -> SegmentContent | None:
+    """Read the plans of a segment. None if the segment has an error that is not about one plan, or is not in BED-BPP's
     form.
 
     Args:
@@ -108,18 +107,18 @@ def read_piece(piece: Piece, options: RunOptions, extent_mm: tuple[float, float]
         InputError: with the option ``strict``, a plan would be skipped.
         OSError, ValueError: the file cannot be read.
     """
-    plan_set, unread = read_json_plans(printable(str(piece.file)), piece.text(), options, extent_mm)
+    plan_set, unread = read_json_plans(printable(str(segment.file)), segment.text(), options, extent_mm)
     if any(skipped.number is None for skipped in plan_set.skipped):
         return None
-    return PieceContent(plan_set, unread)
+    return SegmentContent(plan_set, unread)
 
 
-def joined(contents: Sequence[PieceContent], extent_mm: tuple[float, float] | None) -> PlanSet | None:
-    """The plans of all pieces of a file, as if the file had been read at once. None if pieces have plans with the same
-    id, or too many plans are skipped.
+def joined(contents: Sequence[SegmentContent], extent_mm: tuple[float, float] | None) -> PlanSet | None:
+    """The plans of all segments of a file, as if the file had been read at once. None if two segments have plans with
+    the same id, or too many plans are skipped.
 
     Args:
-        extent_mm: see :func:`read_piece`.
+        extent_mm: see :func:`read_segment`.
     """
     whole, unread, before = PlanSet(), UnreadFields(), 0
     for plan_set, unread_here in contents:
@@ -132,7 +131,7 @@ def joined(contents: Sequence[PieceContent], extent_mm: tuple[float, float] | No
     if len(whole.numbers) < len(whole.plans) or len(whole.skipped) > MOST_LINES:
         return None
     whole.notes.extend(unread.notes())
-    # without odd plans, no piece has a line about conventions, and neither has the whole file
+    # without odd plans, no segment has a line about conventions, and neither has the whole file
     if any(chain.from_iterable((plan_set.warnings, plan_set.conventions) for plan_set, _ in contents)):
         whole.conventions.extend(find_conventions(whole.plans, whole.warnings, extent_mm))
     return whole

@@ -1,4 +1,4 @@
-"""Tests of pieces of JSON files: read apart and joined, they give what the whole file gives."""
+"""Tests of segments of JSON files: read apart and joined, they give what the whole file gives."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import petmjx
 from petmjx.common.errors import InputError
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.plan_columns import PlanColumns
-from petmjx.plans.plan_pieces import Piece, joined, pieces_of, read_piece
 from petmjx.plans.plan_reader import read_plans
+from petmjx.plans.plan_segments import Segment, joined, read_segment, segments_of
 from petmjx.plans.plan_set import PlanSet
 
 OPTIONS, EXTENT_MM = RunOptions(), (1200.0, 800.0)
@@ -56,49 +56,49 @@ def facts(plan_set: PlanSet) -> list[Any]:
     ]
 
 
-def in_pieces(file: Path, count: int) -> PlanSet | None:
-    """The plans of a file, read in pieces. None if it cannot be read so."""
-    contents = [read_piece(piece, OPTIONS, EXTENT_MM) for piece in pieces_of(file, count)]
+def in_segments(file: Path, count: int) -> PlanSet | None:
+    """The plans of a file, read in segments. None if it cannot be read so."""
+    contents = [read_segment(segment, OPTIONS, EXTENT_MM) for segment in segments_of(file, count)]
     read = [content for content in contents if content is not None]
     return joined(read, EXTENT_MM) if read and len(read) == len(contents) else None
 
 
 @pytest.mark.parametrize("style", [{}, {"indent": 1}, {"separators": (",", ":")}], ids=["usual", "indented", "compact"])
 @pytest.mark.parametrize("count", [1, 2, 5, 40])
-def test_pieces_give_the_whole(tmp_path: Path, entries: dict[str, Any], style: dict[str, Any], count: int) -> None:
+def test_segments_give_the_whole(tmp_path: Path, entries: dict[str, Any], style: dict[str, Any], count: int) -> None:
     odd = json.loads(json.dumps(entries["plan 4"]))
     odd[-1]["flb_coordinates"][2] += 50  # this box floats
     more = json.loads(json.dumps(entries["plan 3"]))
     more[0]["item"]["colour"] = "red"
     entries |= {"faulty": [{"item": 1}], "odd": odd, "more": more, "last": entries["plan 2"]}
     file = write(tmp_path, entries, **style)
-    pieces = pieces_of(file, count)
-    assert 1 <= len(pieces) <= count
-    assert len(pieces) > 1 or count == 1
-    assert list(chain.from_iterable(json.loads(piece.text()) for piece in pieces)) == list(entries)
-    whole, of_pieces = read_plans(file, OPTIONS, extent_mm=EXTENT_MM), in_pieces(file, count)
-    assert of_pieces is not None
-    assert facts(of_pieces) == facts(whole)
+    segments = segments_of(file, count)
+    assert 1 <= len(segments) <= count
+    assert len(segments) > 1 or count == 1
+    assert list(chain.from_iterable(json.loads(segment.text()) for segment in segments)) == list(entries)
+    whole, of_segments = read_plans(file, OPTIONS, extent_mm=EXTENT_MM), in_segments(file, count)
+    assert of_segments is not None
+    assert facts(of_segments) == facts(whole)
     assert (len(whole.skipped), len(whole.warnings), len(whole.notes)) == (1, 1, 1)
 
 
 def test_conventions_are_searched_in_all_plans(tmp_path: Path, entries: dict[str, Any]) -> None:
-    """Each piece has plans whose coordinates are centres, but only together they are counted."""
+    """Each segment has plans whose coordinates are centres, but only together they are counted."""
     for placements in entries.values():
         for placement in placements:
             size = [placement["item"][name] for name in ("length/mm", "width/mm", "height/mm")]
             corner = placement["flb_coordinates"]
             placement["flb_coordinates"] = [place + length / 2 for place, length in zip(corner, size, strict=True)]
     file = write(tmp_path, entries)
-    of_pieces = in_pieces(file, 3)
-    assert of_pieces is not None
-    assert of_pieces.conventions == read_plans(file, OPTIONS, extent_mm=EXTENT_MM).conventions != []
+    of_segments = in_segments(file, 3)
+    assert of_segments is not None
+    assert of_segments.conventions == read_plans(file, OPTIONS, extent_mm=EXTENT_MM).conventions != []
 
 
 def test_a_cut_inside_a_plan_is_noticed(tmp_path: Path, entries: dict[str, Any]) -> None:
     for placements in entries.values():
         placements[0]["item"] |= {"tags": [1], "parts": [{"of": "item"}]}
-    assert in_pieces(write(tmp_path, entries), 7) is None
+    assert in_segments(write(tmp_path, entries), 7) is None
 
 
 def test_a_cut_inside_a_text_is_noticed(tmp_path: Path, entries: dict[str, Any]) -> None:
@@ -108,31 +108,31 @@ def test_a_cut_inside_a_text_is_noticed(tmp_path: Path, entries: dict[str, Any])
             del placement["item"]["article"]
             placement["item"] = {"article": "], ", ": [{": 1, **placement["item"]}
     file = write(tmp_path, entries)
-    assert file.read_bytes()[pieces_of(file, 5)[0].end - 3 :].startswith(b' "],')
-    assert in_pieces(file, 5) is None
+    assert file.read_bytes()[segments_of(file, 5)[0].end - 3 :].startswith(b' "],')
+    assert in_segments(file, 5) is None
 
 
 @pytest.mark.parametrize("text", ["", "[1]", '{"a": 1', '\ufeff{"a": [{}], "b": [{}]}', "a;b"])
 def test_other_texts_are_not_cut(tmp_path: Path, text: str) -> None:
     file = tmp_path / "plans.json"
     file.write_text(text)
-    assert pieces_of(file, 3) == []
+    assert segments_of(file, 3) == []
 
 
-def test_faults_of_the_file_are_not_read_in_pieces(tmp_path: Path, entries: dict[str, Any]) -> None:
+def test_faults_of_the_file_are_not_read_in_segments(tmp_path: Path, entries: dict[str, Any]) -> None:
     file = write(tmp_path, entries)
     text = file.read_text()
     file.write_text(text.replace('"plan 7"', "plan 7"))
-    assert in_pieces(file, 3) is None
+    assert in_segments(file, 3) is None
     file.write_text(text.replace('"plan 11"', '"plan 0"'))
-    assert in_pieces(file, 3) is None
+    assert in_segments(file, 3) is None
     file.write_text(text)
     with pytest.raises(OSError, match="shorter"):
-        Piece(file, 1, len(text) + 5).text()
+        Segment(file, 1, len(text) + 5).text()
     strict = RunOptions(strict=True)
     file.write_text(json.dumps({"faulty": [{"item": {"length/mm": 1}}], **entries}))
     with pytest.raises(InputError, match="faulty"):
-        read_piece(pieces_of(file, 2)[0], strict, EXTENT_MM)
+        read_segment(segments_of(file, 2)[0], strict, EXTENT_MM)
 
 
 def test_columns_keep_every_field() -> None:
