@@ -23,7 +23,7 @@ import numpy as np
 
 from petmjx.common.text import count_text
 from petmjx.engines.attempt_threads import ThreadSimulator
-from petmjx.engines.contact_penetration import stiffened_physics
+from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.protocol import Capability, Engine, Progress
 from petmjx.engines.subprocess.attempt_process import SideSimulator, SubprocessSimulator
@@ -43,12 +43,6 @@ larger tolerance."""
 NEAR = 0.5
 """If the option ``check_timestep`` is set, worlds whose margin has a magnitude below this value are simulated again
 with half the timestep. Invalid worlds have the margin NaN, so they are not simulated again for this reason."""
-
-STIFF_QUIET_STEPS = 25
-"""In attempts with stiff contacts, boxes must be quiet for at least this number of steps (``Quiet.steps``). The
-verdicts of these attempts depend on movements of less than a millimetre. Of 6,000 small stacks whose verdicts follow
-from statics, some fell although they should stand: 5 stacks with 15 steps, 4 with 25, and 3 with 50. With 50 steps, the
-simulation of a pallet with trembling boxes takes three times as long."""
 
 # The flags as plain integers: comparing integers is several times as fast as comparing members of ``Flag``.
 _EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)
@@ -121,13 +115,8 @@ class AttemptRecipe:
             update["physics"] = sim.physics.model_copy(update={"timestep_s": sim.physics.timestep_s / factor})
             quiet = {name: getattr(sim.quiet, name) * factor for name in _COUNTED_IN_STEPS}
             update["quiet"] = sim.quiet.model_copy(update=quiet)
-        if self.stiff is not None:
-            update["physics"] = stiffened_physics(update.get("physics", sim.physics), self.stiff)
-            quiet = update.get("quiet", sim.quiet)
-            update["quiet"] = quiet.model_copy(
-                update={"steps": max(quiet.steps, STIFF_QUIET_STEPS * self.timestep_divisor)}
-            )
-        return sim.changed(**update) if update else sim
+        changed = sim.changed(**update) if update else sim
+        return changed if self.stiff is None else stiffened(changed, self.stiff, self.timestep_divisor)
 
     def after(self, before: Outcome | None, job: Job) -> Job:
         """The job of this attempt after an outcome of the previous attempt. If the pallet fell while it was built, an
