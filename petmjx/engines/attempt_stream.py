@@ -175,7 +175,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 self.side_tasks.prepare(self.stream.peek(LARGE), self.attempts[1:])
                 self.first_runner.check_pool = self.side_tasks.check_pool
                 self.side_tasks.first = self.first_runner
-                yield from self._results_of(self.attempts[0], self._first_attempts())
+                yield from self._results_of(self._first_attempts())
             elif not self.retry_queue and self.side_tasks.unanswered:
                 n_unanswered = self.side_tasks.unanswered
                 self.engines.progress.message = f"{count_text(n_unanswered, 'world')} again on CPU threads"
@@ -220,21 +220,21 @@ class _AttemptRun(Generic[AnyWorld]):
             if batch:
                 self.engines.progress.message = f"{len(batch)} again, attempt {attempt.number}"
                 runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
-                yield from self._results_of(attempt, runner.run(batch))
+                yield from self._results_of(runner.run(batch))
 
     def _results_of(
-        self, attempt: AttemptRecipe, attempt_results: Iterator[AttemptResult[AnyWorld] | None]
+        self, attempt_results: Iterator[AttemptResult[AnyWorld] | None]
     ) -> Iterator[WorldResult[AnyWorld]]:
         """Yield the final results among ``attempt_results``. Also yield the final results of side tasks (attempts
         and checks in other processes) that have ended in the meantime."""
         for pending in attempt_results:
             if pending is not None:  # None is not an outcome: the engine pauses
-                yield from self._finish_or_retry(attempt, pending)
+                yield from self._finish_or_retry(pending)
             yield from self._side_results()
 
     def _side_results(self, *, wait: bool = False) -> Iterator[WorldResult[AnyWorld]]:
-        for attempt, pending in self.side_tasks.ended(wait=wait):
-            yield from self._finish_or_retry(attempt, pending)
+        for pending in self.side_tasks.ended(wait=wait):
+            yield from self._finish_or_retry(pending)
 
     def _arrived_results(self, error: BaseException) -> Iterator[WorldResult[AnyWorld]]:
         """After an error: the final results among the outcomes that have already arrived."""
@@ -243,9 +243,9 @@ class _AttemptRun(Generic[AnyWorld]):
         yield from self._side_results()
         if self.side_tasks.first is not None:
             for pending in self.side_tasks.first.checked_results([], self.engines.primary.name):
-                yield from self._finish_or_retry(self.attempts[0], pending)
+                yield from self._finish_or_retry(pending)
 
-    def _finish_or_retry(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
+    def _finish_or_retry(self, pending: AttemptResult[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """After an attempt at a world, yield the world's result if it is final. If the result is not final, begin the
         next attempt as a side task, or put the world into ``retry_queue``.
 
@@ -253,10 +253,9 @@ class _AttemptRun(Generic[AnyWorld]):
             pending: the world, with the outcome of the attempt.
         """
         world, outcome, records = pending
-        assert outcome is not None
         next_attempt = None
         if may_go_on(outcome, self.sim):
-            later = self.attempts[self.attempts.index(attempt) + 1 :]
+            later = (recipe for recipe in self.attempts if recipe.number > records[-1].attempt)
             next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, self.sim)), None)
         if next_attempt is None:
             yield WorldResult(world, outcome, records)
@@ -373,8 +372,8 @@ class _SideTasks(Generic[AnyWorld]):
         self._in_flight[task_number] = runner, pending, engine
         self.engines.helper.begin(Task(task_number, engine, runner.attempt.after(before, job), runner.sim))
 
-    def ended(self, *, wait: bool) -> Iterator[tuple[AttemptRecipe, Pending[AnyWorld]]]:
-        """The attempts that have ended: the attempt, and the world with its outcome.
+    def ended(self, *, wait: bool) -> Iterator[AttemptResult[AnyWorld]]:
+        """The worlds of the attempts that have ended, with their outcomes.
 
         Args:
             wait: if True and an attempt is running, wait until at least one attempt has ended.
@@ -386,7 +385,7 @@ class _SideTasks(Generic[AnyWorld]):
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):
                     if answered is not None:
-                        yield runner.attempt, answered
+                        yield answered
 
     def _answered(
         self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
