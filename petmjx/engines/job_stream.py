@@ -51,6 +51,7 @@ class JobStream(Generic[Tag]):
         begin_with: number of jobs for which an engine that simulates many jobs at once should wait at first.
         bounds: limits that hold for all jobs, including those that follow from outcomes; None if the limits are
             unknown.
+        stiff: values that ``Job.stiff`` may have, apart from None, in jobs that follow from outcomes.
 
     Attributes:
         in_flight: stream number → tag, for the jobs that were taken and have no outcome yet.
@@ -63,8 +64,10 @@ class JobStream(Generic[Tag]):
         feedback: bool = False,
         begin_with: int = 1,
         bounds: JobBounds | None = None,
+        stiff: Collection[float] = (),
     ) -> None:
         self.feedback, self.begin_with, self.bounds = feedback, begin_with, bounds
+        self.stiff = frozenset(stiff)
         self.in_flight: dict[int, Tag] = {}
         self._most_boxes = most_boxes
         self._following: deque[tuple[Job, Tag]] = deque()

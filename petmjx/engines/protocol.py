@@ -121,6 +121,8 @@ class Capability(enum.Flag):
     are ``KeptState`` objects, which name the engine that made the state."""
     PAUSES = enum.auto()
     """A placement can pause (``Job.pauses_after``), and other worlds can start from its state."""
+    STIFF_JOBS = enum.auto()
+    """Some jobs of a run can have stiffer contacts than the others (``Job.stiff``)."""
 
 
 _PAIRS: Final = Capability.SHEETS | Capability.KINETIC_PAIRS

@@ -125,6 +125,9 @@ class Job:
             that is a little higher (``petmjx.engines.contact_tilt``).
         confirms: whether an earlier attempt found that the pallet falls, and this simulation only has to confirm the
             fall (``petmjx.engines.metrics.CONFIRM_S``).
+        stiff: time constant of this world's contacts, as a share of the time constant in the run's options; the world
+            has the options of ``petmjx.engines.contact_penetration.stiffened``. None: the world has the run's options.
+            For worlds that are simulated again together with others, on engines with ``Capability.STIFF_JOBS``.
     """
 
     scene: Scene
@@ -136,6 +139,7 @@ class Job:
     record: Record | None = None
     has_errors: bool = False
     confirms: bool = False
+    stiff: float | None = None
 
     @property
     def settles(self) -> bool:

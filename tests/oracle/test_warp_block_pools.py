@@ -14,11 +14,13 @@ import pytest
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 from petmjx.engines.contact_penetration import stiffened_physics
+from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.warp import block_pool
 from petmjx.engines.warp.block_launch import SIZES
 from petmjx.engines.warp.block_pool import BlockPools, most_room
 from petmjx.engines.warp.kernel_features import KernelFeatures
-from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX
+from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, KernelLauncher
+from petmjx.engines.warp.programs import constants
 from petmjx.engines.warp.world_table import MAX_GROWTH
 from petmjx.options.simulation import Simulation
 
@@ -66,6 +68,20 @@ def test_stiff_contacts_have_no_blocks_for_few_boxes(few_worlds: list[int]) -> N
     assert kinds(pools) == ["last", "120", "40"]
     assert pools[0].n_boxes == 40
     assert few_worlds == []
+
+
+def test_stiffer_contacts_among_others_have_blocks_like_those_for_last_worlds(few_worlds: list[int]) -> None:
+    mixed = group(widths={SMALL: 40, LARGE: 120})
+    mixed.run.needs |= KernelFeatures({}, stiff=frozenset([0.5]))
+    pools = BlockPools(None, lambda launch: 3).of(mixed)
+    assert kinds(pools) == ["last", "few", "120", "40", "120", "40"]
+    assert [pool.stiff for pool in pools] == [None, None, 0.5, 0.5, None, None]
+    assert not pools[3].is_extra, "no other pool has room for these worlds"
+    assert replace(pools[3], stiff=None, last=True) == pools[0]
+    launcher = KernelLauncher(constants(USUAL, build_timetable(USUAL, 40)), pools, of_stiff={0.5: {"quiet_steps": 99}})
+    assert launcher.blocks == 6, "they run in the place of others"
+    usual = USUAL.quiet.steps
+    assert [model.quiet_steps for model in launcher.models] == [usual, usual, 99, 99, usual, usual]
 
 
 def test_larger_buffers_are_of_the_size_that_needs_them_and_end_blocks_for_few_boxes(few_worlds: list[int]) -> None:

@@ -4,11 +4,13 @@ bit."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.plans import heap, make_plan, make_scene, stack
 
+from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.mjx import scene_rows, world_constants
 from petmjx.engines.mjx.scene_rows import rows_of
 from petmjx.engines.mjx.world_constants import upload_worlds
@@ -71,6 +73,19 @@ def test_groups_have_each_scene_once_and_only_those_alike() -> None:
     assert sorted(number for numbers, _ in scene_groups for number in numbers) == [*range(len(scenes))]
     assert sorted(len(numbers) for numbers, _ in scene_groups) == [2, 5, AT_A_TIME]
     assert all(len({scenes[number].n_boxes for number in numbers}) == 1 for numbers, _ in scene_groups)
+
+
+def test_boxes_are_released_where_the_stiffness_of_their_own_contacts_puts_them() -> None:
+    scenes = [make_scene(n) for n in (3, 1, 4)]
+    stiffness = (None, 0.5, None, 0.5, 0.1)
+    jobs = [Job(scene, stiff=stiff) for scene, stiff in zip([*scenes, scenes[0], scenes[2]], stiffness, strict=True)]
+    together = upload_worlds(jobs, 8, 4, {}, Simulation())
+    for row, job in enumerate([*jobs, *[jobs[0]] * 3]):
+        sim = Simulation() if job.stiff is None else stiffened(Simulation(), job.stiff)
+        alone = upload_worlds([replace(job, stiff=None)], 1, 4, {}, sim)
+        for name, rows, expected in zip(together._fields, together, alone, strict=True):
+            assert np.array_equal(rows[row], expected[0]), (row, name)
+    assert not np.array_equal(together.start[0], together.start[3]), "softer contacts give way by more"
 
 
 def test_spare_rows_made_on_the_device_are_those_made_on_the_host(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -191,6 +191,20 @@ def test_needs_of_both() -> None:
     assert not KernelFeatures({96: 12}).know(BY_HAND)
 
 
+def test_a_table_knows_the_stiffer_contacts_that_may_follow() -> None:
+    stiff = replace(SMALL, stiff=0.5)
+    for following, fits in (((0.5,), True), ((), False)):
+        stream = JobStream[Any](feedback=True, stiff=following)
+        put(stream, SMALL)
+        stream.close()
+        source = jobs_of(stream)
+        assert begun(source).fits(stiff) == fits
+    assert KernelFeatures.of([SMALL, stiff], 4).queues == [(0.5, 96), (None, 96)]
+    both = KernelFeatures({96: 8}, stiff=frozenset([0.5])) | KernelFeatures({MAX_BOXES: 100})
+    assert both.queues == [(0.5, MAX_BOXES), (0.5, 96), (None, MAX_BOXES), (None, 96)]
+    assert not both.know(replace(SMALL, stiff=0.1))
+
+
 def test_jobs_whose_features_could_not_be_found_are_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = feedback_stream([SMALL])
     source = jobs_of(stream)

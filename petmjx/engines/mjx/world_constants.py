@@ -18,8 +18,9 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.common.units import seconds_to_steps
+from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.metrics import CONFIRM_S
-from petmjx.engines.mjx.scene_rows import Rows, rows_of, with_spare_rows
+from petmjx.engines.mjx.scene_rows import Rows, gather_rows, more_shapes, rows_of, with_spare_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 
@@ -152,12 +153,28 @@ def upload_worlds(
     """
     on_host = rows if rows - len(jobs) < MANY_SPARE else padded_rows(len(jobs))
     spare = on_host - len(jobs)
-    of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare)
+    of_scenes = _rows_of_scenes(jobs, width, sim, boards, spare)
     of_jobs = _rows_of_jobs(jobs, profiles, sim.physics.timestep_s)
     of_jobs = {name: with_spare_rows(values, spare) for name, values in of_jobs.items()}
     columns = of_scenes | of_jobs | {"ends_when_gone": np.zeros(on_host, np.bool_)}
     worlds = Worlds(**dict(zip(columns, device_arrays(columns.values()), strict=True)))
     return worlds if on_host == rows else _with_spare_rows(worlds, rows)
+
+
+def _rows_of_scenes(jobs: Sequence[Job], width: int, sim: Simulation, boards: int, spare: int) -> Rows:
+    """``rows_of`` the jobs' scenes. The place at which a box is released depends on the stiffness of contacts."""
+    if all(job.stiff is None for job in jobs):
+        return rows_of([job.scene for job in jobs], width, sim, boards, spare)
+    boards = max(boards, *(more_shapes(job.scene) for job in jobs))
+    numbers, parts = list[int](), list[Rows]()
+    for stiff in dict.fromkeys(job.stiff for job in jobs):
+        alike = [number for number, job in enumerate(jobs) if job.stiff == stiff]
+        of_part = sim if stiff is None else stiffened(sim, stiff)
+        parts.append(rows_of([jobs[number].scene for number in alike], width, of_part, boards))
+        numbers += alike
+    source = np.concatenate([np.argsort(numbers), np.full(spare, numbers.index(0))])
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return dict(zip(joined, gather_rows(joined.values(), source), strict=True))
 
 
 @partial(jax.jit, static_argnames="rows")

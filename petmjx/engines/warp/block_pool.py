@@ -9,7 +9,7 @@ import numpy as np
 from petmjx.engines.warp.block_launch import FEW_BOXES, Features, Launch
 from petmjx.engines.warp.kernel_launcher import MORE_BOXES, BlockPool
 from petmjx.engines.warp.small_world_blocks import small_world_pool
-from petmjx.engines.warp.tail_blocks import tail_pool
+from petmjx.engines.warp.tail_blocks import stiff_pool, tail_pool
 from petmjx.engines.warp.world_table import MAX_GROWTH, Run, WorldTable
 from petmjx.options.physics import Cone
 from petmjx.world.contact_laws import is_stiff
@@ -39,10 +39,14 @@ class BlockPools:
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
         """The block pools of a table. Pools for the last worlds and for small worlds, if there are any, come first.
-        Then comes one pool for each size, the largest size first. ``Programs._advance`` makes the queues in the order
-        of the pools."""
+        Then comes one pool for each queue of ``KernelFeatures.queues``. ``Programs._advance`` makes the queues in the
+        order of the pools."""
         run = table.run
-        pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)
+        of_size = {size: self._of_size(run, size, table.boards) for size in run.needs.sizes}
+        pools = tuple(
+            of_size[size] if stiff is None else stiff_pool(of_size[size], stiff, self._lanes)
+            for stiff, size in run.needs.queues
+        )
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
         # There is no pool for small worlds if buffers are enlarged: each of the pool's many lanes would need an
         # enlarged buffer. There is no pool for small worlds with stiff contacts either. With stiff contacts, a step

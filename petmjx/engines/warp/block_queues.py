@@ -1,8 +1,8 @@
-"""Queues of worlds, one for each size of worlds. Thread blocks take their worlds from these queues."""
+"""Queues of worlds, one for each kind of blocks. Thread blocks take their worlds from these queues."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Final
 
 import jax
@@ -22,8 +22,8 @@ world takes 0.1 to 0.2 ms, and a time slice 100 ms."""
 
 
 class Queues:
-    """A queue for each size of worlds. The worlds with the longest expected time come first, so that a run ends with
-    short worlds.
+    """The queues of worlds. In each queue, the worlds with the longest expected time come first, so that a run ends
+    with short worlds.
 
     Worlds in which a box tips over according to a quick test of statics come before worlds in which no box does. The
     time of a collapse cannot be predicted: of 10,003 generated plans, 40 of the 42 worlds with more than 5,000 steps
@@ -36,17 +36,17 @@ class Queues:
     during the simulation. If length alone decided, the short last legs of all chains would come at the end of the run.
 
     Args:
-        sizes: largest number of boxes of each size, in the order of the queues.
-        size_of: function that returns the size of a job's world.
+        queues: the queues, in order (``kernel_features.Queue``).
+        queue_of: function that returns the queue of a job's world.
         rows: number of rows of the table of worlds.
         depth_first: whether worlds that start from another world's state come before all others.
     """
 
     def __init__(
-        self, sizes: Sequence[int], size_of: Callable[[Job], int], rows: int, *, depth_first: bool = False
+        self, queues: Sequence[Hashable], queue_of: Callable[[Job], Hashable], rows: int, *, depth_first: bool = False
     ) -> None:
-        self._sizes, self._size_of, self._depth_first = sizes, size_of, depth_first
-        self._size, self._cost = np.zeros(rows, np.int64), np.zeros(rows)
+        self._queues, self._queue_of, self._depth_first = queues, queue_of, depth_first
+        self._queue, self._cost = np.zeros(rows, np.int64), np.zeros(rows)
         self._turn = np.zeros(rows, np.int64)
         """Rank of the world in each row: smaller ranks come first. Most worlds have the rank 0; worlds that come before
         these have negative ranks."""
@@ -63,7 +63,7 @@ class Queues:
             rows: number of the table row of each job.
             live: (row,) whether the world in each row has not ended.
         """
-        self._size[rows] = [self._sizes.index(self._size_of(job)) for job in jobs]
+        self._queue[rows] = [self._queues.index(self._queue_of(job)) for job in jobs]
         self._cost[rows] = MEASURED.of_jobs_on_device(jobs, sim)
         self._turn[rows] = [
             -number if self._is_ahead(job) else 0 for number, job in enumerate(jobs, start=self._n_added + 1)
@@ -92,10 +92,10 @@ class Queues:
         """Write the queues of the live worlds."""
         ranked = np.lexsort((-self._cost, ~self._tips, self._turn))
         ranked = ranked[live[ranked]]
-        order = np.full((len(self._sizes), len(live)), -1, np.int32)
-        for queue in range(len(self._sizes)):
-            of_size = ranked[self._size[ranked] == queue]
-            order[queue, : len(of_size)] = of_size
+        order = np.full((len(self._queues), len(live)), -1, np.int32)
+        for queue in range(len(self._queues)):
+            worlds = ranked[self._queue[ranked] == queue]
+            order[queue, : len(worlds)] = worlds
         self.order = device_array(order)
 
     def _is_ahead(self, job: Job) -> bool:

@@ -23,7 +23,7 @@ from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPools
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.free_bodies import paths
-from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
+from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of, size_of
 from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.slice_result import SliceResult, outcomes_of
@@ -109,7 +109,7 @@ class MjxWarpEngine(Engine):
     @property
     def capabilities(self) -> Capability:
         """See ``Engine.capabilities``."""
-        return super().capabilities | Capability.PAUSES
+        return super().capabilities | Capability.PAUSES | Capability.STIFF_JOBS
 
     def beginnings(self, scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
         """See ``Engine.beginnings``."""
@@ -221,7 +221,7 @@ class MjxWarpEngine(Engine):
     ) -> Generator[SliceResult]:
         """The ended worlds of each time slice of a table (``TableSlices``). After an error, all kept memory is
         freed."""
-        queues = Queues(table.run.needs.sizes, size_of, table.rows, depth_first=self.depth_first)
+        queues = Queues(table.run.needs.queues, queue_of, table.rows, depth_first=self.depth_first)
         slices = TableSlices(table, source, queues, waits, self._pools, self._rollout)
         try:
             yield from slices.results(simulate=simulate)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petmjx.common.errors import InputError
 from petmjx.engines.mjx.host_to_device import round_up
@@ -24,6 +24,15 @@ def size_of(job: Job) -> int:
     return size_for(job.scene.n_boxes).most_boxes
 
 
+Queue = tuple[float | None, int]
+"""A queue of worlds: the stiffness of their contacts (``Job.stiff``), and their block size."""
+
+
+def queue_of(job: Job) -> Queue:
+    """The queue of a job's world."""
+    return job.stiff, size_of(job)
+
+
 @dataclass(frozen=True)
 class KernelFeatures:
     """The features and block sizes of the kernels that some jobs need.
@@ -34,12 +43,14 @@ class KernelFeatures:
         hands: whether kernels need hands, which carry or drop boxes.
         gives: whether kernels need compliant boxes.
         wraps: whether kernels need stretch film that holds boxes.
+        stiff: the values of ``Job.stiff``, apart from None. Worlds with different values need different constants.
     """
 
     widths: Mapping[int, int]
     hands: bool = False
     gives: bool = False
     wraps: bool = False
+    stiff: frozenset[float] = frozenset()
 
     @classmethod
     def of(cls, jobs: Sequence[Job], granule: int) -> KernelFeatures:
@@ -53,12 +64,18 @@ class KernelFeatures:
         """
         box_counts = {scene.n_boxes for scene in {job.scene for job in jobs}}  # drives of a placement share its scene
         hands, gives, wraps, _ = Features.joined(needs_of(job.scene, driven=job.drive is not None) for job in jobs)
-        return cls(widths_of(box_counts, granule), hands, gives, wraps)
+        stiff = frozenset(job.stiff for job in jobs if job.stiff is not None)
+        return cls(widths_of(box_counts, granule), hands, gives, wraps, stiff)
 
     @property
     def sizes(self) -> list[int]:
         """The block sizes, the largest first."""
         return sorted(self.widths, reverse=True)
+
+    @property
+    def queues(self) -> list[Queue]:
+        """The queues of worlds. The worlds that take longest come first: those with stiff contacts, and large ones."""
+        return [(stiff, size) for stiff in (*sorted(self.stiff), None) for size in self.sizes]
 
     @property
     def most_boxes(self) -> int:
@@ -71,12 +88,17 @@ class KernelFeatures:
             size: max(needs.widths.get(size, 0) for needs in (self, other)) for size in {*self.widths, *other.widths}
         }
         kinds = (self.hands or other.hands, self.gives or other.gives, self.wraps or other.wraps)
-        return KernelFeatures(widest, *kinds)
+        return KernelFeatures(widest, *kinds, self.stiff | other.stiff)
+
+    def with_widths(self, widths: Mapping[int, int]) -> KernelFeatures:
+        """The same features for blocks of other widths."""
+        return replace(self, widths=widths)
 
     def know(self, job: Job) -> bool:
         """Whether kernels with these features support everything that a job needs, apart from its number of boxes."""
         hands, gives, wraps, _ = needs_of(job.scene, driven=job.drive is not None)
-        return hands <= self.hands and gives <= self.gives and wraps <= self.wraps
+        known = hands <= self.hands and gives <= self.gives and wraps <= self.wraps
+        return known and (job.stiff is None or job.stiff in self.stiff)
 
 
 def widths_of(box_counts: Collection[int], granule: int) -> dict[int, int]:

@@ -13,6 +13,7 @@ import itertools
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -62,6 +63,7 @@ class BlockPool:
         least: smallest number of worlds with which the pool is used (small_world_blocks.py). If 0, the pool is always
             used.
         last: whether the pool is for the last worlds of a run (tail_blocks.py).
+        stiff: stiffness of the contacts of the pool's worlds (``Job.stiff``).
     """
 
     launch: Launch
@@ -72,6 +74,7 @@ class BlockPool:
     nconmax: int
     least: int = 0
     last: bool = False
+    stiff: float | None = None
 
     @classmethod
     def of(cls, launch: Launch, blocks: int, n_boxes: int, boards: int, room: int) -> BlockPool:
@@ -108,15 +111,23 @@ class KernelLauncher:
         pools: block pools, in the order of the queues from which they take worlds. The device starts the blocks of the
             first pools first.
         slice_ns: length of a time slice, ns. With 0, each block takes one step.
+        of_stiff: ``BlockPool.stiff`` → the constants that pools with this value have instead.
     """
 
-    def __init__(self, constants: Mapping[str, Any], pools: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
+    def __init__(
+        self,
+        constants: Mapping[str, Any],
+        pools: Sequence[BlockPool],
+        slice_ns: int = SLICE_NS,
+        of_stiff: Mapping[float | None, Mapping[str, Any]] = MappingProxyType({}),
+    ) -> None:
         self.pools = tuple(pools)
         self.models = [
             filled_record(
                 Model,
                 {
                     **constants,
+                    **of_stiff.get(pool.stiff, {}),
                     "queue": queue,
                     "most_idle": pool.most_idle,
                     "most_placed": pool.n_boxes if pool.least else NEVER,
@@ -126,8 +137,8 @@ class KernelLauncher:
             )
             for queue, pool in enumerate(pools)
         ]
-        # extra pools are left out, since another pool also has room for their worlds
-        self.blocks = sum(pool.blocks for pool in pools if not pool.is_extra)
+        # extra pools and those for stiff contacts are left out, since they run in the place of blocks of other pools
+        self.blocks = sum(pool.blocks for pool in pools if not pool.is_extra and pool.stiff is None)
         self.lanes = sum(pool.lanes for pool in pools)
         self.slice_ns = slice_ns
         self.id = next(_IDS)

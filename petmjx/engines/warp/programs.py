@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import warp as wp
 from jaxtyping import Array, Int
 
+from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.mjx.padded_template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
@@ -58,20 +59,28 @@ def friction_damping(physics: Physics) -> float:
     return -damping / high if time_s < 0 else 2.0 / (high * max(time_s, 2 * physics.timestep_s))
 
 
+def contact_constants(sim: Simulation) -> dict[str, Any]:
+    """The constants of a run that are others for worlds with stiffer contacts (``contact_penetration.stiffened``)."""
+    return {
+        "solref": wp.vec2(*sim.physics.solref),
+        "solimp": wp.vec3(*sim.physics.solimp),
+        "friction_damping": friction_damping(sim.physics),
+        "slip_slack": slack_m_s2(sim.physics),
+        "quiet_steps": sim.quiet.steps,
+    }
+
+
 def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
     """The constants of a run for the kernels: the fields of ``world_arrays.Model``, except those of a block pool."""
     physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
     device = launch_device()
     return {
+        **contact_constants(sim),
         "timestep": physics.timestep_s,
         "gravity": physics.gravity_m_s2,
-        "solref": wp.vec2(*physics.solref),
-        "solimp": wp.vec3(*physics.solimp),
         "skin": physics.skin_m,
         "carrier_skin": physics.carrier_skin_m,
         "pyramidal": int(physics.cone is Cone.PYRAMIDAL),
-        "friction_damping": friction_damping(physics),
-        "slip_slack": slack_m_s2(physics),
         "kinetic_share": kinetic_share(physics),
         "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
@@ -101,7 +110,6 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "still_speed": quiet.still_m_s,
         "tremble_share": quiet.tremble_share,
         "tremble_looks": quiet.tremble_looks,
-        "quiet_steps": quiet.steps,
         "landing_steps": quiet.landing_steps,
         "poll_steps": quiet.poll_steps,
         "hand_rate": rate_1_s(physics.timestep_s),
@@ -128,7 +136,9 @@ class Programs:
     """
 
     def __init__(self, sim: Simulation, timetable: Timetable, pools: tuple[BlockPool, ...], slice_ns: int) -> None:
-        self.launcher = KernelLauncher(constants(sim, timetable), pools, slice_ns)
+        values = {pool.stiff for pool in pools if pool.stiff is not None}
+        of_stiff: dict[float | None, Any] = {stiff: contact_constants(stiffened(sim, stiff)) for stiff in values}
+        self.launcher = KernelLauncher(constants(sim, timetable), pools, slice_ns, of_stiff)
         self._few = next((pool for pool in pools if pool.least), None)
         self._last = next((pool for pool in pools if pool.last), None)
         self._rules = Rules(sim, timetable, max(pool.n_boxes for pool in pools), driven=True)

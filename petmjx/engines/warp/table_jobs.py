@@ -114,7 +114,7 @@ class TableJobs:
         grows = self.feedback or not self._stream.closed or self._stream.ready > len(further)
         # If further jobs may join a table, it has columns for their boxes from the beginning, since programs are
         # compiled for each width.
-        needs = KernelFeatures.of(every, self._granule)
+        needs = KernelFeatures.of(every, self._granule) | KernelFeatures({}, stiff=self._stream.stiff)
         if grows and self._stream.bounds is not None:
             counts = [count for count in self._stream.bounds.box_counts if count <= MAX_BOXES]
             wraps = self._depth_first and self._stream.bounds.wraps
@@ -206,4 +206,4 @@ def _roomy(needs: KernelFeatures) -> KernelFeatures:
         size: size if size == small else min(round_up(width, LARGE_GRANULE), size)
         for size, width in needs.widths.items()
     }
-    return KernelFeatures(widths, needs.hands, needs.gives, needs.wraps)
+    return needs.with_widths(widths)

@@ -45,6 +45,18 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
     return replace(pool, launch=launch, blocks=min(lanes or launch.blocks, launch.blocks), last=True)
 
 
+def stiff_pool(pool: BlockPool, stiff: float, lanes: int | None = None) -> BlockPool:
+    """The block pool for worlds with stiffer contacts, in a table of other worlds. Such a world has more steps, with
+    more iterations each, and other worlds may follow from it, so it gets a block like those for last worlds.
+
+    Args:
+        pool: the pool for other worlds of the same size.
+        stiff: see ``Job.stiff``.
+        lanes: see ``tail_pool``.
+    """
+    return replace(tail_pool(pool, lanes) or pool, last=False, stiff=stiff)
+
+
 def tail_queues(
     last: BlockPool,
     order: Int[Array, "queue world"],
