@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Generic, cast
 
 from petmjx.common.errors import PetmjxError
@@ -74,6 +74,7 @@ class AttemptRunner(Generic[AnyWorld]):
             results, such as the drives of a settled pallet, into the stream.
         check_pool: pool of processes that check outcomes; None if this process checks them.
         most: largest number of jobs in a list, for engines that cannot read a stream.
+        joined: the worlds in the stream of ``run_stream`` for which another attempt is made, and its runner.
     """
 
     attempt: AttemptRecipe
@@ -82,6 +83,7 @@ class AttemptRunner(Generic[AnyWorld]):
     put_following: Callable[[], None] = _no_more
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     most: int = sys.maxsize
+    joined: dict[AnyWorld, AttemptRunner[AnyWorld]] = field(default_factory=dict)
     _message: str = ""
     """Text of the last exception that an engine raised."""
 
@@ -169,11 +171,15 @@ class AttemptRunner(Generic[AnyWorld]):
                 break
             assert isinstance(answer, Outcome)
             try:
-                arrivals.append((stream.answered(answer.job), answer))
+                pending = stream.answered(answer.job)
             except KeyError:
                 raise RuntimeError(
                     f"engine {engine.name} returned two outcomes for job {answer.job}, or had no such job"
                 ) from None
+            if (runner := self.joined.pop(pending[0], None)) is None:
+                arrivals.append((pending, answer))
+            else:
+                yield from runner.checked_results([(pending, answer)], engine_name, checked=checked)
             # Up to MOST_TOGETHER outcomes are checked together. Only outcomes that are ready now are checked together,
             # so no outcome waits for a later outcome.
             idle = not (tells and progress.at_hand)

@@ -9,7 +9,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count
 from typing import Any, Final, Generic
@@ -81,7 +81,9 @@ def score_worlds(
     waits while the jobs in the stream have ``PENDING_BOXES`` boxes (``PENDING_BOXES_GPU`` for a GPU). Invalid worlds
     are collected, and simulated again together at the end, or earlier if ``most_pending`` of them wait. So the memory
     of a run does not grow with its number of worlds. If CPU threads make an attempt beside a GPU
-    (petmjx/engines/attempts.py), this attempt begins at once.
+    (petmjx/engines/attempts.py), this attempt begins at once. An attempt in stiffer contacts at a world from which
+    others may follow also begins at once, together with first attempts, if the engine can do that
+    (``Capability.STIFF_JOBS``).
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
     a settled pallet. ``following`` is called after each outcome, and returns each world exactly once. An engine that
@@ -108,11 +110,14 @@ def score_worlds(
     engines = Engines(engine, progress)
     if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
+    joins = following is not None and sim.physics.cone is Cone.ELLIPTIC and getattr(engine, "streams", False)
+    joins = joins and Capability.STIFF_JOBS in engine.capabilities
     stream = JobStream[Pending[AnyWorld]](
         most_boxes=PENDING_BOXES_GPU if _is_gpu(engine) else PENDING_BOXES * engine.devices,
         feedback=following is not None,
         begin_with=begin_with,
         bounds=bounds,
+        stiff=[recipe.stiff for recipe in attempts if recipe.joins and recipe.stiff is not None] if joins else (),
     )
     most_pending *= engine.devices
     first_runner = AttemptRunner[AnyWorld](attempts[0], attempts[0].apply_to_sim(sim), engines, most=most_pending)
@@ -127,10 +132,10 @@ class _AttemptRun(Generic[AnyWorld]):
 
     At any time, each unfinished world is in one of four collections. Before its first attempt, a world is in
     ``stream``, or, if the engine of the run cannot simulate the world, in ``for_fallback``. Before each further
-    attempt, a world is in ``retry_queue`` or in ``side_tasks``.
+    attempt, a world is in ``retry_queue`` or in ``side_tasks``, or again in ``stream``.
 
     Attributes:
-        first_runner: makes the first attempts.
+        first_runner: makes the first attempts, and further attempts that join them (``_join``).
         retry_queue: worlds that wait for a further attempt on the engine of the run, each with its next attempt.
     """
 
@@ -207,7 +212,14 @@ class _AttemptRun(Generic[AnyWorld]):
     def _first_attempts(self) -> Iterator[AttemptResult[AnyWorld] | None]:
         """Make the first attempts: on the engine for the worlds of the stream, on the fallback for the worlds kept for
         it."""
-        unanswered = yield from self.first_runner.run_stream(self.engines.primary, self.stream)
+        lost = yield from self.first_runner.run_stream(self.engines.primary, self.stream)
+        unanswered = list[Pending[AnyWorld]]()
+        for pending in lost:
+            runner = self.first_runner.joined.pop(pending[0], None)
+            if runner is None:
+                unanswered.append(pending)
+            else:
+                self.retry_queue.append((runner.attempt, pending))
         while self.for_fallback:
             unanswered.append(self.for_fallback.popleft())
         yield from self.first_runner.run_fallback(unanswered)
@@ -222,9 +234,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
                 yield from self._results_of(runner.run(batch))
 
-    def _results_of(
-        self, attempt_results: Iterator[AttemptResult[AnyWorld] | None]
-    ) -> Iterator[WorldResult[AnyWorld]]:
+    def _results_of(self, attempt_results: Iterator[AttemptResult[AnyWorld] | None]) -> Iterator[WorldResult[AnyWorld]]:
         """Yield the final results among ``attempt_results``. Also yield the final results of side tasks (attempts
         and checks in other processes) that have ended in the meantime."""
         for pending in attempt_results:
@@ -247,7 +257,7 @@ class _AttemptRun(Generic[AnyWorld]):
 
     def _finish_or_retry(self, pending: AttemptResult[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """After an attempt at a world, yield the world's result if it is final. If the result is not final, begin the
-        next attempt as a side task, or put the world into ``retry_queue``.
+        next attempt as a side task or in the stream, or put the world into ``retry_queue``.
 
         Args:
             pending: the world, with the outcome of the attempt.
@@ -259,8 +269,23 @@ class _AttemptRun(Generic[AnyWorld]):
             next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, self.sim)), None)
         if next_attempt is None:
             yield WorldResult(world, outcome, records)
-        elif not self.side_tasks.begin(next_attempt, pending):
+        elif not (self.side_tasks.begin(next_attempt, pending) or self._join(next_attempt, pending)):
             self.retry_queue.append((next_attempt, pending))
+
+    def _join(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
+        """Put an attempt in stiffer contacts into the stream, where it runs together with first attempts. Returns False
+        if the attempt must wait for its turn: the engine cannot mix attempts, or thousands of worlds with errors may
+        need this attempt, for which the usual blocks are faster, or the world is recorded."""
+        world, before, _ = pending
+        runner = self.side_tasks.runner_of(attempt)
+        many = world.job.has_errors and not self.side_tasks.are_few(attempt, pending)
+        if attempt.stiff not in self.stream.stiff or many or world.job.record is not None:
+            return False
+        if runner.engine_for(world) is not self.engines.primary:
+            return False
+        (job,) = runner.jobs_of([world], self.engines.primary)
+        self.first_runner.joined[world] = runner
+        return self.stream.put(replace(attempt.after(before, job), stiff=attempt.stiff), pending)
 
 
 class WorldSource(Generic[AnyWorld]):
@@ -354,16 +379,23 @@ class _SideTasks(Generic[AnyWorld]):
 
     def begin(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
         """Begin an attempt at a world as a side task. Returns False if the engine of the run must make the attempt."""
-        runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
-        world, before, _ = pending
-        # if boxes of a plan may sink into each other, all of the plan's worlds with placement errors need the attempt
-        sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID
-        few = attempt.few and not (sank and may_penetrate(world.job.scene, self.sim))
-        traits = {"doubles": attempt.doubles, "soft": runner.is_soft(world), "few": few}
+        runner, (world, _, _) = self.runner_of(attempt), pending
+        traits = {"doubles": attempt.doubles, "soft": runner.is_soft(world), "few": self.are_few(attempt, pending)}
         name = self.engines.beside(world.job, runner.sim, **traits)
         if name is not None:
             self._ask(runner, pending, name)
         return name is not None
+
+    def runner_of(self, attempt: AttemptRecipe) -> AttemptRunner[AnyWorld]:
+        """A runner of an attempt."""
+        return AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
+
+    def are_few(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
+        """Whether only few worlds like this one need an attempt."""
+        world, before, _ = pending
+        # if boxes of a plan may sink into each other, all of the plan's worlds with placement errors need the attempt
+        sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID
+        return attempt.few and not (sank and may_penetrate(world.job.scene, self.sim))
 
     def _ask(self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str) -> None:
         world, before, _ = pending

@@ -81,6 +81,12 @@ class AttemptRecipe:
     """Whether only few of many worlds need the attempt. Worlds with placement errors are an exception: if their plan
     has boxes that may sink into each other, many of these worlds need the attempt."""
 
+    @property
+    def joins(self) -> bool:
+        """Whether the attempt differs from the first attempt only in the stiffness of contacts (``Job.stiff``). Such an
+        attempt can run together with first attempts."""
+        return self.stiff is not None and self.timestep_divisor == 1 and not self.doubles
+
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
         """Whether this attempt may give a different result from the previous attempt. A world that ran out of time gets
         no further attempt."""

@@ -5,19 +5,31 @@ That happens beside a run on mjx-warp.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+import pandas as pd
 import pytest
+from support.fake_stepper import assert_same
+from support.job_streams import feedback_stream
 from support.plans import make_plan, make_world, stack
 from support.tiny_worlds import shared_engine
 
+import petmjx
 from petmjx.engines.attempt_stream import score_worlds
-from petmjx.engines.attempts import ATTEMPTS
+from petmjx.engines.attempts import ATTEMPTS, AttemptRecipe
+from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Verdict
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.world_table import Run, WorldTable
 from petmjx.engines.world_results import WorldResult
 from petmjx.options.simulation import Simulation
+from petmjx.world.job import Job
 
 SIM = Simulation()
 
@@ -56,3 +68,51 @@ def test_the_kernel_s_further_attempts_end_as_c_mujoco_s() -> None:
     assert {name: result.outcome.verdict for name, result in expected.items()} == {
         "stands": Verdict.STABLE, "tips": Verdict.UNSTABLE, "slender": Verdict.STABLE,
     }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_worlds_in_stiffer_contacts_among_others_are_as_they_are_alone() -> None:
+    jobs = [replace(make_world(make_plan(name, boxes), SIM).job, keep_state=True) for name, boxes in PILES.items()]
+    engine = MjxWarpCpuEngine(2)
+    usual = {outcome.job: outcome for outcome in engine.run(jobs, SIM)}
+    stiff = {outcome.job: outcome for outcome in engine.run(jobs, stiffened(SIM, 0.5))}
+    mixed = [job for alone in jobs for job in (alone, replace(alone, stiff=0.5))]
+    together = {outcome.job: outcome for outcome in engine.run(feedback_stream(mixed), SIM)}
+    assert len(together) == len(mixed)
+    for number, outcome in together.items():
+        expected = (stiff if number % 2 else usual)[number // 2]
+        assert_same(replace(outcome, job=number // 2), expected)
+        assert outcome.n_steps == expected.n_steps
+    assert any(usual[number].n_steps != stiff[number].n_steps for number in usual)
+
+
+@pytest.mark.slow
+def test_drives_after_an_attempt_in_stiffer_contacts_do_not_depend_on_when_it_ran(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The attempt and its drives run in the table of the other worlds, and give the same as in tables of their own."""
+    plans = [make_plan(name, boxes) for name, boxes in {"usual": stack(2), **PILES}.items()]
+    tables: list[list[Job]] = []
+    load = MjxWarpEngine._load
+
+    def noted_load(self: MjxWarpEngine, run: Run, jobs: list[Job], *others: Any) -> WorldTable:
+        tables.append(jobs.copy())
+        return load(self, run, jobs, *others)
+
+    monkeypatch.setattr(MjxWarpEngine, "_load", noted_load)
+    file = tmp_path / "sweep.toml"
+    file.write_text('[axes]\nprofile = "eumos-40509"\nlevel = [0.1, 0.3]\n')
+    joined = petmjx.sweep(file, plans, engine="mjx-warp-cpu", threads=2)
+    assert [[job.stiff for job in jobs] for jobs in tables] == [[None] * 4]
+    tables.clear()
+    monkeypatch.setattr(AttemptRecipe, "joins", False)
+    apart = petmjx.sweep(file, plans, engine="mjx-warp-cpu", threads=2)
+    are_drives = [[job.drive is not None for job in jobs] for jobs in tables]
+    assert list(map(set, are_drives)) == [{False}, {False}, {True}, {True}], (
+        "attempts at placements and at their drives"
+    )
+    for name in ("worlds", "boxes", "attempts"):
+        mine, theirs = (getattr(run, name) for run in (joined, apart))
+        pd.testing.assert_frame_equal(mine, theirs)
+    n_driven = joined.worlds.query("plan_id == 'stands'").n_steps.gt(0).sum()
+    assert n_driven == 2

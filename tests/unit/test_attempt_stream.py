@@ -17,12 +17,13 @@ from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.engines.protocol import Engine, Progress, says_at_hand, takes_stream
+from petmjx.engines.protocol import Capability, Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.subprocess.check_pool import CheckPool
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.engines.world_results import World
 from petmjx.options.physics import PHYSICS
 from petmjx.options.simulation import Simulation, Solver
+from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
 
 
@@ -62,6 +63,89 @@ def test_worlds_that_follow_from_results_are_simulated_too(streams: bool) -> Non
     assert seen[0] == "p0"
     assert seen.index("p3") > seen.index("p1")
     assert [len(jobs) for _, jobs in engine.calls][:2] == ([1, 1] if streams else [1, 2])
+
+
+@dataclass
+class Mixing(Engine):
+    """An engine that takes jobs with stiffer contacts together with others. Boxes sink in all other worlds. With
+    ``raises``, the engine raises an error when it has taken a job with stiffer contacts beside others."""
+
+    name: str = "mjx-warp"
+    mixes: bool = True
+    raises: bool = False
+    calls: list[list[tuple[float | None, float]]] = field(default_factory=list)
+    """For each run, the jobs in the order in which they were taken: ``Job.stiff``, and the contacts of the run."""
+
+    @property
+    def capabilities(self) -> Capability:
+        return super().capabilities | (Capability.STIFF_JOBS if self.mixes else Capability(0))
+
+    @takes_stream
+    def run(
+        self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+    ) -> Iterator[Outcome]:
+        stream, taken = JobStream.of(jobs), list[tuple[float | None, float]]()
+        self.calls.append(taken)
+        while new := stream.take(1):
+            (job,) = new
+            taken.append((job.stiff, sim.physics.solimp[0]))
+            if self.raises and job.stiff is not None:
+                raise RuntimeError("Warp CUDA error 901")
+            stands = job.stiff is not None or sim.physics.solimp[0] == STIFF or job.drive is not None
+            flags = Flag.NONE if stands else Flag.SINKING
+            verdict, reason = (Verdict.STABLE, Reason.NONE) if stands else (Verdict.UNSTABLE, Reason.DROP)
+            yield make_outcome(1, verdict, reason, job=len(taken) - 1, flags=flags)
+
+
+USUAL, STIFF = (ATTEMPTS[k].apply_to_sim(Simulation()).physics.solimp[0] for k in (0, 5))
+"""Impedance at depth 0 of usual and of stiffer contacts."""
+
+
+def driven(engine: Engine, sim: Simulation | None = None, record: Record | None = None) -> dict[str, list[int]]:
+    """Simulate the placements p and q with the engine, and then a drive that starts from p. Returns the attempts at
+    each world; the drive is named drive."""
+    p, q = (make_world(make_plan(name, [((100, 100, 100), (0, 0, 0), 1.0)])) for name in "pq")
+    placed = [replace(world, job=replace(world.job, keep_state=True, record=record)) for world in (p, q)]
+    drive = make_world(make_plan("drive", [((100, 100, 100), (0, 0, 0), 1.0)]))
+    drive = replace(drive, job=replace(drive.job, drive=Drive(Excitation("push", "force", np.zeros((3, 3))))))
+    follows: list[World] = []
+
+    def following() -> list[World]:
+        ready = follows.copy()
+        follows.clear()
+        return ready
+
+    attempts = {}
+    for result in score_worlds(placed, sim or Simulation(), engine, following=following, attempts=ATTEMPTS[:6]):
+        attempts[result.world.plan.plan_id] = [record.attempt for record in result.attempts]
+        follows += [drive] if result.world is placed[0] else []
+    return attempts
+
+
+def test_a_placement_in_stiffer_contacts_joins_the_run_and_what_follows_does_too() -> None:
+    mixing, apart = Mixing(), Mixing(mixes=False)
+    assert driven(mixing) == driven(apart) == {"p": [1, 6], "q": [1, 6], "drive": [1]}
+    placed, again, shaken = (None, USUAL), (0.5, USUAL), (None, USUAL)
+    assert mixing.calls == [[placed, again, shaken, placed, again]]
+    assert apart.calls == [[(None, USUAL)] * 2, [(None, STIFF)] * 2, [(None, USUAL)]]
+
+
+def test_an_attempt_that_joined_is_made_again_if_the_engine_fails() -> None:
+    """The attempt is not taken for a first attempt, and its world is not simulated on the fallback engine."""
+    engine = Mixing(raises=True)
+    attempts = driven(engine)
+    assert attempts == {"p": [1, 6], "q": [1, 6], "drive": [1]}
+    assert engine.calls[-1] == [(None, USUAL)]
+    assert (None, STIFF) in [job for run in engine.calls for job in run]
+
+
+def test_recorded_worlds_and_pyramidal_cones_wait_for_their_turn() -> None:
+    recorded = Mixing()
+    assert driven(recorded, record=Record(0.05))["p"] == [1, 6]
+    assert recorded.calls == [[(None, USUAL)] * 2, [(None, STIFF)] * 2, [(None, USUAL)]]
+    pyramids = Mixing()
+    assert driven(pyramids, Simulation(physics="reference"))["p"] == [1]
+    assert all(stiff is None for run in pyramids.calls for stiff, _ in run)
 
 
 def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_them(
