@@ -160,7 +160,8 @@ class AttemptRunner(Generic[AnyWorld]):
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
                 self._message = one_line(error)
-                self.engines.note_failure(engine.name, self.attempt.number, len(unanswered), self._message)
+                n_here = sum(pending[0] not in self.joined for pending in unanswered)
+                self.engines.note_failure(engine.name, self.attempt.number, n_here, self._message)
                 return unanswered
             if answer is None and tells:
                 yield from self.checked_results([], engine_name, checked=checked, wait=False)

@@ -264,7 +264,8 @@ class Engines:
         """Note that an error ended an attempt on an engine, and what happens to the worlds without an outcome."""
         other = self.fallback
         then = "invalid by failed" if other is None or engine == other.name else f"went to {other.name}"
-        self.note(f"attempt {attempt}: {engine} failed ({message}); {count_text(worlds, 'world')}: {then}")
+        tail = f"; {count_text(worlds, 'world')}: {then}" if worlds else ""
+        self.note(f"attempt {attempt}: {engine} failed ({message}){tail}")
 
     def note(self, text: str) -> None:
         """Add a note to ``run.json``."""

@@ -101,7 +101,12 @@ USUAL, STIFF = (ATTEMPTS[k].apply_to_sim(Simulation()).physics.solimp[0] for k i
 """Impedance at depth 0 of usual and of stiffer contacts."""
 
 
-def driven(engine: Engine, sim: Simulation | None = None, record: Record | None = None) -> dict[str, list[int]]:
+def driven(
+    engine: Engine,
+    sim: Simulation | None = None,
+    record: Record | None = None,
+    progress: Progress | None = None,
+) -> dict[str, list[int]]:
     """Simulate the placements p and q with the engine, and then a drive that starts from p. Returns the attempts at
     each world; the drive is named drive."""
     p, q = (make_world(make_plan(name, [((100, 100, 100), (0, 0, 0), 1.0)])) for name in "pq")
@@ -116,7 +121,8 @@ def driven(engine: Engine, sim: Simulation | None = None, record: Record | None 
         return ready
 
     attempts = {}
-    for result in score_worlds(placed, sim or Simulation(), engine, following=following, attempts=ATTEMPTS[:6]):
+    options: dict[str, Any] = {"following": following, "attempts": ATTEMPTS[:6], "progress": progress}
+    for result in score_worlds(placed, sim or Simulation(), engine, **options):
         attempts[result.world.plan.plan_id] = [record.attempt for record in result.attempts]
         follows += [drive] if result.world is placed[0] else []
     return attempts
@@ -132,11 +138,11 @@ def test_a_placement_in_stiffer_contacts_joins_the_run_and_what_follows_does_too
 
 def test_an_attempt_that_joined_is_made_again_if_the_engine_fails() -> None:
     """The attempt is not taken for a first attempt, and its world is not simulated on the fallback engine."""
-    engine = Mixing(raises=True)
-    attempts = driven(engine)
-    assert attempts == {"p": [1, 6], "q": [1, 6], "drive": [1]}
+    engine, progress = Mixing(raises=True), Progress()
+    assert driven(engine, progress=progress) == {"p": [1, 6], "q": [1, 6], "drive": [1]}
     assert engine.calls[-1] == [(None, USUAL)]
     assert (None, STIFF) in [job for run in engine.calls for job in run]
+    assert [*progress.notes] == ["attempt 1: mjx-warp failed (RuntimeError: Warp CUDA error 901)"]
 
 
 def test_recorded_worlds_and_pyramidal_cones_wait_for_their_turn() -> None:
