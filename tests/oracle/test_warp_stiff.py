@@ -15,7 +15,7 @@ import pytest
 from support.fake_stepper import assert_same
 from support.job_streams import feedback_stream
 from support.plans import make_plan, make_world, stack
-from support.tiny_worlds import shared_engine
+from support.tiny_worlds import devices, engine, shared_engine
 
 import petmjx
 from petmjx.engines.attempt_stream import score_worlds
@@ -71,13 +71,14 @@ def test_the_kernel_s_further_attempts_end_as_c_mujoco_s() -> None:
 
 
 @pytest.mark.slow
-def test_worlds_in_stiffer_contacts_among_others_are_as_they_are_alone() -> None:
+@devices
+def test_worlds_in_stiffer_contacts_among_others_are_as_they_are_alone(device: str) -> None:
     jobs = [replace(make_world(make_plan(name, boxes), SIM).job, keep_state=True) for name, boxes in PILES.items()]
-    engine = MjxWarpCpuEngine(2)
-    usual = {outcome.job: outcome for outcome in engine.run(jobs, SIM)}
-    stiff = {outcome.job: outcome for outcome in engine.run(jobs, stiffened(SIM, 0.5))}
+    mixing = engine()
+    usual = {outcome.job: outcome for outcome in mixing.run(jobs, SIM)}
+    stiff = {outcome.job: outcome for outcome in mixing.run(jobs, stiffened(SIM, 0.5))}
     mixed = [job for alone in jobs for job in (alone, replace(alone, stiff=0.5))]
-    together = {outcome.job: outcome for outcome in engine.run(feedback_stream(mixed), SIM)}
+    together = {outcome.job: outcome for outcome in mixing.run(feedback_stream(mixed), SIM)}
     assert len(together) == len(mixed)
     for number, outcome in together.items():
         expected = (stiff if number % 2 else usual)[number // 2]
