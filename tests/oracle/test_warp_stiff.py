@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import warp as wp
 from support.fake_stepper import assert_same
 from support.job_streams import feedback_stream
 from support.plans import make_plan, make_world, stack
@@ -21,11 +22,13 @@ import petmjx
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempts import ATTEMPTS, AttemptRecipe
 from petmjx.engines.contact_penetration import stiffened
+from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Verdict
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.programs import constants, contact_constants
 from petmjx.engines.warp.world_table import Run, WorldTable
 from petmjx.engines.world_results import WorldResult
 from petmjx.options.simulation import Simulation
@@ -85,6 +88,15 @@ def test_worlds_in_stiffer_contacts_among_others_are_as_they_are_alone(device: s
         assert_same(replace(outcome, job=number // 2), expected)
         assert outcome.n_steps == expected.n_steps
     assert any(usual[number].n_steps != stiff[number].n_steps for number in usual)
+
+
+@pytest.mark.parametrize("options", [{}, {"quiet": {"steps": 40}}, {"physics": {"slip_correction": False}}])
+def test_all_constants_that_stiffer_contacts_change_are_those_of_contacts(options: dict[str, Any]) -> None:
+    sim, timetable = SIM.changed(**options), build_timetable(SIM, 4)
+    stiff = ATTEMPTS[5].apply_to_sim(sim)
+    with wp.ScopedDevice("cpu"):
+        expected, mixed = constants(stiff, timetable), {**constants(sim, timetable), **contact_constants(stiff)}
+    assert {name: str(value) for name, value in mixed.items()} == {name: str(value) for name, value in expected.items()}
 
 
 @pytest.mark.slow

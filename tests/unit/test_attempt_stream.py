@@ -73,6 +73,7 @@ class Mixing(Engine):
     name: str = "mjx-warp"
     mixes: bool = True
     raises: bool = False
+    doubtful: Verdict = Verdict.UNSTABLE
     calls: list[list[tuple[float | None, float]]] = field(default_factory=list)
     """For each run, the jobs in the order in which they were taken: ``Job.stiff``, and the contacts of the run."""
 
@@ -93,7 +94,7 @@ class Mixing(Engine):
                 raise RuntimeError("Warp CUDA error 901")
             stands = job.stiff is not None or sim.physics.solimp[0] == STIFF or job.drive is not None
             flags = Flag.NONE if stands else Flag.SINKING
-            verdict, reason = (Verdict.STABLE, Reason.NONE) if stands else (Verdict.UNSTABLE, Reason.DROP)
+            verdict, reason = (Verdict.STABLE, Reason.NONE) if stands else (self.doubtful, Reason.SINKING)
             yield make_outcome(1, verdict, reason, job=len(taken) - 1, flags=flags)
 
 
@@ -104,13 +105,14 @@ USUAL, STIFF = (ATTEMPTS[k].apply_to_sim(Simulation()).physics.solimp[0] for k i
 def driven(
     engine: Engine,
     sim: Simulation | None = None,
-    record: Record | None = None,
     progress: Progress | None = None,
+    kg: float = 1.0,
+    **of_job: Any,
 ) -> dict[str, list[int]]:
     """Simulate the placements p and q with the engine, and then a drive that starts from p. Returns the attempts at
-    each world; the drive is named drive."""
-    p, q = (make_world(make_plan(name, [((100, 100, 100), (0, 0, 0), 1.0)])) for name in "pq")
-    placed = [replace(world, job=replace(world.job, keep_state=True, record=record)) for world in (p, q)]
+    each world; the drive is named drive. ``of_job``: fields of the jobs of both placements."""
+    p, q = (make_world(make_plan(name, [((100, 100, 100), (0, 0, 0), kg)])) for name in "pq")
+    placed = [replace(world, variant=1, job=replace(world.job, keep_state=True, **of_job)) for world in (p, q)]
     drive = make_world(make_plan("drive", [((100, 100, 100), (0, 0, 0), 1.0)]))
     drive = replace(drive, job=replace(drive.job, drive=Drive(Excitation("push", "force", np.zeros((3, 3))))))
     follows: list[World] = []
@@ -145,13 +147,28 @@ def test_an_attempt_that_joined_is_made_again_if_the_engine_fails() -> None:
     assert [*progress.notes] == ["attempt 1: mjx-warp failed (RuntimeError: Warp CUDA error 901)"]
 
 
-def test_recorded_worlds_and_pyramidal_cones_wait_for_their_turn() -> None:
-    recorded = Mixing()
-    assert driven(recorded, record=Record(0.05))["p"] == [1, 6]
-    assert recorded.calls == [[(None, USUAL)] * 2, [(None, STIFF)] * 2, [(None, USUAL)]]
-    pyramids = Mixing()
-    assert driven(pyramids, Simulation(physics="reference"))["p"] == [1]
-    assert all(stiff is None for run in pyramids.calls for stiff, _ in run)
+@pytest.mark.parametrize(
+    ("of_job", "kg", "joins"),
+    [
+        ({"record": Record(0.05)}, 1.0, False),
+        ({"has_errors": True}, 1.0, True),
+        ({"has_errors": True}, 100_000.0, False),
+        ({}, 100_000.0, True),
+    ],
+)
+def test_recorded_worlds_and_plans_whose_boxes_sink_with_any_errors_wait_for_their_turn(
+    of_job: dict[str, Any], kg: float, joins: bool
+) -> None:
+    """A box of 100 t sinks into the carrier, in all worlds with errors of its plan."""
+    engine = Mixing(doubtful=Verdict.INVALID)
+    assert driven(engine, kg=kg, **of_job) == {"p": [1, 6], "q": [1, 6], "drive": [1]}
+    assert len(engine.calls) == (1 if joins else 3)
+
+
+def test_with_pyramidal_cones_no_world_is_simulated_in_stiffer_contacts() -> None:
+    engine = Mixing()
+    assert driven(engine, Simulation(physics="reference"))["p"] == [1]
+    assert all(stiff is None for run in engine.calls for stiff, _ in run)
 
 
 def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_them(
