@@ -110,8 +110,11 @@ def score_worlds(
     engines = Engines(engine, progress)
     if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
-    joins = following is not None and sim.physics.cone is Cone.ELLIPTIC and getattr(engine, "streams", False)
-    joins = joins and Capability.STIFF_JOBS in engine.capabilities
+    # All other runs make these attempts on CPU threads. A kept state counts steps, so if placements are kept, all
+    # attempts have the usual timestep.
+    keeps = following is not None and all(recipe.timestep_divisor == 1 for recipe in attempts)
+    joins = keeps and getattr(engine, "streams", False) and Capability.STIFF_JOBS in engine.capabilities
+    joins = joins and sim.physics.cone is Cone.ELLIPTIC
     stream = JobStream[Pending[AnyWorld]](
         most_boxes=PENDING_BOXES_GPU if _is_gpu(engine) else PENDING_BOXES * engine.devices,
         feedback=following is not None,

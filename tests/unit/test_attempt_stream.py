@@ -23,6 +23,7 @@ from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.engines.world_results import World
 from petmjx.options.physics import PHYSICS
 from petmjx.options.simulation import Simulation, Solver
+from petmjx.runs.sweep_run import SAME_STEP_ATTEMPTS
 from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
 
@@ -123,7 +124,7 @@ def driven(
         return ready
 
     attempts = {}
-    options: dict[str, Any] = {"following": following, "attempts": ATTEMPTS[:6], "progress": progress}
+    options: dict[str, Any] = {"following": following, "attempts": SAME_STEP_ATTEMPTS, "progress": progress}
     for result in score_worlds(placed, sim or Simulation(), engine, **options):
         attempts[result.world.plan.plan_id] = [record.attempt for record in result.attempts]
         follows += [drive] if result.world is placed[0] else []
