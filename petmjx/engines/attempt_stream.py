@@ -110,8 +110,8 @@ def score_worlds(
     engines = Engines(engine, progress)
     if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
-    # Attempts in stiffer contacts join only if states of placements are kept, for in other runs CPU threads make most of
-    # these attempts. Such runs are recognised by their attempts: a kept state counts steps, so all have one timestep.
+    # Attempts in stiffer contacts join only if states of placements are kept. In other runs, CPU threads make most of
+    # these attempts. The list of attempts shows whether states are kept: these count steps, which must not get shorter.
     keeps = following is not None and all(recipe.timestep_divisor == 1 for recipe in attempts)
     joins = keeps and getattr(engine, "streams", False) and Capability.STIFF_JOBS in engine.capabilities
     joins = joins and sim.physics.cone is Cone.ELLIPTIC
