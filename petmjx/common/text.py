@@ -33,6 +33,12 @@ def printable_name(text: str) -> str:
     return shortened_text(printable(text))
 
 
+def printable_id(text: str) -> str:
+    """The id of a plan or an order, in the form that messages show. An id without visible characters is in quotation
+    marks."""
+    return printable_name(text) if text.strip() else f'"{printable_name(text)}"'
+
+
 def shortened_text(text: str) -> str:
     """A text, shortened to its beginning if it is too long for a message."""
     return text if len(text) <= _SHOWN_CHARACTERS else text[:_SHOWN_CHARACTERS] + "…"

@@ -9,7 +9,7 @@ from typing import Final, Protocol, runtime_checkable
 from petmjx.common.errors import InputError
 from petmjx.common.file_kinds import LOOKED_AT_ARCHIVE, foreign_kind
 from petmjx.common.safe_read import open_regular
-from petmjx.common.text import number_in, shortened_text
+from petmjx.common.text import count_text, number_in, shortened_text
 
 PARQUET_MAGIC: Final = b"PAR1"
 PARQUET_SUFFIX: Final = ".parquet"
@@ -130,6 +130,42 @@ def separator_mark(header: bytes | bytearray) -> str | None:
         return None
     mark = header.decode("utf-8", "replace").strip().strip('"')[:5]
     return f'row 1: "{mark}" is Excel\'s mark of the separator, and no header: delete this row'
+
+
+_WIDE_MARKS: Final = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"))
+_MARKS: Final = (*_WIDE_MARKS, (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+"""Byte order marks of encodings with characters of several bytes. The mark of UTF-32 begins like that of UTF-16."""
+_ZEROS: Final = {
+    (True, False, False, False): "utf-32-le",
+    (False, False, False, True): "utf-32-be",
+    (True, False, True, False): "utf-16-le",
+    (False, True, False, True): "utf-16-be",
+}
+"""Which of the first four bytes are not zero → encoding of a text that begins with two characters of ASCII, as in
+section 3 of RFC 4627."""
+
+
+def wide_encoding(data: bytes | bytearray) -> str | None:
+    """The encoding of a text in UTF-16 or UTF-32, by its byte order mark or by the zero bytes at its beginning; None
+    for all other bytes."""
+    head = bytes(data[:4])
+    marked = next((name for mark, name in _MARKS if head.startswith(mark)), None)
+    if marked == "utf-16":  # in Windows-1252, the mark is a word of two letters
+        return marked if b"\0" in data[2:4] or len(data) == 2 else None
+    if marked is not None:
+        return marked
+    name = _ZEROS.get(tuple(map(bool, head)))  # type: ignore[call-overload]  # a head shorter than 4 bytes is no key
+    is_ascii = all(character in b"\t\n\r" or 32 <= character < 127 for character in head if character)
+    return name if is_ascii else None
+
+
+def nul_fault(text: str) -> str | None:
+    """The error text for a text that ends in NUL characters and has no others; else None. A file ends so if the program
+    or the computer that wrote it was stopped."""
+    n_nul = len(text) - len(text.rstrip("\0"))
+    if not n_nul or text.count("\0") > n_nul:
+        return None
+    return f"ends in {count_text(n_nul, 'NUL byte')}; was the file written whole?"
 
 
 def is_utf8(data: bytes | bytearray) -> bool:

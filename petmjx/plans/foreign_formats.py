@@ -9,7 +9,7 @@ from typing import Final
 from petmjx.common.errors import InputError
 from petmjx.common.file_kinds import foreign_kind
 from petmjx.plans.column_names import words_of
-from petmjx.plans.file_formats import NoBoxes
+from petmjx.plans.file_formats import NoBoxes, nul_fault
 from petmjx.plans.header_and_total_rows import geometric_names
 from petmjx.plans.known_forms import MOST_BYTES, BoxSource, with_known_form, with_named_units
 from petmjx.plans.nested_containers import LAYERS
@@ -42,6 +42,8 @@ def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
             raise InputError(kind)
         return sources_of_tables(*read_raw_tables(data))
     text, _ = decoded_text(data)
+    if (fault := nul_fault(text)) is not None:
+        raise InputError(fault)
     start = text.lstrip("\ufeff \t\r\n")
     if start.startswith("<"):
         if re.search(r"<mujoco[\s>/]", start[:20_000]):
@@ -49,21 +51,18 @@ def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
         return _sources_of_markup(start)
     if start[:1] in ("{", "[") and not re.match(r"\[\s*[A-Za-z]", start):
         try:
-            value = decoded_json(start)
-        except InputError as error:
-            if (printed_values := python_values(start)) is not None:
-                value = printed_values
-            elif start.startswith("{") or "nested" in str(error):  # another reader's error explains the fault better
-                raise NoBoxes(str(error)) from None
-            else:
+            value = decoded_json(text)
+        except InputError:
+            if (printed_values := python_values(start)) is None:
                 raise
+            value = printed_values
         if is_three_js(value):
             return [source_of_three_js(value)]
         if is_gltf(value):
             return [source_of_gltf(value)]
         sources = [with_named_units(with_known_form(boxes)) for boxes in box_lists(value)]
         if not sources:
-            raise NoBoxes("has no list of boxes: petmjx looks for objects with places and sizes")
+            raise NoBoxes("holds no box" if value == [] else "has no list of boxes: objects with places and sizes")
         return sources
     if is_printed_object(start):
         values = python_values(start)

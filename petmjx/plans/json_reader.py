@@ -12,12 +12,12 @@ from typing import Any, Final, NamedTuple
 from petmjx.common.errors import InputError
 from petmjx.common.file_kinds import foreign_kind
 from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, read_regular, size
-from petmjx.common.text import printable_name
+from petmjx.common.text import count_text, printable_id
+from petmjx.plans.file_formats import wide_encoding
 
 _GZIP_MAGIC: Final = b"\x1f\x8b\x08"
 _GZIP_CHUNK: Final = 1 << 14
 _WBITS_GZIP: Final = 31
-_UTF16_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")
 _UTF8_MARK: Final = b"\xef\xbb\xbf"
 
 
@@ -31,11 +31,11 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
         ValueError: the name is impossible for a file, such as a name with a null character.
     """
     data, fault = unpacked_bytes(path)
-    if data.startswith(_UTF16_MARKS) and b"\0" in data[2:4]:
+    if (encoding := wide_encoding(data)) is not None:
         try:
-            data = bytearray(data.decode("utf-16").encode())
+            data = bytearray(data.decode(encoding).encode())
         except UnicodeError as error:
-            return bytearray(), f"is damaged UTF-16 text ({error.args[-1]})"
+            return bytearray(), f"is damaged {encoding[:6].upper()} text ({error.args[-1]})"
     if (kind := foreign_kind(data)) is not None:
         return bytearray(), kind
     if data.startswith(_UTF8_MARK):
@@ -94,6 +94,7 @@ def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytea
 # JSON has fewer kinds of white space than \s.
 # Possessive quantifiers keep matching linear in time, even for malicious text.
 _SPACE: Final = re.compile(rb"[ \t\n\r]*+")
+_NUL_BYTES: Final = re.compile(rb"\0++")
 _KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+")[ \t\n\r]*+:[ \t\n\r]*+', re.DOTALL)
 _CUT_KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+(\\|"[ \t\n\r]*+)?)?\Z', re.DOTALL)
 _OTHER_VALUES: Final = {
@@ -146,7 +147,7 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
 
     Args:
         of: text for messages: what the file's object should contain.
-        noun: name of an entry in messages.
+        noun: the kind of entry in messages.
 
     Raises:
         MalformedPlans: a part of the text is not JSON, or the file is empty or has no object. Entries before the
@@ -161,16 +162,18 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
     if data[at : at + 1] != b"{":
         raise _not_json(data, at, "expected {")
     at = _after_space(data, at + 1)
+    a_noun = f"an {noun}" if noun.startswith("o") else f"a {noun}"
     window = _FIRST_WINDOW
     has_more = data[at : at + 1] != b"}"
     while has_more:
         key = _KEY.match(data, at)
         if key is None:
             cut_off = _CUT_KEY.match(data, at) is not None
-            raise _not_json(data, at, "the file ends before a plan; truncated?" if cut_off else "expected a plan id")
-        where = f"{noun} {printable_name(_text(key[1][1:-1][:_SHOWN_ID]))}: "
+            end_fault = f"the file ends before {a_noun}; truncated?"
+            raise _not_json(data, at, end_fault if cut_off else "expected a name in quotation marks")
+        where = f"{noun} {printable_id(_text(key[1][1:-1][:_SHOWN_ID]))}: "
         plan_id = _decoded_id(data, key, where)
-        value, end = _decoded_value(data, key.end(), window, where)
+        value, end = _decoded_value(data, key.end(), window, where, noun)
         window = min(max(2 * (end - key.end()), _SMALLEST_WINDOW), LONGEST_VALUE)
         yield Entry(plan_id, value)
         del value
@@ -192,10 +195,10 @@ def _decoded_id(data: bytes | bytearray, key: re.Match[bytes], where: str) -> An
     try:
         return _DECODER.decode(_text(key[1]))
     except json.JSONDecodeError as error:
-        raise _not_json(data, key.start(1) + error.pos, error.msg, where) from error
+        raise _not_json(data, key.start(1) + error.pos, json_fault(error), where) from error
 
 
-def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str) -> tuple[Any, int]:
+def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str, noun: str) -> tuple[Any, int]:
     """Decode one JSON value. Returns the value and the position of its end.
 
     The decoder receives a window of the text, and a larger window if the value does not fit. Small windows save time
@@ -206,7 +209,8 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str)
         begin: position of the value.
         window: length of the first window, bytes. A window is twice as long as the previous value, so that the total
             length of all windows is linear in the text.
-        where: name of the plan, for errors.
+        where: name of the entry, for errors.
+        noun: the kind of entry in messages.
     """
     while True:
         text = _text(data[begin : begin + window])
@@ -218,7 +222,7 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str)
                 "Unterminated"
             )
             if reaches_end or not cut_off:
-                fault = "the file ends inside this plan; truncated?" if cut_off else error.msg
+                fault = f"the file ends inside this {noun}; truncated?" if cut_off else json_fault(error)
                 raise _not_json(data, begin + _n_bytes(text, error.pos), fault, where) from error
         except RecursionError as error:
             raise _not_json(data, begin, "nested too deeply", where) from error
@@ -230,8 +234,16 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str)
         window = min(4 * window, LONGEST_VALUE)
 
 
+def json_fault(error: json.JSONDecodeError) -> str:
+    """The fault that Python's decoder reports, for a message that has the place in other words."""
+    return "more text after its end" if error.msg == "Extra data" else error.msg.removesuffix(" at")
+
+
 def _not_json(data: bytes | bytearray, at: int, fault: str, where: str = "") -> MalformedPlans:
     line, column = data.count(b"\n", 0, at) + 1, at - data.rfind(b"\n", 0, at)
+    if (zeros := _NUL_BYTES.match(data, at)) is not None:
+        fault = count_text(len(zeros[0]), "NUL byte")
+        fault += "; was the file written whole?" if zeros.end() == len(data) else ""
     return MalformedPlans(f"{where}not JSON at line {line}, column {column} ({fault}); nothing of this file is read")
 
 

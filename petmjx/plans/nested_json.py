@@ -20,7 +20,7 @@ from petmjx.common.text import first_names
 from petmjx.plans.box_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.column_names import column_meanings, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_names
-from petmjx.plans.json_reader import any_integer
+from petmjx.plans.json_reader import any_integer, json_fault
 from petmjx.plans.nested_containers import (
     CONTAINERS,
     LAYERS,
@@ -78,9 +78,11 @@ def decoded_json(text: str) -> Any:
                 except RecursionError:
                     raise InputError(f"not JSON at line {number} (nested too deeply)") from None
                 except json.JSONDecodeError as fault:
-                    raise InputError(f"not JSON at line {number}, column {fault.colno} ({fault.msg})") from None
+                    raise InputError(f"not JSON at line {number}, column {fault.colno} ({json_fault(fault)})") from None
             return values
-        raise InputError(f"not JSON at line {error.lineno}, column {error.colno} ({error.msg})") from None
+        cut_off = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated")
+        fault_text = "the file ends too early; truncated?" if cut_off else json_fault(error)
+        raise InputError(f"not JSON at line {error.lineno}, column {error.colno} ({fault_text})") from None
 
 
 def _json_value(text: str) -> Any:

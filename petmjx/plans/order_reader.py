@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from petmjx.common.atomic_write import atomic_write
 from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable, printable_name
+from petmjx.common.text import printable, printable_id
 from petmjx.plans.convention_checks import warn
 from petmjx.plans.file_formats import (
     PARQUET_MAGIC,
@@ -79,7 +79,7 @@ def read_orders(
     _check_entries(data, name)
     order_ids: set[str] = set()
     for entry in scan_plans(data):
-        where = f"{name}: order {printable_name(entry.plan_id)}"
+        where = f"{name}: order {printable_id(entry.plan_id)}"
         try:
             if entry.plan_id in order_ids:
                 raise InputError(f"{where}: repeated order id")
@@ -164,7 +164,7 @@ def _check_entries(data: bytearray, name: str) -> None:
 
 
 def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrders | None:
-    """Read the orders of a file that does not have BED-BPP's form; None if it is JSON without boxes.
+    """Read the orders of a file that does not have BED-BPP's form; None if it is a JSON object without boxes.
 
     Raises:
         InputError: the file cannot be read as orders.
@@ -180,7 +180,7 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
             return frame_orders(parquet_table(path), name, reading or OrderReading())
         return foreign_orders(data, path, name, reading or OrderReading())
     except NoBoxes as error:
-        if data.lstrip().startswith((b"{", b"[")):
+        if data.lstrip().startswith(b"{"):
             return None
         raise InputError(f"{name}: {error}: {_FORMS}") from None
     except InputError as error:

@@ -294,14 +294,14 @@ class Table:
         unread: names of columns that are not read.
         numbers: (n,) the number of each row, for messages.
         lost: rows that could not be read, and so are missing from ``columns``.
-        cut_off: whether the table ends prematurely, so that the last plan may lack rows.
+        end_fault: the error text for the last plan, if the table ends too early, so that the plan may lack rows.
     """
 
     columns: Mapping[str, InputColumn]
     unread: Sequence[str]
     numbers: NDArray[np.int64]
     lost: Sequence[LostRow] = ()
-    cut_off: bool = False
+    end_fault: str = ""
 
 
 def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
@@ -598,8 +598,8 @@ class _TableReader:
     def _refused_before(self) -> dict[str, str]:
         """Id of each plan that lacks a row → its fault."""
         reasons: dict[str, str] = {}
-        if self.table.cut_off and len(self._codes) and self._codes[-1] >= 0:
-            reasons[self._plan_ids[self._codes[-1]]] = "the file ends inside this plan; truncated?"
+        if self.table.end_fault and len(self._codes) and self._codes[-1] >= 0:
+            reasons[self._plan_ids[self._codes[-1]]] = self.table.end_fault
         for lost in reversed(self.table.lost):
             if lost.plan_id is not None:
                 reasons[lost.plan_id] = f", row {lost.number}: {lost.fault}"

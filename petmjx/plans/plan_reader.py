@@ -19,7 +19,7 @@ import numpy as np
 from petmjx.common.argument_checks import flag_of, integer_of, list_of, number_of, path_of
 from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, printable, printable_name
+from petmjx.common.text import count_text, printable, printable_id, printable_name
 from petmjx.options.run_options import Anchor, RunOptions
 from petmjx.plans.convention_checks import warn, with_conventions
 from petmjx.plans.file_formats import (
@@ -492,13 +492,13 @@ class _PlanLoader:
             self._skip(source, None, _orders_message(source, orders))
 
     def _is_left_to_own(self, source: str, path: Path, data: bytearray) -> bool:
-        """Read a text that is not in BED-BPP's form as a file of another tool. Returns whether the text is JSON without
-        any list of boxes; if so, the reader of BED-BPP's JSON must explain the error.
+        """Read a text that is not in BED-BPP's form as a file of another tool. Returns whether the text has no list of
+        boxes and is not a list; if so, the reader of BED-BPP's JSON must explain the error.
         """
         fault = self._read_foreign_file(source, path, data)
         if fault is None:
             return False
-        if isinstance(fault, NoBoxes):
+        if isinstance(fault, NoBoxes) and not data.lstrip().startswith(b"["):
             return True
         self._skip(source, None, f"{source}: {fault}")
         return False
@@ -566,7 +566,7 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
 
 
 def _orders_message(source: str, order_ids: Sequence[str]) -> str:
-    first, n_orders = printable_name(order_ids[0]), len(order_ids)
+    first, n_orders = printable_id(order_ids[0]), len(order_ids)
     content = f"{first} is an order" if n_orders == 1 else f"{n_orders} entries ({first}, …) are orders"
     return (
         f"{source}: {content} (item_sequence), not packing plans: an order does not say where boxes go; "

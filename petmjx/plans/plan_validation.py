@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import is_text, printable_name
+from petmjx.common.text import is_text, printable_id, printable_name
 from petmjx.plans.input_conventions import USUAL, InputConventions
 from petmjx.plans.json_reader import DuplicateFieldObject
 from petmjx.plans.plan import Plan
@@ -80,7 +80,7 @@ def parse_plan(
         PlanError: the plan is refused. The message names the file, the plan, the placement (numbered from 0, like all
             boxes) and the field.
     """
-    where = f"{source}: plan {printable_name(plan_id)}"
+    where = f"{source}: plan {printable_id(plan_id)}"
     fault = plan_id_fault(plan_id)
     if fault is not None:
         raise PlanError(f"{where}: {fault}")

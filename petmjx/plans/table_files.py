@@ -38,7 +38,7 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
 
     Args:
         data: UTF-8 text.
-        cut_off: whether the text is known to end prematurely.
+        cut_off: whether the text is known to end too early.
 
     Raises:
         TableError: the text is empty, has no usable header, or lacks a column. The error does not name the file.
@@ -62,6 +62,9 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
         raise
     if not data[len(header) :].strip():
         raise TableError("holds no plan", len(where), is_own=True)
+    n_nul = len(data) - len(data.rstrip(b"\0")) if data.endswith(b"\0") else 0
+    if n_nul:
+        data, cut_off = data[:-n_nul], True
     reader = _CsvReader(delimiter, names, where["plan_id"])
     rows, numbers = reader.read(data)
     decimal = "," if delimiter == ";" and b"," in data and _has_decimal_commas(rows, where) else "."
@@ -71,7 +74,13 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
     if lost and lost[-1].number > last and not data.endswith(_LINE_ENDS):
         # the text ends within a row, so the row's plan id may be incomplete as well
         lost, cut_off = lost[:-1], True
-    return Table(columns, unread, numbers, lost, cut_off)
+    if not cut_off:
+        end_fault = ""
+    elif n_nul:
+        end_fault = f"the file ends in {count_text(n_nul, 'NUL byte')}; was this plan written whole?"
+    else:
+        end_fault = "the file ends inside this plan; truncated?"
+    return Table(columns, unread, numbers, lost, end_fault)
 
 
 def _has_decimal_commas(rows: pa.Table, where: Mapping[str, int]) -> bool:

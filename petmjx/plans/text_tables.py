@@ -1,6 +1,7 @@
 """Reads tables from text (``tables_of_text``): encodings, separators, printed tables with frames or white space.
 
-Text may be UTF-8, UTF-16, Windows-1252 or Windows-1250. A table may have any usual separator and Excel's ``sep=;``.
+Text may be UTF-8, UTF-16, UTF-32, Windows-1252 or Windows-1250. A table may have any usual separator and Excel's
+``sep=;``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import replace
 from typing import Final
 
 from petmjx.common.errors import InputError
-from petmjx.plans.file_formats import NoBoxes
+from petmjx.plans.file_formats import NoBoxes, wide_encoding
 from petmjx.plans.header_and_total_rows import LEAST_KNOWN, SEARCHED_ROWS, count_known_names
 from petmjx.plans.raw_tables import MOST_ROWS, RawTable
 from petmjx.plans.table_sections import tables_of_rows
@@ -27,15 +28,15 @@ _SPACES: Final = " "
 def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
     """Decode bytes to text. Also returns a note about the encoding ("" for UTF-8).
 
-    UTF-8 and UTF-16 are recognised with certainty. All other bytes are read as Windows-1252, or as Windows-1250 if that
-    gives more known words in headers.
+    UTF-8, UTF-16 and UTF-32 are recognised with certainty. All other bytes are read as Windows-1252, or as Windows-1250
+    if that gives more known words in headers.
     """
     raw = bytes(data)
     if raw.startswith(b"\xef\xbb\xbf"):
         return raw[3:].decode("utf-8", "replace"), ""
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return raw.decode("utf-16", "replace"), "UTF-16"
-    head = raw[:2000]
+    if (encoding := wide_encoding(raw)) is not None:
+        return raw.decode(encoding, "replace"), encoding[:6].upper()
+    head = raw[:2000].rstrip(b"\0")  # the end of a damaged text may consist of NUL bytes
     if head.count(b"\0") > len(head) // 4:
         order = "utf-16-le" if head[1:2] == b"\0" else "utf-16-be"
         return raw.decode(order, "replace"), "UTF-16"

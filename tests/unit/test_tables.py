@@ -337,6 +337,16 @@ def test_files_that_end_too_early() -> None:
         assert messages(plan_set) == ["plans.csv: plan B: the file ends inside this plan; truncated?"]
 
 
+@pytest.mark.parametrize("end", ["\n", "\nB,2,car", ""])
+def test_nul_bytes_at_the_end_are_named(end: str) -> None:
+    Path("plans.csv").write_text(f"{HEADER}\n{row('A')}\n{row('B')}{end}" + 5 * "\0")
+    plan_set = load_plans("plans.csv")
+    assert ids(plan_set) == ["A"]
+    assert messages(plan_set) == ["plans.csv: plan B: the file ends in 5 NUL bytes; was this plan written whole?"]
+    Path("boxes.csv").write_text(f"Lg;W;H;X;Y;Z\n400;300;200;0;0;0{end}" + 5 * "\0")
+    assert messages(load_plans("boxes.csv")) == ["boxes.csv: ends in 5 NUL bytes; was the file written whole?"]
+
+
 def test_damaged_parquet() -> None:
     petmjx.save_plans(
         [Plan.from_boxes("A", size_mm=[[100, 100, 100]], corner_mm=[[0, 0, 0]], mass_kg=[1])], "a.parquet"
