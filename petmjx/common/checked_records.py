@@ -72,6 +72,7 @@ _TEXTS: Final = {
     "enum": "must be {expected}",
     "string_type": "must be text",
     "path_type": "must be a path",
+    "string_pattern_mismatch": "does not have the form in which petmjx writes it",
     **dict.fromkeys(("float_type", "float_parsing", "finite_number"), "must be a finite number"),
     **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size", "int_from_float"), "must be a whole number"),
     **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
@@ -98,6 +99,8 @@ VALUE: Final = "<a single value>"
 """Tags for unions of types, such as a number or a list of numbers. A tag says whether a value is a table, a list or a
 single value. pydantic inserts tags into the path of an error, and ``describe`` removes the tags. The angle brackets
 distinguish tags from names of fields."""
+_KEY: Final = "[key]"
+"""pydantic's last part of the path of an error about a key of a table. The part before it is the key itself."""
 
 
 @dataclass(frozen=True)
@@ -325,12 +328,12 @@ def _no_member(context: Mapping[str, str], value: Any) -> str:
 
 def _path(location: tuple[int | str, ...]) -> str:
     """The path of a value within a record, in the notation of TOML and Python: fields by name, list entries as [i]. The
-    path lacks the tags of unions."""
+    path lacks what pydantic inserts, such as the tags of unions."""
     path = ""
     for part in location:
         if isinstance(part, int):
             path += f"[{part}]"
-        elif not (part.startswith("<") and part.endswith(">")):
+        elif part != _KEY and not (part.startswith("<") and part.endswith(">")):
             path += f".{printable_name(part)}" if path else printable_name(part)
     return path
 

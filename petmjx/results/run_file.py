@@ -83,7 +83,7 @@ class RunFile(_PartialRecord):
     expected_worlds: int | None = None
     params: list[_Param] = []
     counts: _Counts = Field(default=_Counts(worlds=0))
-    timings: dict[str, float | int] = {}
+    timings: dict[str, float] = {}
     skipped: list[_Skipped] = []
     warnings: list[str] = []
     orders: _Orders | None = None

@@ -20,15 +20,17 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from petmjx.common.argument_checks import path_of
+from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError, PetmjxError
 from petmjx.common.safe_read import read_regular
-from petmjx.common.text import count_text, one_line
+from petmjx.common.text import count_text
 from petmjx.engines.metrics import BoxMetrics, box_metrics, world_metrics
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.carriers import Carrier, OwnCarrier
 from petmjx.options.run_options import WORLDS
 from petmjx.options.simulation import Simulation
 from petmjx.options.walls import Walls
+from petmjx.plans.json_reader import json_fault
 from petmjx.plans.order_matching import PlanOrderCounts
 from petmjx.plans.plan import Plan
 from petmjx.results.notebook_tables import worlds_as_html
@@ -365,8 +367,14 @@ def read_info(folder: Path) -> dict[str, Any]:
         fault = "not a folder" if folder.exists() else "no such folder"
         fault = "no run of petmjx there (it has no run.json)" if folder.is_dir() else fault
         raise InputError(f"{folder}: {fault}") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{file}: cannot be read: {one_line(error)}") from error
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {reason(error)}") from error
+    except json.JSONDecodeError as error:
+        place = f"line {error.lineno}, column {error.colno}"
+        raise InputError(f"{file}: damaged: not JSON at {place} ({json_fault(error)})") from error
+    except (ValueError, RecursionError) as error:
+        fault = "not UTF-8 text" if isinstance(error, UnicodeDecodeError) else "not JSON"
+        raise InputError(f"{file}: damaged: {fault}") from error
     if not isinstance(info, dict) or not isinstance(info.get("schema_version"), int):
         raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
     check_version(file, info["schema_version"])

@@ -235,8 +235,10 @@ def test_a_run_without_worlds_has_its_columns(tmp_path: Path) -> None:
     ("damage", "message"),
     [
         (lambda run: (run / "run.json").unlink(), "no run of petmjx there"),
-        (lambda run: (run / "run.json").write_text("{"), "run.json: cannot be read"),
-        (lambda run: (run / "run.json").write_bytes(b"\xff\xfe"), "run.json: cannot be read"),
+        (lambda run: (run / "run.json").write_text("{"), r"run.json: damaged: not JSON at line 1, column 2 \(Exp"),
+        (lambda run: (run / "run.json").write_text("{}x"), r"damaged: not JSON at line 1, column 3 \(more text after"),
+        (lambda run: (run / "run.json").write_text("9" * 5000), "run.json: damaged: not JSON$"),
+        (lambda run: (run / "run.json").write_bytes(b"\xff\xfe"), "run.json: damaged: not UTF-8 text"),
         (lambda run: (run / "run.json").write_text("[]"), "not written by petmjx"),
         (lambda run: (run / "run.json").write_text('{"schema_version": 99}'), "newer petmjx"),
         (
@@ -250,7 +252,9 @@ def test_a_run_without_worlds_has_its_columns(tmp_path: Path) -> None:
         (lambda run: _edit(run, params=[1]), r"run.json: damaged: params\[0\] must be a table"),
         (lambda run: _edit(run, versions={"numpy": 2}), "run.json: damaged: versions.numpy must be text"),
         (lambda run: _edit(run, parts={"worlds": {"../a.parquet": "0" * 32}}), "run.json: damaged: parts.worlds"),
-        (lambda run: (run / "run.json").write_text("[" * 1_000_000), "run.json: cannot be read"),
+        (lambda run: _edit(run, parts={"a": {}}), "damaged: parts.a does not have the form in which petmjx writes it"),
+        (lambda run: _edit(run, timings={"wall_s": "2"}), "run.json: damaged: timings.wall_s must be a finite number"),
+        (lambda run: (run / "run.json").write_text("[" * 1_000_000), "run.json: damaged: not JSON"),
         (lambda run: _fifo(run / "run.json"), "run.json: cannot be read"),
         (lambda run: _fifo(run / "worlds/part-00000.parquet"), "worlds/part-00000.parquet: damaged"),
         (lambda run: (run / "worlds/part-00000.parquet").write_bytes(b"PAR1"), "worlds/part-00000.parquet: damaged"),
