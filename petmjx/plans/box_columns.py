@@ -45,8 +45,8 @@ class BoxColumns:
         geometries: possible choices of columns for sizes and places.
         turns: rotations; None: no column has rotations.
         weight: (n,) weights in the file's unit; None: no column has weights.
-        weight_unit: unit according to the name or the cells; "": none is given.
-        weight_is_density: whether ``weight`` is a density, relative to water or in kg/m³.
+        weight_unit: unit according to the name or the cells, for densities one of ``DENSITY_UNITS``; "": none is given.
+        weight_is_density: whether ``weight`` has densities.
         plan, article, item_id, group: (n,) names; None: no column has them.
         sequence: (n,) packing order; None: no column has it. A column of running numbers is not taken as a packing
             order, since boxes may be numbered in any order.
@@ -109,7 +109,7 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
         if any(cell not in (None, "", 0, "0", 0.0) for cell in extraction.cells(weight_index)):
             weight, weight_unit = extraction.numbers(weight_index, MASS_UNITS)
     elif density_index is not None:
-        weight, weight_unit = extraction.numbers(density_index, {"kg/m3": 1.0})
+        weight, weight_unit = extraction.densities(density_index)
     sequence_index = extraction.first("sequence", "sequence")
     sequence = None
     if sequence_index is not None:

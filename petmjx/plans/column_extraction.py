@@ -20,6 +20,7 @@ from petmjx.plans.column_names import (
     ColumnMeaning,
     column_meanings,
     plain_text,
+    unknown_density_unit,
     word_set,
     words_of,
 )
@@ -179,6 +180,23 @@ class ColumnExtraction:
                 rows[row] = (number,)
         values, unit = self._in_one_unit(index, rows, units, 1)
         return values[:, 0], unit
+
+    def densities(self, index: int) -> tuple[FloatArray, str]:
+        """(n,) densities of a column, NaN if a cell is bad. Also returns their unit according to the column's name, one
+        of ``DENSITY_UNITS`` ("": none is given).
+
+        Raises:
+            InputError: the name has an unknown unit.
+        """
+        name = self.table.header[index]
+        if self.table.has_header and (unknown := unknown_density_unit(name)):
+            raise InputError(
+                f"{printable_name(name)}: {printable_name(unknown)} is no known unit of density; kg/m3, g/cm3, lb/ft3 "
+                "and their like are"
+            )
+        meaning = self.meanings[index]
+        unit = meaning.unit if meaning is not None and meaning.kind == "density" else ""
+        return self.numbers(index, {"kg/m3": 1.0})[0], unit
 
     def triples(self, index: int) -> tuple[FloatArray, str]:
         """(n, 3) numbers of a column with three numbers per cell. Also returns the unit of the numbers."""

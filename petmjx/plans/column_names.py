@@ -50,6 +50,21 @@ MASS_UNITS: Final = {
     "oz": 0.028349523125, "t": 1000.0, "tonne": 1000.0, "tonnes": 1000.0,
 }  # fmt: skip
 """Name of a unit of mass → kilograms."""
+_INCH_M3: Final = 0.0254**3
+_VOLUMES_M3: Final = {
+    **dict.fromkeys(("m3", "cbm", "cum", "cubicmeter", "cubicmetre"), 1.0),
+    **dict.fromkeys(("dm3", "l", "lt", "ltr", "liter", "litre"), 1e-3),
+    **dict.fromkeys(("cm3", "ccm", "cc", "ml"), 1e-6),
+    **dict.fromkeys(("ft3", "cuft", "cft", "cubicfoot", "cubicfeet"), 1728 * _INCH_M3),
+    **dict.fromkeys(("in3", "cuin", "cubicinch"), _INCH_M3),
+}
+"""Name of a unit of volume → cubic metres."""
+DENSITY_UNITS: Final = {
+    "pcf": MASS_UNITS["lb"] / _VOLUMES_M3["ft3"],
+    **{f"{mass}/{volume}": kg / m3 for mass, kg in MASS_UNITS.items() for volume, m3 in _VOLUMES_M3.items()},
+}
+"""Name of a unit of density → kg/m³."""
+_DENSITY_LETTERS: Final = {unit.replace("/", ""): unit for unit in DENSITY_UNITS}
 UNIT_WORDS: Final = {
     **{unit: words for unit, (_, words) in {**LENGTHS_MM, **MASSES_KG}.items()},
     "dm": "decimetres",
@@ -207,7 +222,7 @@ class ColumnMeaning:
         axis: axis of a size or a position; "": no axis. The axis of a size is length, width, height or depth, or x, y
             or z (``dx``, ``LX``). The axis of a position is x, y or z, or the word for a size. The axis of a member of
             a list is "0", "1" or "2".
-        unit: name of the unit in ``LENGTH_UNITS`` or ``MASS_UNITS``; "": no unit.
+        unit: name of the unit in ``LENGTH_UNITS``, ``MASS_UNITS`` or ``DENSITY_UNITS``; "": no unit.
         anchor: for positions, the point according to the name (``centre``, ``base-centre``, ``corner``); "": none is
             given.
         placed: whether the name implies that sizes are those of the box as placed.
@@ -268,6 +283,35 @@ def split_unit(name: str) -> tuple[str, str]:
     if camel is not None:
         return camel[1], camel[2].lower()
     return name, ""
+
+
+_QUOTIENT: Final = re.compile(
+    r"[\[(\{<]\s*([^\])}>/]+/[^\])}>]+)[\])}>]"
+    rf"|\b((?:{'|'.join(MASS_UNITS)})\s*/\s*(?:cu\.?\s*)?[a-z]+[\^*]{{0,2}}3?)\s*$",
+    re.IGNORECASE,
+)
+"""A quotient of units in brackets, or a mass divided by something at the end of a name: "[lb / cu ft]", "kg/m^3"."""
+
+
+def _quotient(name: str) -> str:
+    match = _QUOTIENT.search(plain_text(name))
+    return "" if match is None else (match[1] or match[2]).strip()
+
+
+def density_unit(name: str) -> str:
+    """The unit of density (one of ``DENSITY_UNITS``) in a name, such as "Dichte [kg/m³]", "density_lb_ft3" or "density
+    g per cm3". "" if there is none."""
+    if quotient := _quotient(name):
+        return _DENSITY_LETTERS.get(re.sub(r"[^a-z\d]", "", quotient.lower()), "")
+    spaced = re.sub(r"(?<=[a-z\d])(?=[A-Z])", " ", plain_text(name)).lower().replace("^", "")
+    words = [word for word in re.findall(r"[a-z]+3?", spaced) if word != "per"]
+    ends = ("".join(words[-count:]) for count in (1, 2, 3))
+    return next((_DENSITY_LETTERS[end] for end in ends if end in _DENSITY_LETTERS), "")
+
+
+def unknown_density_unit(name: str) -> str:
+    """The quotient of units in the name of a column of densities, if it is no unit of ``DENSITY_UNITS``; else ""."""
+    return "" if density_unit(name) else _quotient(name)
 
 
 def is_unit(text: str) -> bool:
@@ -385,8 +429,12 @@ def _meaning(name: str) -> ColumnMeaning | None:
             contained = True  # "pallet.length"
         return replace(meaning, unit=length_unit, of_container=contained)
     kind = _kind_of(tail, path)
+    if kind in (None, "weight", "density") and _quotient(name) and (of_density := density_unit(name)):
+        return ColumnMeaning("density", unit=of_density)  # "Raumgewicht [kg/m³]"
     if kind is None:
         return None
+    if kind == "density":
+        return ColumnMeaning(kind, unit=density_unit(name))
     if kind == "weight" or (kind in ("article", "item_id") and unit in MASS_UNITS and len(unit) > 1):  # "item.kg"
         return ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "", of_container=contained)
     return ColumnMeaning(kind, unit=unit, axis=index, of_container=contained and kind in ("quantity", "volume"))

@@ -135,7 +135,7 @@ def separator_mark(header: bytes | bytearray) -> str | None:
 _WIDE_MARKS: Final = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"))
 _MARKS: Final = (*_WIDE_MARKS, (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 """Byte order marks of encodings with characters of several bytes. The mark of UTF-32 begins like that of UTF-16."""
-_ZEROS: Final = {
+_ZEROS: Final[dict[tuple[bool, ...], str]] = {
     (True, False, False, False): "utf-32-le",
     (False, False, False, True): "utf-32-be",
     (True, False, True, False): "utf-16-le",
@@ -154,7 +154,7 @@ def wide_encoding(data: bytes | bytearray) -> str | None:
         return marked if b"\0" in data[2:4] or len(data) == 2 else None
     if marked is not None:
         return marked
-    name = _ZEROS.get(tuple(map(bool, head)))  # type: ignore[call-overload]  # a head shorter than 4 bytes is no key
+    name = _ZEROS.get(tuple(map(bool, head)))
     is_ascii = all(character in b"\t\n\r" or 32 <= character < 127 for character in head if character)
     return name if is_ascii else None
 

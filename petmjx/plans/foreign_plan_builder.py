@@ -19,6 +19,7 @@ from petmjx.plans.known_forms import PACKINGSOLVER
 from petmjx.plans.placed_boxes import (
     assumed_density,
     density_lines,
+    empty_rows,
     far_cells,
     fault_of_rows,
     first_bad_row,
@@ -76,7 +77,10 @@ class PlanBuilder:
         self.decks = pallet_rows(self.columns, plans, size, low)
         for row, fault in range_faults(self.columns, reading, candidate).items():
             self.faults.setdefault(row, fault)
-        mass = masses_kg(self.columns, reading.masses, size, self.wishes, self.faults, self.notes)
+        mass = masses_kg(
+            *(self.columns, reading.masses, size, self.wishes, self.faults, self.notes),
+            length_unit=reading.length_units[0],
+        )
         refused: list[RefusedPlan] = []
         sequences: dict[str, NDArray[np.int64]] = {}
         orders: dict[str, str] = {}
@@ -118,7 +122,8 @@ class PlanBuilder:
         Raises:
             InputError: the file can be read in several ways, or no row is good.
         """
-        self.columns = replace(self.columns, faults={**far_cells(self.columns, self.wishes), **self.columns.faults})
+        faults = {**empty_rows(self.columns), **far_cells(self.columns, self.wishes), **self.columns.faults}
+        self.columns = replace(self.columns, faults=faults)
         search = PalletSearch(self.columns, self.wishes)
         unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
         if unsaid and self.columns.plan is None and not any(self.boxes.parts) and self.boxes.table.has_header:

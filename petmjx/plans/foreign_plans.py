@@ -3,7 +3,7 @@ and the boxes become a checked table of placements, as in petmjx's own formats."
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +18,10 @@ from petmjx.plans.foreign_plan_builder import ForeignPlans, PlanBuilder
 from petmjx.plans.header_and_total_rows import are_numbers
 from petmjx.plans.item_joins import with_items
 from petmjx.plans.known_forms import POSES, BoxSource, rows_of
+from petmjx.plans.placed_boxes import named_decks
+from petmjx.plans.plan_rows import plan_names
 from petmjx.plans.raw_cells import GROUPED, cell_number
+from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.reading_choice import TIE
 from petmjx.plans.readings import Wishes
 
@@ -82,15 +85,23 @@ def _plans_of(
         raise _no_geometry(columns, sources, path, source)
     written = [one for one in columns.geometries if one.columns.items() <= wishes.exact.items()]
     columns = replace(columns, geometries=written or columns.geometries)
+    decks, up = named_decks(columns, rows_by_name(plan_names(columns, source, [])))
+    if decks and wishes.up in ("", up):
+        return _plans_of(_without_decks(chosen, decks), sources, path, source, replace(wishes, up=up))
     builder = PlanBuilder(columns, source, wishes)
     plans = builder.plans()
     if not builder.decks:
         return plans
-    rows = [row for row in range(columns.n_boxes) if row not in builder.decks]
-    lines = [f"{chosen.boxes.table.places[row]} is the pallet, and left out" for row in sorted(builder.decks)]
+    return _plans_of(_without_decks(chosen, builder.decks), sources, path, source, wishes)
+
+
+def _without_decks(chosen: BoxSource, decks: Collection[int]) -> BoxSource:
+    """A list of boxes without the rows that describe pallets."""
+    table = chosen.boxes.table
+    rows = [row for row in range(len(table.rows)) if row not in decks]
+    lines = [f"{table.places[row]} is the pallet, and left out" for row in sorted(decks)]
     shown = lines if len(lines) < 3 else [f"{len(lines):,} rows are pallets, and left out"]
-    box_source = replace(chosen, boxes=rows_of(chosen.boxes, rows), notes=(*chosen.notes, *shown))
-    return _plans_of(box_source, sources, path, source, wishes)
+    return replace(chosen, boxes=rows_of(chosen.boxes, rows), notes=(*chosen.notes, *shown))
 
 
 def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> NoGeometry:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
@@ -104,7 +105,7 @@ class ItemColumns:
         size_unit: unit according to names or cells; "": none is given.
         size_names: names of the columns of the three sizes, or of the one column that has all three.
         weight: (n,) weights in the file's unit; None: no column has weights.
-        weight_unit: unit according to the name or the cells; "": none is given.
+        weight_unit: unit according to the name or the cells, for densities one of ``DENSITY_UNITS``; "": none is given.
         weight_is: meaning of ``weight``: the weight of a "box", the weight of a "row", or a "density"; "": the name
             does not tell whether it is the weight of a box or of a row.
         quantity: (n,) whole numbers of boxes; NaN if a cell is bad; None: one box per row.
@@ -147,6 +148,11 @@ class ItemColumns:
     @property
     def n_rows(self) -> int:
         return len(self.source.boxes.table.rows)
+
+    @property
+    def is_empty(self) -> NDArray[np.bool_]:
+        """(n,) whether a row has the quantity 0."""
+        return np.zeros(self.n_rows, bool) if self.quantity is None else self.quantity == 0
 
     @property
     def weight_is_density(self) -> bool:
@@ -479,7 +485,7 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
         if index is None:
             return None, "", ""
         columns["density"] = header[index]
-        return work.numbers(index, {"kg/m3": 1.0})[0], "", weight_is
+        return *work.densities(index), weight_is
     if all(cell in (None, "", 0, "0", 0.0) for cell in work.cells(index)):
         columns.pop("weight", None), columns.pop("total weight", None)
         return None, "", ""

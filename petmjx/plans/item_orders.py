@@ -165,9 +165,11 @@ class _OrderBuilder:
         usual_kg_m3 = SET_KG_M3 if self.form.name in _WITHOUT_MASSES else USUAL_KG_M3
         mass = masses_kg(
             *(self.columns, units.mass, size, self.reading.wishes, self.faults, self.notes),
+            length_unit=units.length,
             usual_kg_m3=usual_kg_m3,
             counts=counts if units.of_rows else None,
         )
+        self._leave_out_empty_rows()
         lost = names_with_lost_rows(self.table, names)
         good_orders: list[tuple[str, Order]] = []
         refused: list[tuple[str, str]] = []
@@ -195,6 +197,16 @@ class _OrderBuilder:
         if column is not None and (nameless := sum(not name for name in names)):
             self.notes.append(f"{count_text(nameless, 'row')} without an order's name: order {printable_name(stem)}")
         return [name or stem for name in names]
+
+    def _leave_out_empty_rows(self) -> None:
+        """Drop the faults of rows with the quantity 0, since they have no box. Adds a note."""
+        empty = np.flatnonzero(self.columns.is_empty).tolist()
+        for row in empty:
+            self.faults.pop(row, None)
+        if empty:
+            places = first_names([self.table.places[row] for row in empty], 3)
+            name = printable_name(self.columns.columns["per layer" if self.columns.per_layer else "quantity"])
+            self.notes.append(f"{count_text(len(empty), 'row')} left out, since {name} is 0: {places}")
 
     def _fault(self, rows: Sequence[int], lost: tuple[str, str] | None, counts: NDArray[np.int64]) -> str | None:
         """Why an order is refused; None if it is good."""
@@ -248,6 +260,8 @@ class _OrderBuilder:
         """
         columns, wishes = self.columns, self.reading.wishes
         is_good = np.array([row not in self.faults for row in range(columns.n_rows)])
+        if not columns.is_empty.all():
+            is_good &= ~columns.is_empty
         with np.errstate(invalid="ignore"):
             is_good &= (columns.size > 0).all(axis=1)
         if not is_good.any():

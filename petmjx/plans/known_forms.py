@@ -86,7 +86,12 @@ POSES: Final = KnownForm("poses", up="z")
 
 def with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     """A list of boxes with the form that the names of its fields imply. Rows of totals are removed."""
-    boxes = _by_pallet_rows(_without_totals(boxes))
+    boxes, up = _by_pallet_rows(_without_totals(boxes))
+    source = _with_form_of_names(boxes, kind)
+    return replace(source, form=replace(source.form, up=up)) if up and not source.form.up else source
+
+
+def _with_form_of_names(boxes: BoxList, kind: str) -> BoxSource:
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
     around = {str(name).lower() for name in boxes.around}
@@ -160,12 +165,13 @@ _BOX_RECORDS: Final = word_set(
 """Types of records, in lower case and without accents, of pallets and of boxes."""
 
 
-def _by_pallet_rows(boxes: BoxList) -> BoxList:
+def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:
     """A list in which rows of pallets come before the rows of their boxes, as parts without the rows of pallets. A
-    column with the types of records shows which rows these are: "PALLET", "BOX", "BOX", "PALLET", "BOX" …"""
+    column with the types of records shows which rows these are: "PALLET", "BOX", "BOX", "PALLET", "BOX" … Also returns
+    the vertical axis that the places of pallets and boxes show ("y", "z"; "": none)."""
     table = boxes.table
     if not table.has_header or any(boxes.parts):
-        return boxes
+        return boxes, ""
     for index in range(len(table.header)):
         types = [cell_text(row[index]) for row in table.rows]
         words = [plain_text(name).lower() for name in types]
@@ -184,8 +190,39 @@ def _by_pallet_rows(boxes: BoxList) -> BoxList:
         containers = {name: _container_in(boxes, row) for name, row in zip(names, pallets, strict=True)}
         note = f"rows of type {printable_name(types[0])} in {printable_name(table.header[index])} are pallets"
         by_pallets = rows_of(replace(boxes, parts=parts, containers=containers), kept)
-        return replace(by_pallets, table=replace(by_pallets.table, notes=(*table.notes, note)))
-    return boxes
+        up = _axis_above(boxes, dict(zip(pallets, last_of_pallet, strict=True)))
+        return replace(by_pallets, table=replace(by_pallets.table, notes=(*table.notes, note))), up
+    return boxes, ""
+
+
+def _axis_above(boxes: BoxList, last_of_pallet: Mapping[int, int]) -> str:
+    """The vertical axis, "y" or "z": the only one of the two along which all boxes are farther than their pallet. "" if
+    there is no such axis.
+
+    Args:
+        last_of_pallet: row of a pallet → the last row of its boxes.
+    """
+    axes = []
+    for axis in ("y", "z"):
+        index = next(
+            (
+                number
+                for number, meaning in enumerate(boxes.meanings)
+                if meaning is not None and meaning.kind in ("position", "low") and meaning.axis == axis
+            ),
+            None,
+        )
+        if index is None:
+            return ""
+        cells = [cell_number(cell, boxes.table.decimal) for cell in boxes.table.column(boxes.table.header[index])]
+        values = [np.nan if number is None else number.value for number in cells]
+        if all(
+            values[row] > values[pallet]
+            for pallet, last in last_of_pallet.items()
+            for row in range(pallet + 1, last + 1)
+        ):
+            axes.append(axis)
+    return axes[0] if len(axes) == 1 else ""
 
 
 def _name_in(row: Sequence[Any], but: int) -> str:
@@ -196,12 +233,15 @@ def _name_in(row: Sequence[Any], but: int) -> str:
 
 
 def _container_in(boxes: BoxList, row: int) -> Mapping[str, float]:
-    """Axis → size, from the row of a pallet."""
+    """Axis → size of the deck, from the row of a pallet. The smallest of the three sizes is the height of the pallet,
+    and no limit of its load."""
     sizes = {}
     for index, meaning in enumerate(boxes.meanings):
         number = cell_number(boxes.table.rows[row][index], boxes.table.decimal)
         if meaning is not None and meaning.kind == "size" and number is not None and meaning.axis != "height":
             sizes[meaning.axis] = number.value
+    if len(sizes) == 3:
+        del sizes[min(sizes, key=sizes.__getitem__)]
     return sizes
 
 

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.text import count_text, three_digits
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import role_of
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, plain_text
+from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, plain_text
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.plan_fields import (
     FARTHEST_MM,
@@ -27,7 +28,7 @@ from petmjx.plans.plan_fields import (
     positive_fault,
 )
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
-from petmjx.plans.raw_cells import thousands_faults
+from petmjx.plans.raw_cells import cell_number, thousands_faults
 from petmjx.plans.reading_candidates import Candidate, layout_of
 from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes
@@ -41,8 +42,10 @@ USUAL_KG_M3: Final = 300.0
 that is the same for all boxes."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
-"""If no density in a column exceeds this value, the densities are relative to the density of water; otherwise they are
-in kg/m³."""
+"""If no density in a column without a unit exceeds this value, the densities are relative to the density of water."""
+_LEAST_KG_M3: Final = 25.0
+"""A column without a unit, and with a smaller median density, may be in another unit than kg/m³. Cartons of crisps have
+30 kg/m³ and 1.9 lb/ft³, usual cartons 300 kg/m³ and 19 lb/ft³."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density
 of foam, and the upper limit above the density of iron parts."""
@@ -54,6 +57,11 @@ _DECK: Final = re.compile(
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
+_FLAT: Final = 0.4
+"""Largest ratio of a pallet's height and width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
+_AHEAD: Final = 0.49
+"""Smallest distance between the coordinates of a pallet and of a box on it, as a share of the pallet's height. For
+centres of thin boxes, it is little more than a half."""
 _LEVEL: Final = 0.01
 """Largest distance between the bottom of the lowest box and the deck at which the box counts as standing on the deck,
 as a share of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
@@ -162,6 +170,40 @@ def pallet_rows(
     return decks
 
 
+def named_decks(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> tuple[set[int], str]:
+    """Numbers of the rows that describe pallets, one for each plan, and the vertical axis that they show, "y" or "z".
+    The numbers are empty, and the axis is "", if a plan has no such row, or if rows do not show one axis.
+
+    Such a row is named as a pallet, is flat, and has the largest base of its plan. Along the vertical axis, and only
+    along this axis, all boxes of the plan are farther than the pallet.
+    """
+    geometry = columns.geometries[0]
+    sides = np.sort(geometry.size, axis=1)
+    names_plan = columns.columns.get("plan", "")
+    header = columns.source.boxes.table.header
+    decks: set[int] = set()
+    axes = {"y", "z"}
+    for rows in plans.values():
+        named = [
+            row
+            for row in rows.tolist()
+            if any(
+                isinstance(cell, str) and name != names_plan and _DECK.search(plain_text(cell))
+                for name, cell in zip(header, columns.source.boxes.table.rows[row], strict=True)
+            )
+        ]
+        if len(named) != 1 or len(rows) == 1:
+            return set(), ""
+        (deck,), others = named, rows[rows != named[0]]
+        thickness, width, _ = sides[deck].tolist()
+        if not thickness <= _FLAT * width or not (sides[deck, 1:] >= sides[others, 1:].max(axis=0)).all():
+            return set(), ""
+        ahead = geometry.place[others] - geometry.place[deck] > _AHEAD * thickness
+        axes &= {axis for axis, index in (("y", 1), ("z", 2)) if ahead[:, index].all()}
+        decks.add(deck)
+    return (decks, axes.pop()) if len(axes) == 1 else (set(), "")
+
+
 def assumed_density(columns: BoxColumns, wishes: Wishes) -> float | None:
     """Density of boxes that have no weight, kg/m³; None: all boxes have weights."""
     weight = columns.weight
@@ -177,6 +219,7 @@ def masses_kg(
     faults: dict[int, str],
     notes: list[str],
     *,
+    length_unit: str,
     usual_kg_m3: float = USUAL_KG_M3,
     counts: NDArray[np.int64] | None = None,
 ) -> FloatArray:
@@ -186,8 +229,12 @@ def masses_kg(
     Args:
         unit: unit of the weights.
         size: (n, 3) sizes of the boxes, mm.
+        length_unit: unit of the file's sizes.
         usual_kg_m3: density of boxes without weights if the caller gives none.
         counts: (n,) number of boxes of each row, if a weight is that of all these boxes; None: it is that of one box.
+
+    Raises:
+        InputError: densities have no unit, and may be in kg/m³ or in another unit.
     """
     volume: FloatArray = size.prod(axis=1) / 1e9
     density = wishes.density_kg_m3 or usual_kg_m3
@@ -195,9 +242,7 @@ def masses_kg(
         notes.append(f"no weights: {density:g} kg/m³ (--density)")
         return np.asarray(volume * density)
     if columns.weight_is_density:
-        relative = np.nanmax(columns.weight) <= _RELATIVE
-        notes.append(f"weights by density, {'relative to water' if relative else 'kg/m³'}")
-        return np.asarray(volume * columns.weight * (_WATER_KG_M3 if relative else 1.0))
+        return np.asarray(volume * columns.weight * _density_factor(columns, length_unit, notes))
     name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
     mass = columns.weight * MASS_UNITS[unit]
     if counts is not None:
@@ -218,6 +263,32 @@ def masses_kg(
         if fault is not None:
             faults.setdefault(row, fault)
     return np.asarray(mass)
+
+
+def _density_factor(columns: BoxColumns | ItemColumns, length_unit: str, notes: list[str]) -> float:
+    """The unit of a column of densities, in kg/m³. Adds a note that tells the unit.
+
+    Raises:
+        InputError: the unit is unknown.
+    """
+    assert columns.weight is not None
+    densities = columns.weight[~np.isnan(columns.weight)]
+    largest, median = (densities.max(), float(np.median(densities))) if len(densities) else (math.inf, math.inf)
+    if columns.weight_unit:
+        notes.append(f"weights by density, {columns.weight_unit.replace('3', '³')}")
+        return DENSITY_UNITS[columns.weight_unit]
+    if largest <= _RELATIVE:
+        notes.append("weights by density, relative to water")
+        return _WATER_KG_M3
+    imperial = LENGTH_UNITS[length_unit] in (LENGTH_UNITS["in"], LENGTH_UNITS["ft"])
+    if imperial or median < _LEAST_KG_M3:
+        name = printable_name(columns.columns["density"])
+        raise InputError(
+            f"{name} has densities in an unknown unit, {median:g} in the median; write their unit into the name of the "
+            f'column, such as "{name} [kg/m3]" or "{name} [lb/ft3]"'
+        )
+    notes.append("weights by density, kg/m³")
+    return 1.0
 
 
 def density_lines(columns: BoxColumns, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
@@ -248,6 +319,21 @@ def far_cells(columns: BoxColumns, wishes: Wishes) -> dict[int, tuple[str, str]]
             text = coordinate_fault(names[axis], float(values[row, axis]), low, high, unit)
             if text is not None:
                 faults.setdefault(row, (names[axis], text.removeprefix(f"{names[axis]} ")))
+    return faults
+
+
+def empty_rows(columns: BoxColumns) -> dict[int, tuple[str, str]]:
+    """Row → (column, error text), for boxes that have a place although the quantity in their row is 0. Columns in which
+    all quantities are 0 are ignored."""
+    table = columns.source.boxes.table
+    faults: dict[int, tuple[str, str]] = {}
+    for name, meaning in zip(table.header, columns.source.boxes.meanings, strict=True):
+        if meaning is None or meaning.kind != "quantity" or meaning.of_container:
+            continue
+        quantities = [None if number is None else number.value for number in map(cell_number, table.column(name))]
+        if any(quantities):
+            rows = (row for row, quantity in enumerate(quantities) if quantity == 0)
+            faults |= dict.fromkeys(rows, (name, "must be ≥ 1 in a row that has a place, got 0"))
     return faults
 
 

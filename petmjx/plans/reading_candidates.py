@@ -92,6 +92,8 @@ def _container_along(candidate: Candidate, container: Mapping[str, float], order
     for names in (tuple(axes[index] for index in candidate.pair), XYZ, ("0", "1", "2")):
         if all(name in container for name in names):
             return np.array([container[name] for name in names], float)[list(order)]
+    if len(container) == 2 and container.keys() <= set(XYZ):  # a deck
+        return np.array([container.get(name, math.nan) for name in XYZ])[list(order)]
     if "width" not in container or not {"length", "height"} & container.keys():
         return np.full(3, np.nan)
     level = (container.get("length", math.nan), container["width"])

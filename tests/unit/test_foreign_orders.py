@@ -149,6 +149,21 @@ def test_an_unknown_column_that_may_be_a_quantity_is_refused(tmp_path: Path) -> 
     assert near(order, [SMALL, SMALL])
 
 
+@pytest.mark.parametrize("weight", ["Gewicht", "Gesamtgewicht"])
+def test_rows_with_the_quantity_0_are_left_out(weight: str, tmp_path: Path) -> None:
+    """Rows with the quantity 0 are left out, whatever is in their other cells. An order needs at least one box."""
+    lines = ["A;s;2;400;300;200;6.5", "A;none;0;400;300;200;0", "A;l;1;600;400;250;12", "B;none;0;;300;200;1"]
+    if weight == "Gesamtgewicht":
+        lines[0] = "A;s;2;400;300;200;13"
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"Auftrag;Artikel;Menge;L;B;H;{weight}", *lines, ""]), "utf-8")
+    refused: list[str] = []
+    with pytest.warns(PlanWarning, match="2 rows left out, since Menge is 0: row 3, row 5"):
+        orders = dict(read_orders(path, lambda error: refused.append(str(error))))
+    assert near(orders["A"], [SMALL, SMALL, LARGE])
+    assert refused == [f"{path}: order B: must have at least one item: all quantities are 0"]
+
+
 RIVALS: dict[str, tuple[str, str, dict[str, str], tuple[int, Boxes]]] = {
     "quantities": (
         "sku,L,B,H,weight,Units,Cases\ns,400,300,200,6.5,12,2\nl,600,400,250,12,7,1\n",

@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import petmjx
+from petmjx.plans.order_reader import read_orders
 from petmjx.plans.raw_cells import cell_number
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
@@ -725,3 +726,90 @@ def test_xml_with_entities_is_not_read(tmp_path: Path) -> None:
     text = nested("Pallet", boxes_by(plain)).replace("<Pallet", '<!DOCTYPE a [<!ENTITY b "c">]><Pallet', 1)
     (skipped,) = load(tmp_path, "pile.xml", text).skipped
     assert "is XML" in skipped.message
+
+
+# Densities.
+
+DENSITIES = {
+    "Dichte [kg/m³]": 1.0, "Raumgewicht [kg/m³]": 1.0, "density_kg_m3": 1.0, "density [g/l]": 1.0,
+    "density (g/cm3)": 1000.0, "density [kg/dm^3]": 1000.0, "densityKgPerL": 1000.0, "density t/m3": 1000.0,
+    "density (lb/ft³)": 0.45359237 / 0.3048**3, "density [lbs/cu ft]": 0.45359237 / 0.3048**3,
+    "density pcf": 0.45359237 / 0.3048**3, "density lb/in3": 0.45359237 / 0.0254**3,
+}  # fmt: skip
+"""Name of a column of densities → its unit, in kg/m³."""
+
+
+@pytest.mark.parametrize("name", DENSITIES)
+def test_densities_are_read_in_their_unit(tmp_path: Path, name: str) -> None:
+    text = table(
+        f"box,x,y,z,{SIZES},{name}",
+        lambda k, box: [NAMES[k], *box[:6], 1e9 * box[6] / math.prod(box[3:6]) / DENSITIES[name]],
+    )
+    check_pile(load(tmp_path, "a.csv", text).plans[0])
+
+
+@pytest.mark.parametrize(
+    ("header", "density", "message"),
+    [
+        ("density [lb/gal]", 1.4, "density [lb/gal]: lb/gal is no known unit of density; kg/m3, g/cm3, lb/ft3"),
+        ("density", 10.4, "density has densities in an unknown unit, 10.4 in the median; write their unit into"),
+        ("density,unit", 167, "density has densities in an unknown unit, 167 in the median"),
+    ],
+)
+def test_densities_in_an_unknown_unit_are_refused(tmp_path: Path, header: str, density: float, message: str) -> None:
+    """Densities in an unknown unit are refused. They may be in lb/ft³ if lengths are in inches, and if they would be
+    too small for kg/m³."""
+    unit = ",in" if header.endswith("unit") else ""
+    boxes = [f"16,12,10,{density}{unit}"] * 2 if unit else [f"400,300,200,{density}"] * 2
+    places = ["0,0,0", "16,0,0" if unit else "400,0,0"]
+    rows = [",".join(row) for row in zip(places, boxes, strict=True)]
+    plan_set = load(tmp_path, "a.csv", "\n".join([f"x,y,z,length,width,height,{header}", *rows, ""]))
+    assert not plan_set.plans
+    assert message in plan_set.skipped[0].message
+    (tmp_path / "items.csv").write_text("\n".join([f"length,width,height,{header}", *boxes, ""]))
+    with pytest.raises(petmjx.InputError, match=re.escape(message)):
+        list(read_orders(tmp_path / "items.csv"))
+
+
+def test_a_place_with_the_quantity_0_is_refused(tmp_path: Path) -> None:
+    """A box with a place and the quantity 0 is refused. If all quantities are 0, the column is not used."""
+    text = table(f"box,x,y,z,{SIZES},weight,quantity", lambda k, box: [*named(k, box), int(k != 2)])
+    (skipped,) = load(tmp_path, "a.csv", text).skipped
+    assert skipped.message.endswith("row 4 (c): quantity must be ≥ 1 in a row that has a place, got 0")
+    check_pile(load(tmp_path, "a.csv", text.replace(",1\n", ",0\n")).plans[0])
+
+
+# Pallets among the boxes.
+
+CUBES = ((0, 0), (400, 0), (0, 400), (400, 400))
+"""(x, y) of cubes of 400 mm in one layer."""
+STACKS = ((0, 144), (600, 144), (0, 344))
+"""(x, z) of boxes on a pallet."""
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("last", [False, True])
+@pytest.mark.parametrize("name", ["EPAL", "Euro-Palette 1"])
+def test_a_named_pallet_shows_the_vertical_axis(tmp_path: Path, name: str, last: bool, up: str) -> None:
+    order = (0, 1, 2) if up == "z" else (0, 2, 1)
+    boxes = [(f"b{k}", (400, 400, 400), (x, y, 144)) for k, (x, y) in enumerate(CUBES)]
+    pallet = [(name, (1200, 800, 144), (0, 0, 0))]
+    lines = [
+        ",".join(map(str, [box, *(size[axis] for axis in order), *(place[axis] for axis in order)]))
+        for box, size, place in ([*boxes, *pallet] if last else [*pallet, *boxes])
+    ]
+    (plan,) = load(tmp_path, "a.csv", "\n".join(["name,dx,dy,dz,x,y,z", *lines, ""])).plans
+    np.testing.assert_allclose(plan.corner_mm, [(x, y, 0) for x, y in CUBES])
+    assert plan.articles == ("b0", "b1", "b2", "b3")
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_the_height_of_a_pallet_in_a_column_of_types_is_no_limit(tmp_path: Path, up: str) -> None:
+    order = (0, 1, 2) if up == "z" else (0, 2, 1)
+    rows = [("pallet", (1200, 800, 144), (0, 0, 0)), *(("box", (600, 400, 200), (x, 0, z)) for x, z in STACKS)]
+    lines = [
+        ",".join(map(str, [kind, *(size[axis] for axis in order), *(place[axis] for axis in order)]))
+        for kind, size, place in rows
+    ]
+    (plan,) = load(tmp_path, "a.csv", "\n".join(["type,dx,dy,dz,x,y,z", *lines, ""])).plans
+    np.testing.assert_allclose(plan.corner_mm, [(x, 0, z - 144) for x, z in STACKS])
