@@ -60,6 +60,8 @@ def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
             return [source_of_three_js(value)]
         if is_gltf(value):
             return [source_of_gltf(value)]
+        if isinstance(value, dict) and value.get("type") == "FeatureCollection" and "features" in value:
+            raise InputError("is a map (GeoJSON): petmjx looks for boxes with places and three sizes")
         sources = [with_named_units(with_known_form(boxes)) for boxes in box_lists(value)]
         if not sources:
             raise NoBoxes("holds no box" if value == [] else "has no list of boxes: objects with places and sizes")

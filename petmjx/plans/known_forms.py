@@ -19,8 +19,10 @@ from petmjx.common.text import count_text, printable_name
 from petmjx.plans.box_fields import flattened
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, PALLET_WORDS, plain_text, word_set, words_of
 from petmjx.plans.header_and_total_rows import computed_row
+from petmjx.plans.pose_cells import with_pose_column
 from petmjx.plans.raw_cells import cell_number, cell_text
 from petmjx.plans.raw_tables import BoxList, rows_by_name
+from petmjx.plans.turn_columns import is_matrix
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,7 @@ POSES: Final = KnownForm("poses", up="z")
 
 def with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     """A list of boxes with the form that the names of its fields imply. Rows of totals are removed."""
-    boxes, up = _by_pallet_rows(_without_totals(boxes))
+    boxes, up = _by_pallet_rows(_without_totals(with_pose_column(boxes)))
     source = _with_form_of_names(boxes, kind)
     return replace(source, form=replace(source.form, up=up)) if up and not source.form.up else source
 
@@ -117,7 +119,8 @@ def _with_form_of_names(boxes: BoxList, kind: str) -> BoxSource:
         return BoxSource(boxes, OWN)
     if not boxes.table.has_header:
         return BoxSource(boxes, ARRAY)
-    if any("matrix" in name or "pose" in name or "transform" in name for name in names):
+    matrices = any(is_matrix(cell) for cell in boxes.table.rows[0]) if boxes.table.rows else False
+    if matrices or any("matrix" in name or "pose" in name or "transform" in name for name in names):
         # a box of width, height and depth may stand in a scene with y upwards
         return BoxSource(boxes, replace(POSES, up="") if any(name.endswith("depth") for name in names) else POSES)
     if any("localposition" in name or "localscale" in name for name in plain):

@@ -45,7 +45,7 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
         for row, cell in enumerate(extraction.cells(matrix)):
             array = matrix_of(cell)
             if array is None:
-                extraction.bad(row, matrix, f"must be a 4×4 matrix of numbers{bad_member(cell)}")
+                extraction.bad(row, matrix, f"must be the matrix of a pose{bad_member(cell)}")
             else:
                 rotations[row], places[row] = array[:3, :3], array[:3, 3]
         rotations, scale = _without_scale(rotations)
@@ -172,10 +172,11 @@ def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArr
         index: the column that is named in errors.
     """
     for row in np.flatnonzero(tilt(rotation) > _LEVEL):
-        degrees = np.degrees(np.arccos(np.clip(np.abs(rotation[row]).max(axis=1).min(), 0, 1)))
-        extraction.bad(
-            int(row), index, f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
-        )
+        cosine = np.abs(rotation[row]).max(axis=1)
+        degrees = np.degrees(np.arccos(np.clip(cosine.min(), 0, 1)))
+        is_rotation_of_box = cosine.max() <= 1 + _ROUNDED_SCALE
+        fault = f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
+        extraction.bad(int(row), index, fault if is_rotation_of_box else "is no rotation")
     return replace(geometry, placed=True, turn=np.abs(np.rint(rotation)))
 
 

@@ -241,8 +241,10 @@ def _ends(matrix: FloatArray) -> bool:
 
 
 def bad_member(cell: Any) -> str:
-    """The text for messages about a bad matrix: the index, from 0, of its first member that is not a number; "" if the
-    shape of the matrix is wrong."""
+    """The text for messages about a bad matrix: a text in its place, or the index, from 0, of its first member that is
+    not a number; "" if the shape of the matrix is wrong."""
+    if isinstance(cell, str):
+        return f', got "{printable_name(cell)}"'
     flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
     for index, value in enumerate(flat):
         number = cell_number(value)

@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import petmjx
+from petmjx.common.units import FloatArray
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.raw_cells import cell_number
 
@@ -813,3 +814,103 @@ def test_the_height_of_a_pallet_in_a_column_of_types_is_no_limit(tmp_path: Path,
     ]
     (plan,) = load(tmp_path, "a.csv", "\n".join(["type,dx,dy,dz,x,y,z", *lines, ""])).plans
     np.testing.assert_allclose(plan.corner_mm, [(x, 0, z - 144) for x, z in STACKS])
+
+
+# Poses in other forms than nested matrices.
+
+
+def pose(number: int, box: list[float]) -> FloatArray:
+    """(3, 4) the pose of the middle of a box of the pile."""
+    turned = [[0, -1, 0], [1, 0, 0], [0, 0, 1]] if TURNED[number] else np.eye(3)
+    return np.column_stack([turned, centre(box)])
+
+
+def entries(rows: int, columns: int, first: int = 0) -> str:
+    return ",".join(f"m{i + first}{j + first}" for i in range(rows) for j in range(columns))
+
+
+def frame(number: int, box: list[float]) -> str:
+    x, y, z = centre(box)
+    return f"{{X {x}, Y {y}, Z {z}, A {90 * TURNED[number]}, B 0.0, C 0}}"
+
+
+def with_sizes(values: Callable[[int, list[float]], Sequence[Any]]) -> Row:
+    return lambda k, box: [NAMES[k], *before_turn(k, box), box[6], *values(k, box)]
+
+
+BEFORE_POSES = "box,length,width,height,weight"
+POSES = {
+    "3×4 in columns": table(f"{BEFORE_POSES},{entries(3, 4)}", with_sizes(lambda k, box: pose(k, box).ravel())),
+    "4×4 in columns, from 1": table(
+        f"{BEFORE_POSES},{entries(4, 4, 1)}", with_sizes(lambda k, box: [*pose(k, box).ravel(), 0, 0, 0, 1])
+    ),
+    "rotation in columns": table(
+        f"{BEFORE_POSES},R11,R12,R13,R21,R22,R23,R31,R32,R33,tx,ty,tz",
+        with_sizes(lambda k, box: [*pose(k, box)[:, :3].ravel(), *centre(box)]),
+    ),
+    "text with nested lists": table(
+        f"{BEFORE_POSES},transform".replace(",", ";"), with_sizes(lambda k, box: [pose(k, box).tolist()]), ";"
+    ),
+    "text with 12 numbers": table(
+        f"{BEFORE_POSES},pose", with_sizes(lambda k, box: [" ".join(map(str, pose(k, box).ravel()))])
+    ),
+    "frames of KUKA": table(f"{BEFORE_POSES},frame".replace(",", ";"), with_sizes(lambda k, box: [frame(k, box)]), ";"),
+}
+"""Name of a form → the pile in this form."""
+
+
+@pytest.mark.parametrize("name", POSES)
+def test_poses_in_tables(tmp_path: Path, name: str) -> None:
+    check_pile(load(tmp_path, "a.csv", POSES[name].replace("box;", "name;")).plans[0])
+
+
+@pytest.mark.parametrize("by_columns", [False, True])
+@pytest.mark.parametrize("last_row", [False, True])
+def test_poses_as_lists_of_numbers(tmp_path: Path, by_columns: bool, last_row: bool) -> None:
+    boxes = []
+    for number, box in enumerate(np.array(PILE, float).tolist()):
+        matrix = np.vstack([pose(number, box), [0, 0, 0, 1]]) if last_row else pose(number, box)
+        listed = (matrix.T if by_columns else matrix).ravel().tolist()
+        boxes.append({"id": NAMES[number], "size": before_turn(number, box), "kg": box[6], "T": listed})
+    check_pile(load(tmp_path, "a.json", json.dumps(boxes)).plans[0])
+
+
+def test_rotations_as_lists_of_9_numbers(tmp_path: Path) -> None:
+    boxes = [
+        {"size": before_turn(k, box), "kg": box[6], "R": pose(k, box)[:, :3].ravel().tolist(), "centre": centre(box)}
+        for k, box in enumerate(np.array(PILE, float).tolist())
+    ]
+    check_pile(load(tmp_path, "a.json", json.dumps(boxes)).plans[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        (
+            "3×4 in columns",
+            ",0.0,550.0",
+            ",0.0,55O",
+            "row 9 (h): m00 … m23 must be the matrix of a pose, got 55O as number 3",
+        ),
+        ("rotation in columns", ",-1.0", ",-7", "row 3 (b): R11 … R33 is no rotation"),
+        (
+            "text with 12 numbers",
+            " 550.0",
+            " 55O",
+            'row 9 (h): pose must be the matrix of a pose, got "1.0 0.0 0.0 55O',
+        ),
+        ("frames of KUKA", "A 90", "A 9O", 'row 3 (b): frame must be the matrix of a pose, got "{X 900.0, Y 200.0, Z'),
+        ("frames of KUKA", "A 90", "A 80", "row 3 (b): frame is turned by 10° out of right angles"),
+    ],
+)
+def test_a_bad_pose_is_named(tmp_path: Path, name: str, old: str, new: str, message: str) -> None:
+    text = POSES[name]
+    assert old in text, text
+    (skipped,) = load(tmp_path, "a.csv", text.replace(old, new, 1)).skipped
+    assert message in skipped.message
+
+
+def test_maps_are_refused(tmp_path: Path) -> None:
+    text = json.dumps({"type": "FeatureCollection", "features": [{"type": "Feature", "geometry": None}]})
+    (skipped,) = load(tmp_path, "a.json", text).skipped
+    assert "is a map (GeoJSON)" in skipped.message
