@@ -239,7 +239,8 @@ class Actions:
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Two arrays (c,): the row of each place's episode, and the number of the place's action. If the number is
         ``count`` or more, the place has no action. If actions are candidates, they are numbered box by box, with the
-        lowest places of a box first. If actions are cells, they are numbered by pallet, box, orientation and cell."""
+        lowest places of a box first, and equally low ones in the order of x and then y. If actions are cells, they are
+        numbered by pallet, box, orientation and cell."""
         source = places.row[chosen]
         row = at[source]
         if self._grid is not None:
@@ -248,7 +249,7 @@ class Actions:
             way = (pallet[source] * self._options.buffer + box[source]) * len(self._sides) + side[source]
             return row, (way * nx + x) * ny + y
         corner = places.corner_mm[chosen]
-        box_number = row * self._options.buffer + box[source]  # the places of each box are already sorted along x
+        box_number = row * self._options.buffer + box[source]
         order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], box_number))
         number = np.full(len(row), self.count)
         selected = order[_in_turn(row[order], box_number[order], self.count)]
