@@ -21,6 +21,7 @@ from petmjx.cli.console import as_notes, asking, prepare_streams
 from petmjx.cli.run_command import RunInterrupted, last_stop, stoppable
 from petmjx.common.checked_records import typed_options
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.common.safe_read import named_pipes
 from petmjx.common.text import one_line, printable
 from petmjx.version import __version__
 
@@ -178,9 +179,9 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
         if "-" in command_words:  # "-" is refused, because it would be read as the name of a file
             raise InputError(
                 f'argument {command_words.index("-") + 1} is "-", which is not supported: '
-                "name a file, or /dev/stdout for standard output"
+                "name a file, or /dev/stdin or /dev/stdout"
             )
-        with as_notes(), typed_options(), asking(), stoppable():
+        with as_notes(), typed_options(), asking(), named_pipes(command_words), stoppable():
             result = make(command_words)(args=command_words or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns this code instead of raising KeyboardInterrupt
             return _report("interrupted", _BY_SIGNAL[last_stop()])

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, open_regular, size
+from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, open_regular, regular_file, size
 from petmjx.common.text import printable_name
 
 _WIDTHS: Final = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8, "BYTE_ARRAY": 8}
@@ -46,7 +46,7 @@ def open_for_arrow(path: Path) -> pa.NativeFile:
     # that consists of any bytes. Other functions of Arrow read "s3:" as a scheme and "a=1" in a folder's name as a
     # column, and refuse names that are not UTF-8.
     with open_regular(path):
-        return pa.OSFile(os.fsencode(path))
+        return pa.OSFile(os.fsencode(regular_file(path)))
 
 
 class OversizedFile(ValueError):

@@ -1,11 +1,17 @@
 """Safe reading of files that users name: reading always ends, also if a path leads to a device or a FIFO, and the size
-is limited."""
+is limited. Pipes that a command line names are read, too (``named_pipes``)."""
 
 from __future__ import annotations
 
 import errno
 import os
+import re
+import select
 import stat
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -29,9 +35,116 @@ _KINDS: Final = (
 )
 
 
+_WRITER_S: Final = 5.0
+"""Time for which a pipe without a writer is waited for."""
+_WAIT_MS: Final = 250
+
+
+class _Pipes:
+    """The pipes that a command line names, and the content of those that have been read.
+
+    Attributes:
+        words: the words of the command line, and their parts that may be paths.
+    """
+
+    def __init__(self, words: frozenset[str]) -> None:
+        self.words = words
+        self._lock = threading.Lock()
+        self._descriptors: dict[tuple[int, int], int] = {}
+        """(device, inode) of a pipe → descriptor of a file in memory with its content."""
+        self._faults: dict[tuple[int, int], OSError] = {}
+
+    def file_of(self, path: Path) -> Path:
+        """The file in memory with the content of a pipe; any other path is returned unchanged. Raises OSError."""
+        if str(path) not in self.words:
+            return path
+        status = os.stat(path)
+        if not stat.S_ISFIFO(status.st_mode):
+            return path
+        with self._lock:
+            key = status.st_dev, status.st_ino
+            if key in self._faults:
+                raise self._faults[key]
+            if key not in self._descriptors:
+                try:
+                    self._descriptors[key] = _content_of_pipe(path)
+                except OSError as error:
+                    self._faults[key] = error
+                    raise
+            return Path(f"/proc/self/fd/{self._descriptors[key]}")
+
+    def close(self) -> None:
+        with self._lock:
+            for descriptor in self._descriptors.values():
+                os.close(descriptor)
+            self._descriptors.clear()
+
+
+_pipes: _Pipes | None = None
+"""The pipes of the command line. A process runs at most one command line, and all threads share this variable."""
+
+
+@contextmanager
+def named_pipes(words: Iterable[str]) -> Iterator[None]:
+    """Context of the command line, in which pipes that its words name are read like files: ``<(…)`` of a shell, FIFOs,
+    and ``/dev/stdin``. A pipe is read once, to its end; its content stays in memory until the context ends."""
+    global _pipes
+    parts = {part for word in words for part in (word, *re.split(r"[=,]", word))}
+    before, _pipes = _pipes, _Pipes(frozenset(parts - {""}))
+    try:
+        yield
+    finally:
+        _pipes.close()
+        _pipes = before
+
+
+def _content_of_pipe(path: Path) -> int:
+    """Read a pipe to its end, and return the descriptor of a file in memory with its content.
+
+    Raises:
+        OSError: the pipe cannot be read, no program writes to it, or its content is too large.
+    """
+    pipe = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    content = os.memfd_create("petmjx")
+    try:
+        poll = select.poll()
+        poll.register(pipe, select.POLLIN | select.POLLHUP)
+        deadline, has_writer, n_bytes = time.monotonic() + _WRITER_S, False, 0
+        while True:
+            try:
+                block = os.read(pipe, _BLOCK)
+            except BlockingIOError:  # a program has opened the pipe, and has not written yet
+                has_writer = True
+                poll.poll(_WAIT_MS)
+                continue
+            if block:
+                has_writer, n_bytes = True, n_bytes + len(block)
+                if n_bytes > MOST_BYTES:
+                    raise _too_large(MOST_BYTES)
+                while block:
+                    block = block[os.write(content, block) :]
+            elif has_writer:
+                return content
+            elif time.monotonic() > deadline:
+                raise OSError(errno.EINVAL, "it is a FIFO to which no program writes")
+            else:
+                time.sleep(_WAIT_MS / 1000)
+    except BaseException:
+        os.close(content)
+        raise
+    finally:
+        os.close(pipe)
+
+
+def regular_file(path: Path) -> Path:
+    """The path from which a file is read: the path itself, or for a pipe that the command line names, a file in memory
+    with its content. Raises OSError."""
+    return path if _pipes is None else _pipes.file_of(path)
+
+
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading. FIFOs, sockets and devices are refused at once, because reading some of them
-    would never end.
+    would never end. Pipes that the command line names are files (``named_pipes``).
 
     Raises:
         OSError: the file cannot be read, or is not a regular file; ``strerror`` has the reason.
@@ -39,6 +152,7 @@ def open_regular(path: Path) -> BinaryIO:
     """
     # The path is checked before opening, because opening a device may have an effect. The opened file is checked again,
     # because the path may have changed in between.
+    path = regular_file(path)
     _check(os.stat(path))
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     try:

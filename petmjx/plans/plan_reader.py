@@ -19,6 +19,7 @@ import numpy as np
 from petmjx.common.argument_checks import flag_of, integer_of, list_of, number_of, path_of
 from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
+from petmjx.common.safe_read import regular_file
 from petmjx.common.text import count_text, printable, printable_id, printable_name
 from petmjx.options.run_options import Anchor, RunOptions
 from petmjx.plans.convention_checks import warn, with_conventions
@@ -383,7 +384,7 @@ class _PlanLoader:
             return
         if fault is not None:
             self._skip(source, None, f"{source}: {fault}")
-        if is_csv(path):
+        if is_csv(path) or (regular_file(path) != path and looks_like_table(data)):  # a pipe has no name
             if looks_like_json(data):
                 self._skip(source, None, f"{source}: is JSON: it is read as such if its name ends in .json")
                 return

@@ -1,14 +1,21 @@
-"""``petmjx convert``, and names of files that ``petmjx samples`` refuses."""
+"""``petmjx convert``, pipes, and names of files that ``petmjx samples`` refuses."""
 
 from __future__ import annotations
 
 import gzip
 import json
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from support.command_line import only_line, run, write
 from support.plan_files import tower
+
+import petmjx
+from petmjx.common import safe_read
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -51,3 +58,64 @@ def test_convert_without_a_usable_plan(capsys: pytest.CaptureFixture[str]) -> No
     write(Path("plans.json"), {"bad": []})
     assert run("convert", "plans.json", "-o", "p.csv") == 2
     assert only_line(capsys.readouterr().err.split("\n", 1)[1]) == "petmjx: no usable plan (1 skipped)"
+
+
+@pytest.fixture
+def pipe() -> Iterator[Callable[[bytes], str]]:
+    """Function that returns the name of a pipe, as ``<(…)`` of a shell does, to which a thread writes some bytes."""
+    descriptors: list[int] = []
+    threads: list[threading.Thread] = []
+
+    def write_to_pipe(content: bytes) -> str:
+        reader, writer = os.pipe()
+        descriptors.append(reader)
+        threads.append(threading.Thread(target=write_all, args=(writer, content)))
+        threads[-1].start()
+        return f"/dev/fd/{reader}"
+
+    def write_all(writer: int, content: bytes) -> None:
+        with os.fdopen(writer, "wb") as stream:
+            time.sleep(0.05)  # the reader finds the pipe empty at first
+            stream.write(content)
+
+    yield write_to_pipe
+    for thread in threads:
+        thread.join()
+    for descriptor in descriptors:
+        os.close(descriptor)
+
+
+@pytest.mark.parametrize("form", [".json", ".json.gz", ".csv", ".csv.gz", ".parquet"])
+def test_pipes_that_the_command_line_names_are_read(form: str, pipe: Callable[[bytes], str]) -> None:
+    plans = {f"P{number}": tower(2) for number in range(300)}  # the text is larger than a pipe
+    write(Path("plans.json"), plans)
+    if form != ".json":
+        assert run("convert", "plans.json", "-o", f"plans{form}") == 0
+    assert run("convert", pipe(Path(f"plans{form}").read_bytes()), "-o", "again.json") == 0
+    assert json.loads(Path("again.json").read_text()) == plans
+
+
+def test_orders_and_items_are_read_from_pipes(pipe: Callable[[bytes], str]) -> None:
+    orders = pipe(b"article,quantity\na,2\nb,1\n")
+    items = pipe(b"article,length_mm,width_mm,height_mm,weight_kg\na,400,300,200,5\nb,600,400,200,8\n")
+    assert run("convert", orders, "--orders", "--items", items, "-o", "orders.json") == 0
+    (order,) = json.loads(Path("orders.json").read_text()).values()
+    assert [item["length/mm"] for item in order["item_sequence"].values()] == [400, 400, 600]
+
+
+def test_a_fifo_without_a_writer_is_refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(safe_read, "_WRITER_S", 0.1)
+    os.mkfifo("plans.json")
+    assert run("convert", "plans.json", "-o", "again.json") == 2
+    skipped, _ = capsys.readouterr().err.splitlines()
+    assert skipped == "skipped: plans.json: cannot be read (it is a FIFO to which no program writes)"
+    with pytest.raises(petmjx.InputError, match="it is a FIFO, not a file"):
+        petmjx.score("plans.json")
+
+
+def test_a_dash_is_no_file(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("convert", "-", "-o", "again.json") == 2
+    line = only_line(capsys.readouterr().err)
+    assert line == 'petmjx: argument 2 is "-", which is not supported: name a file, or /dev/stdin or /dev/stdout'
