@@ -43,7 +43,7 @@ def check_outputs(
     """
     read = list(inputs)
     if folder is not None:
-        _check_folder(folder)
+        check_folder(folder)
     for file in files:
         if folder is not None:
             _check_way(file, folder)
@@ -52,12 +52,19 @@ def check_outputs(
         _check(file, overwrite, read, None if folder is None else is_ours)
 
 
-def _check_folder(folder: Path) -> None:
+def check_folder(folder: Path) -> None:
+    """Check that a path is a folder or can become one. Nothing is changed on disk.
+
+    Raises:
+        InputError: the path, or a path above it, is something else than a folder.
+    """
     with _path_errors(folder):
         ancestor = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), folder)
         usable = ancestor.is_dir() or not os.path.lexists(ancestor)
+        kind = "a file" if ancestor.is_file() else "not a folder"
     if not usable:
-        raise InputError(f"{_name(folder)}: cannot be written: {_name(ancestor)} is not a folder")
+        content = f"is {kind}" if ancestor == folder else f"cannot be written: {_name(ancestor)} is {kind}"
+        raise InputError(f"{_name(folder)}: {content}; name a folder")
 
 
 def _check_way(file: Path, folder: Path) -> None:

@@ -23,6 +23,7 @@ from typing import Any, Final, NamedTuple, Self
 import pyarrow as pa
 
 from petmjx.common.errors import InputError, PetmjxError
+from petmjx.common.overwrite_guard import check_folder
 from petmjx.common.processes import defer_signals
 from petmjx.common.text import one_line
 from petmjx.common.units import FloatArray
@@ -452,6 +453,7 @@ class RunWriter(RunInfo):
         if self._in_memory:
             self._write_plans()
             return
+        check_folder(self.out_dir)
         try:
             self.out_dir.mkdir(parents=True, exist_ok=True)
             if not self._until_end.enter_context(held_folder_lock(self.out_dir)):

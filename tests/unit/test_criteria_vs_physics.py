@@ -181,9 +181,10 @@ def test_plans_summarise_their_boxes() -> None:
 
 def test_an_output_that_is_no_folder_is_refused_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    for out in (tmp_path / "file", tmp_path / "file" / "deeper"):
-        with pytest.raises(petmjx.InputError, match=r"cannot be written: .*file is not a folder"):
-            petmjx.criteria([], out=out)
+    with pytest.raises(petmjx.InputError, match=r"file: is a file; name a folder"):
+        petmjx.criteria([], out=tmp_path / "file")
+    with pytest.raises(petmjx.InputError, match=r"deeper: cannot be written: .*file is a file; name a folder"):
+        petmjx.criteria([], out=tmp_path / "file" / "deeper")
 
 
 def test_tables_are_written_whole_with_units(tmp_path: Path) -> None:

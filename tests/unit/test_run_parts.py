@@ -424,8 +424,13 @@ def test_a_run_is_not_overwritten_unless_asked(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot write results there"):
+    with pytest.raises(InputError, match="file: is a file; name a folder"):
+        write_run(tmp_path / "file", overwrite=True)
+    with pytest.raises(InputError, match=r"run: cannot be written: .*file is a file; name a folder"):
         write_run(tmp_path / "file" / "run")
+    os.mkfifo(tmp_path / "fifo")
+    with pytest.raises(InputError, match="fifo: is not a folder; name a folder"):
+        write_run(tmp_path / "fifo")
 
 
 def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

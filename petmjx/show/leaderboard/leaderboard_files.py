@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from petmjx.common.atomic_write import atomic_write, write_errors
 from petmjx.common.errors import InputError
-from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.overwrite_guard import check_folder, check_outputs
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import printable, printable_name
 from petmjx.results.to_json import to_json
@@ -73,8 +73,7 @@ class BoardFolder:
     ) -> None:
         self._folder, self._names, self._inputs = folder, list(names), list(inputs)
         self._runs = [f"{RUNS}/{name}/{_NO_FILE}" for name in packers]
-        if folder.exists() and not folder.is_dir():
-            raise InputError(f"{printable(str(folder))}: is a file; name a folder for the leaderboard")
+        check_folder(folder)
         before = _board_in(folder)
         self._before: Mapping[str, Any] = before or {}
         listed = self._before.get(FILES)
