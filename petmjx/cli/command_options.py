@@ -339,7 +339,7 @@ def _as_typed(line: str, typed: Mapping[str, str]) -> str:
     """The text of an error; if it begins with the name of a field, the option that the user typed replaces this name.
     An error that begins with the name of a file is not changed, because it is about the content of the file."""
     for path, option in typed.items():
-        path_match = re.match(rf"(?:simulation\.|orders_)?{re.escape(path)}(?=[ :])", line)
+        path_match = re.match(rf"(?:simulation\.|orders_)?{re.escape(path)}(?:\[\d+\])?(?=[ :])", line)
         if path_match:
             return option + line[path_match.end() :]
     return line

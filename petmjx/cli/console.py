@@ -25,7 +25,7 @@ PIPED_WIDTH = 120
 SHOWN_SKIPPED = 10
 """Largest number of skipped plans for which a line is printed."""
 
-_PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "×": "x", "°": "o", "²": "2"}
+_PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "×": "x", "°": "o", "²": "2", "³": "3"}
 """Characters that an old terminal cannot show → replacements. A character without an entry here becomes "?"."""
 
 
@@ -38,9 +38,16 @@ def results_console() -> Console:
     return Console(width=PIPED_WIDTH if piped else None)
 
 
+_LEAST_COLUMNS: Final = 20
+"""Smallest width that the variable COLUMNS may give. In less, no table can be read; in none, rich prints nothing."""
+
+
 def prepare_streams() -> None:
-    """Make printing safe: open standard output and standard error if they are closed, and let both replace characters
-    that they cannot encode."""
+    """Make printing safe: open standard output and standard error if they are closed, let both replace characters that
+    they cannot encode, and ignore a width of the terminal in which nothing could be shown."""
+    width = os.environ.get("COLUMNS", "")
+    if width.isdecimal() and int(width) < _LEAST_COLUMNS:
+        del os.environ["COLUMNS"]
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # the caller has closed the stream (petmjx … >&-)
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  # until the process ends

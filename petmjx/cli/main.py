@@ -14,12 +14,13 @@ from types import SimpleNamespace
 from typing import Annotated, Any
 
 import typer
+from pydantic import ValidationError
 from typer.core import TyperCommand
 
 from petmjx.cli.command_options import as_typed
 from petmjx.cli.console import as_notes, asking, prepare_streams
 from petmjx.cli.run_command import RunInterrupted, last_stop, stoppable
-from petmjx.common.checked_records import typed_options
+from petmjx.common.checked_records import describe, typed_options
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.common.safe_read import named_pipes
 from petmjx.common.text import one_line, printable
@@ -196,7 +197,7 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
     except PetmjxError as error:
         return _report(str(error), ExitCode.FAILURE)
     except _USAGE_ERROR as error:
-        message = getattr(error, "format_message", error.__str__)()
+        message = _usage_text(error)
         command = getattr(getattr(error, "ctx", None), "command_path", None) or "petmjx"
         return _report(f"{message} (see {command} --help)" if message else "", ExitCode.UNUSABLE)
     except (BrokenPipeError, SystemExit):
@@ -208,6 +209,15 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
         return _report(f"cannot write to standard output: {error.strerror}", ExitCode.FAILURE)
     except Exception as error:
         return _report(_inside(error), ExitCode.FAILURE)
+
+
+def _usage_text(error: Exception) -> str:
+    """The text of a wrong usage. For a value of a wrong type, typer would pass on pydantic's text."""
+    names = getattr(getattr(error, "param", None), "opts", None)
+    if not names or not isinstance(error.__cause__, ValidationError):
+        return str(getattr(error, "format_message", error.__str__)())
+    name = next((name for name in names if name.startswith("--")), names[0])
+    return f"{name} {describe(error.__cause__)}"
 
 
 def _inside(error: Exception) -> str:

@@ -6,9 +6,10 @@ table is read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -17,10 +18,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from petmjx.common.argument_checks import flag_of, integer_of, list_of, number_of, path_of
-from petmjx.common.checked_records import reason, shown_value
+from petmjx.common.checked_records import option, reason, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import regular_file
-from petmjx.common.text import count_text, printable, printable_id, printable_name
+from petmjx.common.text import count_text, first_names, printable, printable_id, printable_name
 from petmjx.options.run_options import Anchor, RunOptions
 from petmjx.plans.convention_checks import warn, with_conventions
 from petmjx.plans.file_formats import (
@@ -40,7 +41,7 @@ from petmjx.plans.input_conventions import USUAL, InputConventions
 from petmjx.plans.json_reader import MalformedPlans, read_text_bytes, scan_plans, unpacked_bytes
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_decoder import DecoderOptions, ReadEntry, decode_entries, read_entry
-from petmjx.plans.plan_fields import LONGEST_NAME, UnreadFields
+from petmjx.plans.plan_fields import LONGEST_NAME, UnreadFields, joined_names
 from petmjx.plans.plan_set import PlanSet, Skipped
 
 if TYPE_CHECKING:
@@ -54,11 +55,17 @@ packers. The model of a plan with this number of boxes declares 132,000 pairs of
 
 MOST_LINES: Final = 100_000
 """Largest number of unusable entries of a file that are listed one by one. Further entries are only counted."""
+REPEATED: Final = "repeated plan id"
 FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names of a data frame, and of any other object, in messages."""
 _MOSTLY_OWN: Final = 4
 """A table that has more of petmjx's own column names than this is read as a table in petmjx's own form."""
+_OF_OTHERS: Final = (
+    ("up", "--up"), ("sizes", "--sizes"), ("columns", "--columns"), ("density", "--density"), ("items", "--items"),
+    ("reading", "--as"),
+)  # fmt: skip
+"""Options that apply only to files of other tools: name of the field, and flag of the command line."""
 _SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX, ".jsonl", ".xlsx", ".ods", ".npy", ".npz")
 
 
@@ -214,9 +221,13 @@ def _list_files(paths: list[Path]) -> list[Path]:
             if not path.exists():
                 raise InputError(f"{printable(str(path))}: no such file or folder")
             if not path.is_dir():
+                if (run := _run_around(path)) is not None:
+                    raise InputError(
+                        f"{printable(str(path))}: belongs to a run: name its folder, {printable(str(run))}"
+                    )
                 files.append(path)
                 continue
-            if (path / "run.json").is_file() and (path / "worlds").is_dir():
+            if _is_run(path):
                 advice = "petmjx convert writes its plans to a file"
                 raise InputError(f"{printable(str(path))}: the folder of a run, not of plans: {advice}")
             members = plan_files_in(path)
@@ -226,6 +237,20 @@ def _list_files(paths: list[Path]) -> list[Path]:
             raise InputError(f"{printable(str(path))}: the folder holds no .json, .csv or .parquet files")
         files.extend(members)
     return files
+
+
+def _is_run(folder: Path) -> bool:
+    return (folder / "run.json").is_file() and (folder / "worlds").is_dir()
+
+
+def _run_around(file: Path) -> Path | None:
+    """The folder of the run to which a file belongs, by its name; None if it belongs to no run."""
+    if file.name == "run.json" and _is_run(file.parent):
+        return file.parent
+    is_part = re.fullmatch(r"part-\d+\.parquet", file.name) is not None and file.parent.name != "placements"
+    if is_part and _is_run(file.parent.parent):
+        return file.parent.parent
+    return None
 
 
 def plan_files_in(folder: Path) -> list[Path]:
@@ -263,6 +288,8 @@ class _PlanLoader:
     n_plans: int = 0
     """Number of usable and unusable plans that were read so far."""
     most_skipped: int = MOST_LINES
+    own_files: dict[str, None] = field(default_factory=dict)
+    """The files in petmjx's own form."""
 
     @property
     def full(self) -> bool:
@@ -272,7 +299,19 @@ class _PlanLoader:
     def done(self) -> PlanSet:
         """The result, once all files have been read."""
         self.found.notes.extend(self.unread.notes())
-        return with_conventions(self.found, self.carrier_extent_mm)
+        plan_set = with_conventions(self.found, self.carrier_extent_mm)
+        return replace(plan_set, conventions=[*self._idle_options(), *plan_set.conventions])
+
+    def _idle_options(self) -> Iterator[str]:
+        """A note about options for files of other tools, if files in petmjx's own form were read."""
+        names = [option(flag, python=name) for name, flag in _OF_OTHERS if getattr(self.options, name) is not None]
+        if names and self.own_files:
+            verb = "has" if len(names) == 1 else "have"
+            forms = "it is" if len(self.own_files) == 1 else "they are"
+            yield (
+                f"{joined_names(names)} {verb} no effect on {first_names(list(self.own_files), 2)}, since {forms} in "
+                "petmjx's own form, with z upwards"
+            )
 
     def read_file(self, path: Path) -> None:
         source = printable(str(path))
@@ -420,6 +459,7 @@ class _PlanLoader:
         except TableError as error:
             fault = error if otherwise is None or error.is_own else otherwise()
             return None if fault is None else _likelier(error, fault)
+        self.own_files[source] = None
         self._take_table(source, table, self.given)
         return None
 
@@ -467,6 +507,7 @@ class _PlanLoader:
                 self._skip(source, None, f"{source}: {kind}")
                 return
             entries = (read_entry(entry, options) for entry in scan_plans(data))
+        self.own_files[source] = None
         n_entries, orders = 0, []
         try:
             for entry in entries:
@@ -516,7 +557,7 @@ class _PlanLoader:
         if first_source is not None:
             place_text = "in this file" if first_source == source else f"in {first_source}"
             self._skip(
-                source, plan_id, f"{source}: plan {printable_name(plan_id)}: repeated plan id, first used {place_text}"
+                source, plan_id, f"{source}: plan {printable_name(plan_id)}: {REPEATED}, first used {place_text}"
             )
             return
         self.source_of[plan_id] = source

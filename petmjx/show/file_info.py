@@ -15,7 +15,7 @@ from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_orders import OrderReading
 from petmjx.plans.order_reader import read_orders
-from petmjx.plans.plan_reader import load_plans
+from petmjx.plans.plan_reader import REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import Reading
 
@@ -46,7 +46,7 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
     )
     infos = [_info(plan_set, source) for source in sources]
     for record in infos:
-        are_plans = record["plans"] or any(TWO_WAYS in line for line in record["skipped"])
+        are_plans = record["plans"] or any(TWO_WAYS in line or REPEATED in line for line in record["skipped"])
         record["orders"], fault = ("", "") if are_plans else _orders_line(Path(record["file"]), options)
         if fault:
             record["skipped"].append(fault)
@@ -80,7 +80,9 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
     plans = [plan for plan in plan_set if plan.source == source]
     reading = plan_set.readings.get(source)
     sizes = [float((plan.corner_mm + plan.size_mm).max(axis=0)[axis]) for plan in plans for axis in range(3)]
-    form = "petmjx's own form" if plans else "cannot be read"
+    skipped_lines = [skipped.message for skipped in plan_set.skipped if skipped.source == source]
+    is_read = plans or any(REPEATED in line for line in skipped_lines)
+    form = "petmjx's own form" if is_read else "cannot be read"
     lines = [line for line in plan_set.conventions if reading is None and source in line]
     record: dict[str, Any] = {
         "file": source,
@@ -90,7 +92,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
         "plan_ids": [plan.plan_id for plan in plans[:100]],
         "mass_kg": round(sum(float(plan.mass_kg.sum()) for plan in plans), 6),
         "largest_mm": [max(sizes[axis::3]) for axis in range(3)] if plans else [],
-        "skipped": [skipped.message for skipped in plan_set.skipped if skipped.source == source],
+        "skipped": skipped_lines,
         "odd": [
             *(str(odd) for odd in plan_set.warnings if odd.source == source),
             *lines,

@@ -1,4 +1,5 @@
-"""``petmjx convert``, pipes, and names of files that ``petmjx samples`` refuses."""
+"""``petmjx convert``, pipes, names of files that ``petmjx samples`` refuses, and options and paths that do not say what
+the user means."""
 
 from __future__ import annotations
 
@@ -7,11 +8,13 @@ import json
 import os
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from support.command_line import only_line, run, write
+from support.fake_engine import LargestFirst
 from support.plan_files import tower
 
 import petmjx
@@ -119,3 +122,68 @@ def test_a_dash_is_no_file(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("convert", "-", "-o", "again.json") == 2
     line = only_line(capsys.readouterr().err)
     assert line == 'petmjx: argument 2 is "-", which is not supported: name a file, or /dev/stdin or /dev/stdout'
+
+
+# Options and paths that do not say what the user means.
+
+
+@pytest.mark.parametrize(
+    ("option", "line"),
+    [
+        ("--limit=1e3", "--limit must be a whole number, got '1e3'"),
+        ("--density=much", "--density must be a finite number, got 'much'"),
+    ],
+)
+def test_a_value_of_a_wrong_type_is_named(option: str, line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    write(Path("plans.json"), {"A": tower(1)})
+    assert run("convert", "plans.json", option, "-o", "again.json") == 2
+    assert only_line(capsys.readouterr().err).startswith(f"petmjx: {line} (see ")
+
+
+@pytest.mark.parametrize("form", [".json", ".csv", ".parquet"])
+def test_options_for_files_of_other_tools_are_named_where_they_have_no_effect(
+    form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(Path("plans.json"), {"A": tower(1)})
+    if form != ".json":
+        assert run("convert", "plans.json", "-o", f"plans{form}") == 0
+    write(Path("other.json"), [{"size": [400, 300, 200], "position": [0, 0, 0]}])
+    capsys.readouterr()
+    assert run("convert", f"plans{form}", "other.json", "--up", "z", "--density", "200", "-o", "both.json") == 0
+    (note,) = [line for line in capsys.readouterr().err.splitlines() if "no effect" in line]
+    assert note == (
+        f"note: --up and --density have no effect on plans{form}, since it is in petmjx's own form, with z upwards"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        petmjx.load_plans(f"plans{form}", units="mm", anchor="corner")
+    with pytest.warns(petmjx.PlanWarning, match="^sizes has no effect on plans"):
+        petmjx.load_plans(f"plans{form}", sizes="placed")
+
+
+def test_info_tells_repeated_plans_from_orders(capsys: pytest.CaptureFixture[str]) -> None:
+    write(Path("plans.json"), {"A": tower(1)})
+    assert run("convert", "plans.json", "-o", "plans.parquet") == 0
+    capsys.readouterr()
+    assert run("info", "plans.json", "plans.parquet") == 0
+    *_, form, skipped = capsys.readouterr().out.splitlines()
+    assert form == "plans.parquet: petmjx's own form; 0 plans, 0 boxes"
+    assert skipped.split(maxsplit=1) == ["skipped", "plan A: repeated plan id, first used in plans.json"]
+
+
+def test_a_file_of_a_run_is_no_file_of_plans(capsys: pytest.CaptureFixture[str]) -> None:
+    plan = petmjx.Plan.from_boxes("A", size_mm=[[400, 300, 200]], corner_mm=[[0, 0, 0]], mass_kg=[5])
+    petmjx.score(plan, engine=LargestFirst(), out="run")
+    for name in ("run/run.json", "run/worlds/part-00000.parquet"):
+        assert run("convert", name, "-o", "again.json") == 2
+        assert only_line(capsys.readouterr().err) == f"petmjx: {name}: belongs to a run: name its folder, run"
+
+
+@pytest.mark.parametrize("columns", ["0", "7", "40"])
+def test_a_narrow_terminal_hides_no_verdict(
+    columns: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    write(Path("plans.json"), {"A": tower(1)})
+    assert run("score", "plans.json", "--engine", "mujoco", "--out", "run") == 0
+    assert "stable" in capsys.readouterr().out

@@ -3,7 +3,9 @@ ffmpeg of imageio-ffmpeg."""
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -140,7 +142,9 @@ def write_mp4(
                 if progress is not None:
                     progress(number + 1)
     except (RuntimeError, OSError) as error:
-        raise InputError(f"{path}: the film cannot be encoded: {one_line(error)}") from error
+        full = os.strerror(errno.ENOSPC)  # the encoder, a process, reports this error among its own
+        fault = f"cannot be written: {full}" if full in str(error) else f"the film cannot be encoded: {one_line(error)}"
+        raise InputError(f"{path}: {fault}") from error
 
 
 @contextmanager
