@@ -272,13 +272,14 @@ def any_integer(digits: str) -> int | float:
     return int(digits) if len(digits) < 400 else float(digits)
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object from its fields, in order. An object with a repeated field is marked."""
     members = dict(pairs)
     return members if len(members) == len(pairs) else DuplicateFieldObject(pairs)
 
 
-_DECODER: Final = json.JSONDecoder(object_pairs_hook=_object)
-_PATIENT_DECODER: Final = json.JSONDecoder(object_pairs_hook=_object, parse_int=any_integer)
+_DECODER: Final = json.JSONDecoder(object_pairs_hook=json_object)
+_PATIENT_DECODER: Final = json.JSONDecoder(object_pairs_hook=json_object, parse_int=any_integer)
 
 
 def _decode_start(text: str) -> tuple[Any, int]:

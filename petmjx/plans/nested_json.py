@@ -16,11 +16,11 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import first_names
+from petmjx.common.text import first_names, printable_name
 from petmjx.plans.box_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.column_names import column_meanings, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_names
-from petmjx.plans.json_reader import any_integer, json_fault
+from petmjx.plans.json_reader import DuplicateFieldObject, any_integer, json_fault, json_object
 from petmjx.plans.nested_containers import (
     CONTAINERS,
     LAYERS,
@@ -89,11 +89,11 @@ def _json_value(text: str) -> Any:
     """Decode JSON. Python refuses whole numbers with thousands of digits; here they become infinite, and a later check
     refuses them as not finite, with their row and column."""
     try:
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=json_object)
     except json.JSONDecodeError:
         raise
     except ValueError:
-        return json.loads(text, parse_int=any_integer)
+        return json.loads(text, object_pairs_hook=json_object, parse_int=any_integer)
 
 
 def box_lists(value: Any) -> list[BoxList]:
@@ -266,9 +266,15 @@ _FORM_WORDS: Final = word_set(
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
     """Whether the names of an object's fields are names of plans. The names are taken as names of plans if every field
-    holds a list, and no name has a word of ``_FORM_WORDS``."""
+    holds a list, and no name has a word of ``_FORM_WORDS``. A list may be empty if its name differs from that of
+    another list only in its number."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
-    if len(lists) != len(value) or not lists:
+    if not lists or not all(isinstance(inner, list) for inner in value.values()):
+        return False
+    stems = {bool(inner): set[str]() for inner in value.values()}
+    for name, inner in value.items():
+        stems[bool(inner)].add(re.sub(r"\d+", "", str(name)))
+    if not stems.get(False, set()) <= stems[True]:
         return False
     if len(lists) == 1 and _FORM_WORDS.intersection(words_of(next(iter(value)))):
         return False
@@ -279,7 +285,7 @@ def _is_plan_key(value: Mapping[str, Any]) -> bool:
 
 def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     """Turn a list of objects into a table; None if the objects are not boxes."""
-    flat = [flattened(member.value) for member in members]
+    flat = [_fields_of(member) for member in members]
     for row, member in zip(flat, members, strict=True):
         row.update(fields_of_part(member))
     members, flat, notes = _without_other_kinds(members, flat)
@@ -309,10 +315,36 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
         if part not in containers:
             containers[part] = container_around(members[number])
     containers = {part: sizes for part, sizes in containers.items() if sizes}
+    keyed: Mapping[str, Any] = next(
+        (holder for _, holder in reversed(members[0].around) if len(holder) > 1 and _is_plan_key(holder)), {}
+    )
+    if empty := [str(name) for name, inner in keyed.items() if not inner]:
+        notes.append(f"no box in {first_names(empty)}")
     around: dict[str, Any] = {}
     for _, holder in members[0].around:
         around |= {name: inner for name, inner in holder.items() if not isinstance(inner, list)}
     return BoxList(table, path, tuple(parts), containers, (*notes, *not_placed(left)), around)
+
+
+def _fields_of(member: NestedBox) -> dict[str, Any]:
+    """The fields of a box.
+
+    Raises:
+        InputError: a field is repeated, so that it is unknown which of its values is right.
+    """
+    if repeated := _repeated_field(member.value):
+        raise InputError(f"{member.place or 'a box'}: {repeated} stands twice")
+    return flattened(member.value)
+
+
+def _repeated_field(value: Any, path: str = "") -> str:
+    """The path of the first field that is repeated in an object or in an object within it; "" if there is none."""
+    if not isinstance(value, Mapping):
+        return ""
+    if isinstance(value, DuplicateFieldObject):
+        return f"{path}{printable_name(value.field)}"
+    fields = (_repeated_field(inner, f"{path}{name}.") for name, inner in value.items() if isinstance(inner, Mapping))
+    return next(filter(None, fields), "")
 
 
 _KIND_FIELDS: Final = frozenset(("event", "type", "kind", "action", "record", "op", "msg", "message"))

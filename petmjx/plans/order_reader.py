@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 _CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
 """Advice that is appended to errors of commands that have no options for reading orders."""
+OF_PLAN: Final = "is a packing plan, not an order"
 _FRAME: Final = "orders"
 """Name of a data frame in messages."""
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")
@@ -209,7 +210,7 @@ def _order(entry: Entry, where: str) -> Order:
     if not entry.plan_id:
         raise InputError(f"{where}: the order id must not be empty")
     if isinstance(record, list) and record and isinstance(record[0], dict) and "flb_coordinates" in record[0]:
-        raise InputError(f"{where}: is a packing plan, not an order: orders have item_sequence and properties")
+        raise InputError(f"{where}: {OF_PLAN}: orders have item_sequence and properties")
     if not isinstance(record, dict):
         raise InputError(f"{where}: must be an object, got {kind(record)}")
     properties = record.get("properties")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from datetime import date, datetime, time, timedelta
 from decimal import Decimal
 from typing import Any, Final, NamedTuple
 
@@ -122,12 +123,19 @@ def without_groups(cell: Any, decimal: str) -> Any:
     return re.sub(r"[.,]", "", cell) if is_grouped else cell
 
 
+_KINDS: Final[dict[type, str]] = {
+    dict: "an object", list: "a list", tuple: "a list", bool: "true or false", datetime: "a date", date: "a date",
+    time: "a time", timedelta: "a duration",
+}  # fmt: skip
+"""Type of a cell that has no number → its kind, in words."""
+
+
 def number_fault_of(cell: Any, decimal: str) -> str:
     """The end of a message about a cell that should have a number: the fault of the cell, and advice."""
     if cell is None or cell == "":
         return "is missing"
     if not isinstance(cell, str):
-        kind = {dict: "an object", list: "a list", bool: "true or false"}.get(type(cell), type(cell).__name__)
+        kind = next((words for kind, words in _KINDS.items() if isinstance(cell, kind)), type(cell).__name__)
         return f"must be a number, got {kind}"
     hint = number_hint(cell)
     if not hint and not decimal and _MAYBE.match(cell):

@@ -48,7 +48,7 @@ def sheets_of_xlsx(data: bytes | bytearray) -> dict[str, list[list[Any]]]:
     except InputError:
         raise
     except Exception as error:  # openpyxl may raise any exception for a damaged workbook
-        raise InputError(f"is not a whole workbook (.xlsx): {type(error).__name__}") from error
+        raise InputError("is not a whole workbook (.xlsx)") from error
     return sheets
 
 

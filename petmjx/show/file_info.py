@@ -14,7 +14,7 @@ from petmjx.options.run_options import OF_ORDERS, RunOptions
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_orders import OrderReading
-from petmjx.plans.order_reader import read_orders
+from petmjx.plans.order_reader import OF_PLAN, read_orders
 from petmjx.plans.plan_reader import REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import Reading
@@ -70,7 +70,8 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
         line = str(error).removeprefix(f"{printable(str(path))}: ")
         return line if line.startswith(TWO_WAYS) and not has_named_places(path) else "", ""
     if not sizes or has_named_places(path):
-        return "", "" if sizes or not errors else str(errors[0])
+        of_plans = not errors or OF_PLAN in str(errors[0])  # the reader of plans has named the fault
+        return "", "" if sizes or of_plans else str(errors[0])
     plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
     line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else plain
     return f"{line}; unusable: {errors[0]}" if errors else line, ""

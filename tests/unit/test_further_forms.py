@@ -8,6 +8,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -914,3 +915,35 @@ def test_maps_are_refused(tmp_path: Path) -> None:
     text = json.dumps({"type": "FeatureCollection", "features": [{"type": "Feature", "geometry": None}]})
     (skipped,) = load(tmp_path, "a.json", text).skipped
     assert "is a map (GeoJSON)" in skipped.message
+
+
+# JSON that says less or more than it seems to.
+
+BOX = {"x": 0, "y": 0, "z": 0, "length": 400, "width": 300, "height": 200, "weight": 5}
+
+
+def test_a_repeated_field_of_a_box_is_named(tmp_path: Path) -> None:
+    boxes = [BOX, {**BOX, "x": 400, "place": {"bay": 1}}]
+    text = json.dumps({"meta": {"run": 1}, "boxes": boxes})
+    assert len(load(tmp_path, "a.json", text.replace('"run": 1', '"run": 1, "run": 2')).plans) == 1
+    for field, repeated in (('"x": 400', "x"), ('"bay": 1', "place.bay")):
+        (skipped,) = load(tmp_path, "a.json", text.replace(field, f"{field}, {field}")).skipped
+        assert skipped.message.endswith(f"a.json: boxes[1]: {repeated} stands twice")
+
+
+def test_lists_of_boxes_that_are_empty_are_named(tmp_path: Path) -> None:
+    plan_set = load(tmp_path, "a.json", json.dumps({"pallet 1": [BOX], "pallet 2": [], "pallet 3": [BOX]}))
+    assert [plan.plan_id for plan in plan_set] == ["pallet 1", "pallet 3"]
+    assert "no box in pallet 2" in notes_of(plan_set)
+    for other in ("errors", "unplaced"):
+        plan_set = load(tmp_path, "a.json", json.dumps({other: [], "placed": [BOX]}))
+        assert [plan.plan_id for plan in plan_set] == ["a"]
+
+
+def test_a_date_in_place_of_a_number_is_called_so(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    for row in (list(BOX), list(BOX.values()), [datetime(2026, 11, 29), *list(BOX.values())[1:]]):
+        book.active.append(row)
+    book.save(tmp_path / "a.xlsx")
+    (skipped,) = petmjx.load_plans(tmp_path / "a.xlsx").skipped
+    assert skipped.message.endswith("row 3: x must be a number, got a date")
