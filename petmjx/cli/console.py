@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.common.errors import PlanWarning
@@ -55,6 +55,20 @@ def prepare_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="petmjx")
+
+
+_STDOUT: Final = frozenset(("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"))
+
+
+@contextmanager
+def lines_beside_data(words: Sequence[str]) -> Iterator[None]:
+    """Context of a command. If a word of the command line names standard output as a file, all lines and tables are
+    printed on standard error, so that the output has nothing but the file's content."""
+    if _STDOUT.isdisjoint(word.rpartition("=")[2] for word in words):
+        yield
+        return
+    with redirect_stdout(sys.stderr):
+        yield
 
 
 @contextmanager

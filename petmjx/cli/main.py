@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from typer.core import TyperCommand
 
 from petmjx.cli.command_options import as_typed
-from petmjx.cli.console import as_notes, asking, prepare_streams
+from petmjx.cli.console import as_notes, asking, lines_beside_data, prepare_streams
 from petmjx.cli.run_command import RunInterrupted, last_stop, stoppable
 from petmjx.common.checked_records import describe, typed_options
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
@@ -182,7 +182,14 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
                 f'argument {command_words.index("-") + 1} is "-", which is not supported: '
                 "name a file, or /dev/stdin or /dev/stdout"
             )
-        with as_notes(), typed_options(), asking(), named_pipes(command_words), stoppable():
+        with (
+            as_notes(),
+            typed_options(),
+            asking(),
+            named_pipes(command_words),
+            lines_beside_data(command_words),
+            stoppable(),
+        ):
             result = make(command_words)(args=command_words or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns this code instead of raising KeyboardInterrupt
             return _report("interrupted", _BY_SIGNAL[last_stop()])

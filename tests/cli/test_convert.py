@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from support.command_line import only_line, run, write
+from support.command_line import only_line, run, run_process, write
 from support.fake_engine import LargestFirst
 from support.plan_files import tower
 
@@ -122,6 +122,16 @@ def test_a_dash_is_no_file(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("convert", "-", "-o", "again.json") == 2
     line = only_line(capsys.readouterr().err)
     assert line == 'petmjx: argument 2 is "-", which is not supported: name a file, or /dev/stdin or /dev/stdout'
+
+
+@pytest.mark.parametrize("command", [("convert", "plans.json"), ("samples", "-n", "1", "--packer", "baseline")])
+def test_standard_output_has_nothing_but_the_plans(command: tuple[str, ...]) -> None:
+    write(Path("plans.json"), {"A": tower(2)})
+    for out in ("/dev/stdout", "--out=/dev/fd/1"):
+        process = run_process(*command, *(("-o", out) if out.startswith("/") else (out,)))
+        assert process.returncode == 0
+        assert len(json.loads(process.stdout)) == 1
+        assert "1 plan" in process.stderr
 
 
 # Options and paths that do not say what the user means.
