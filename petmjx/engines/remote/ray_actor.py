@@ -258,7 +258,9 @@ class _RunJobs:
         than ``threads``, an outcome is returned at once, since the engine has capacity for further jobs."""
         outcomes: list[tuple[Job, Outcome]] = []
         until = time.monotonic() + REPORT_S
-        while (left := until - time.monotonic()) > 0 and not (outcomes and self.unanswered < threads):
+        while (left := until - time.monotonic()) > 0:
+            if outcomes and self._news.empty() and self.unanswered < threads:
+                break
             try:
                 entry = self._news.get(timeout=left)
             except queue.Empty:
