@@ -344,7 +344,7 @@ class WorkerPool(Engine):
         were any."""
         on_devices = self.name in LEAST
         most = MOST_TAKEN * self.devices - len(run.jobs)
-        least = run.stream.begin_with if on_devices and not run.jobs else 1
+        least = run.stream.begin_with if on_devices and not run.taken else 1
         jobs = run.stream.take(most, least=least, wait=not run.jobs)
         costs = MEASURED.of_jobs_on_device if on_devices else MEASURED.of_jobs
         for job, cost in zip(jobs, costs(jobs, run.sim).tolist() if jobs else (), strict=True):
