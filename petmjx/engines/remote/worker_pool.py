@@ -32,7 +32,7 @@ LOOK_S = 0.25
 """Longest wait for messages from workers, s. After each wait, signals are handled and progress is updated."""
 
 FEED_S = 0.05
-"""As ``LOOK_S``, while further jobs are made, since an idle worker may be waiting for them."""
+"""As ``LOOK_S``, if a worker has no jobs while further jobs are made."""
 
 START_S = 30.0
 """Longest wait for the first worker when the pool is created, s. So an engine that cannot run in a worker is reported
@@ -236,7 +236,8 @@ class WorkerPool(Engine):
 
     def _reported(self, run: _PoolRun) -> Iterator[Outcome]:
         """Handle what workers have sent. Yields the outcomes."""
-        for worker, ref in self._news(LOOK_S if run.stream.closed else FEED_S):
+        hungry = not run.stream.closed and not all(worker.hand.costs for worker in self._workers)
+        for worker, ref in self._news(FEED_S if hungry else LOOK_S):
             if not worker.ready:
                 self._greet(worker, ref)
                 continue
