@@ -129,8 +129,8 @@ _PHYSICS: Final = Capability.FLOAT64 | Capability.CG | _PAIRS
 PHYSICS: Final[Mapping[str, Capability]] = {
     "mujoco": _PHYSICS | Capability.SOFT,
     "mjx-jax": Capability(0),
-    "mjx-warp": _PAIRS,
-    "mjx-warp-cpu": _PAIRS,
+    "mjx-warp": _PAIRS | Capability.STIFF_JOBS,
+    "mjx-warp-cpu": _PAIRS | Capability.STIFF_JOBS,
 }
 """Name of an engine → its capabilities. An engine in a worker process has the same capabilities. An engine with any
 other name is assumed to have all capabilities except soft boxes.

@@ -22,6 +22,7 @@ from petmjx.common.machine import device_name, package_versions, why_no_warp_at_
 from petmjx.common.processes import collect_rarely
 from petmjx.common.text import one_line
 from petmjx.engines.attempt_runner import outcomes_of_stream
+from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.gpu_start import start_gpu
 from petmjx.engines.job_stream import JobBounds, JobStream
@@ -54,11 +55,12 @@ class WorkerReady:
 
 @dataclass(frozen=True)
 class WorkerRun:
-    """The arguments of a run in a worker. ``feedback``, ``bounds``: see ``JobStream``."""
+    """The arguments of a run in a worker. ``feedback``, ``bounds``, ``stiff``: see ``JobStream``."""
 
     sim: Simulation
     feedback: bool = False
     bounds: JobBounds | None = None
+    stiff: frozenset[float] = frozenset()
 
 
 @dataclass
@@ -204,7 +206,9 @@ class _RunJobs:
 
     def __init__(self, run: WorkerRun) -> None:
         self.sim, self.count = run.sim, 0
-        self.stream = JobStream[tuple[int, Job]](most_boxes=1, feedback=run.feedback, bounds=run.bounds)
+        self.stream = JobStream[tuple[int, Job]](
+            most_boxes=1, feedback=run.feedback, bounds=run.bounds, stiff=run.stiff
+        )
         self.error: BaseException | None = None
         self._excitations: dict[tuple[str, str, int, bytes], Excitation] = {}
         self._news: queue.SimpleQueue[tuple[Job, Outcome] | None] = queue.SimpleQueue()
@@ -280,11 +284,15 @@ def _checked_outcomes(
         wait: whether to wait for the checks of all outcomes.
     """
     keyed_outcomes: list[tuple[None, Outcome]] = []
-    for first in range(0, len(answered), MOST_TOGETHER):
-        group = answered[first : first + MOST_TOGETHER]
-        keyed_outcomes += check_pool.exchanged(
-            [(None, outcome) for _, outcome in group], [job for job, _ in group], sim, wait=False
-        )
+    by_stiff: dict[float | None, list[tuple[Job, Outcome]]] = {}
+    for job, outcome in answered:
+        by_stiff.setdefault(job.stiff, []).append((job, outcome))
+    for stiff, group in by_stiff.items():
+        group_sim = sim if stiff is None else stiffened(sim, stiff)
+        for first in range(0, len(group), MOST_TOGETHER):
+            some = group[first : first + MOST_TOGETHER]
+            keyed = [(None, outcome) for _, outcome in some]
+            keyed_outcomes += check_pool.exchanged(keyed, [job for job, _ in some], group_sim, wait=False)
     keyed_outcomes += check_pool.exchanged([], [], sim, wait=wait)
     return [outcome for _, outcome in keyed_outcomes]
 

@@ -363,7 +363,7 @@ class WorkerPool(Engine):
     def _send(self, worker: _WorkerRecord, packet: Packet, run: _PoolRun) -> None:
         """Send jobs to a worker. The worker's run begins with its first jobs."""
         if worker.reports is None:
-            arguments = WorkerRun(run.sim, run.stream.feedback, run.stream.bounds)
+            arguments = WorkerRun(run.sim, run.stream.feedback, run.stream.bounds, run.stream.stiff)
             worker.reports = worker.actor.simulate.options(num_returns="streaming").remote(pickle.dumps(arguments))
         worker.actor.feed.remote(pickle.dumps(packet))
 
