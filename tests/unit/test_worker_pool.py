@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from support.fake_stepper import fake_scene
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
+from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
@@ -108,11 +109,26 @@ def test_tables_are_those_of_a_run_without_workers(kind: str, tmp_path_factory: 
     assert (shared.info["config"]["workers"], shared.info["config"]["ray"]) == (2, None)
 
 
-def test_workers_with_kernels_give_the_tables_of_one_process(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Drives (motions of the carrier) start from settled states, which may come from the other worker."""
-    alone = run("grid", tmp_path_factory.mktemp("alone"), engine="mjx-warp-cpu", threads=1)
-    shared = run("grid", tmp_path_factory.mktemp("shared"), engine="mjx-warp-cpu", workers=2, threads=1)
+@pytest.mark.parametrize("least", [None, 1])
+def test_workers_with_kernels_give_the_tables_of_one_process(
+    least: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Drives (motions of the carrier) start from settled states, which may come from the other worker. Piles whose
+    contacts are too soft are placed again in stiffer contacts, among the other worlds. ``least``: if a number, jobs are
+    dealt as to devices."""
+    heavy = stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0))
+    plans = [
+        *PLANS[4:7],
+        make_plan("stands", heavy),
+        make_plan("tips", (*heavy, ((400, 300, 200), (220, 0, 400), 5.0))),
+    ]
+    (file := tmp_path / "sweep.toml").write_text(GRID)
+    alone = petmjx.sweep(file, plans, engine="mjx-warp-cpu", threads=1)
+    monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mjx-warp-cpu": least})
+    shared = petmjx.sweep(file, plans, engine="mjx-warp-cpu", workers=2, threads=1)
     assert_same(shared, tables(alone))
+    assert set(shared.attempts.attempt) == {1, 6}
+    assert set(shared.attempts.engine) == {"mjx-warp-cpu"}
 
 
 @pytest.mark.gpu
