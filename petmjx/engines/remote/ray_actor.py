@@ -5,6 +5,7 @@ The code also works without Ray.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import pickle
 import platform
@@ -16,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import Any
+from weakref import WeakValueDictionary
 
 from petmjx.common.errors import EngineUnavailable, PetmjxError
 from petmjx.common.machine import device_name, package_versions, why_no_warp_at_once
@@ -210,7 +212,8 @@ class _RunJobs:
             most_boxes=1, feedback=run.feedback, bounds=run.bounds, stiff=run.stiff
         )
         self.error: BaseException | None = None
-        self._excitations: dict[tuple[str, str, int, bytes], Excitation] = {}
+        self._excitations = WeakValueDictionary[tuple[str, str, bytes], Excitation]()
+        """The excitations of the jobs that are in memory, by name, kind and digest."""
         self._news: queue.SimpleQueue[tuple[Job, Outcome] | None] = queue.SimpleQueue()
 
     @property
@@ -234,8 +237,8 @@ class _RunJobs:
     def _known(self, excitation: Excitation) -> Excitation:
         """The equal excitation of an earlier packet, if there is one. Engines recognise excitations as objects, and
         have room for a number of them that is known in advance (``JobBounds``)."""
-        key = excitation.name, excitation.kind, len(excitation.samples), excitation.samples.tobytes()
-        return self._excitations.setdefault(key, excitation)
+        digest = hashlib.blake2b(excitation.samples.tobytes()).digest()
+        return self._excitations.setdefault((excitation.name, excitation.kind, digest), excitation)
 
     def close(self) -> None:
         """Declare that no packet follows."""
