@@ -157,8 +157,8 @@ class Worker:
         """
         jobs = _RunJobs(pickle.loads(run))
         progress = Progress()
-        for name, task in (("petmjx-packets", self._take_packets), ("petmjx-run", self._run)):
-            threading.Thread(target=task, args=(jobs, progress), name=name, daemon=True).start()
+        threading.Thread(target=self._take_packets, args=(jobs,), name="petmjx-packets", daemon=True).start()
+        threading.Thread(target=self._run, args=(jobs, progress), name="petmjx-run", daemon=True).start()
         check_pool: CheckPool[None] = CheckPool(0)
         going, last_message = True, ""
         while going:
@@ -173,7 +173,7 @@ class Worker:
                 so_far = replace(progress, extra=dict(progress.extra))
                 yield pickle.dumps(Report(outcomes, so_far, jobs.error))
 
-    def _take_packets(self, jobs: _RunJobs, _: Progress) -> None:
+    def _take_packets(self, jobs: _RunJobs) -> None:
         """Put the jobs of packets into the stream of the engine, until an empty packet comes."""
         try:
             while packet := self._packets.get():
