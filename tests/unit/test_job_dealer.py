@@ -195,6 +195,45 @@ def test_a_job_that_workers_die_of_is_given_up_and_no_other(least: int | None) -
     assert 3 <= deaths <= 4
 
 
+@pytest.mark.parametrize("least", [None, 1, 50])
+@pytest.mark.parametrize("seed", [33354, 33355, 33356])
+def test_whatever_happens_each_job_has_one_outcome_or_was_alone_in_a_worker_that_died(
+    seed: int, least: int | None
+) -> None:
+    """Workers start, simulate some of their jobs, die for no reason, or of one of three jobs, while jobs come."""
+    rng = np.random.default_rng(seed)
+    dealer, hands = JobDealer(least, begin_with=20), [Hand(threads) for threads in (1, 2, 3)]
+    deadly, coming, n_jobs = {int(job) for job in rng.integers(0, 300, 3)}, True, 0
+    outcomes, given_up, turns = list[int](), list[int](), 0
+    while coming or dealer.unanswered:
+        turns += 1
+        assert turns < 10_000
+        for _ in range(int(rng.integers(0, 30)) if coming else 0):
+            dealer.add(n_jobs, rng.lognormal(), starts=bool(rng.random() < 0.3))
+            n_jobs += 1
+        coming = n_jobs < 300
+        for index, jobs in dealer.deal(hands, more_come=coming).items():
+            assert hands[index].ready
+            assert set(jobs) <= set(hands[index].costs)
+        held = [job for hand in hands for job in hand.costs]
+        assert len(held) == len(set(held))
+        for hand in hands:
+            if not hand.ready:
+                hand.ready = bool(rng.random() < 0.3)
+            elif (deadly & hand.costs.keys() and rng.random() < 0.3) or rng.random() < 0.01:
+                alone = len(hand.costs) == hand.suspects == 1
+                lost = dead(dealer, hand)
+                assert len(lost) <= alone
+                given_up += lost
+                hand.ready = False
+            else:
+                ended = [job for job in hand.costs if job not in deadly and rng.random() < 0.2]
+                outcomes += ended
+                finish(dealer, hand, ended)
+    assert sorted([*outcomes, *given_up]) == list(range(n_jobs))
+    assert deadly <= set(given_up)
+
+
 def test_suspects_wait_for_a_worker_of_their_own() -> None:
     dealer, hands = dealer_of(np.ones(6), least=1), ready(1, 1)
     dealer.deal(hands, more_come=False)

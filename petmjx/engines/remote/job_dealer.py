@@ -128,6 +128,16 @@ class JobDealer:
         Returns:
             Index of a worker → numbers of its new jobs.
         """
+        dealt = self._deal_pending(hands, more_come) if self._pending else {}
+        if not self._pending and not more_come:
+            for index, hand in enumerate(hands):
+                if self._suspects and hand.ready and not hand.costs:
+                    dealt[index] = [*self._suspects.popleft()]
+                    hand.costs = {job: -self._jobs[job].negated_cost for job in dealt[index]}
+                    hand.suspects, hand.begun = len(hand.costs), True
+        return dealt
+
+    def _deal_pending(self, hands: Sequence[Hand], more_come: bool) -> dict[int, list[int]]:
         limits = self._limits_on_devices(hands, more_come) if self._least else self._limits_of_threads(hands)
         dealt: dict[int, list[int]] = {}
         # with equal times, the worker with fewer jobs gets the job
@@ -145,12 +155,6 @@ class JobDealer:
             hands[index].begun = True
             dealt.setdefault(index, []).append(job)
             heapq.heapreplace(queue, (cost - negated_cost, n_jobs + 1, index))
-        if not self._pending and not more_come:
-            for index, hand in enumerate(hands):
-                if self._suspects and hand.ready and not hand.costs:
-                    dealt[index] = [*self._suspects.popleft()]
-                    hand.costs = {job: -self._jobs[job].negated_cost for job in dealt[index]}
-                    hand.suspects, hand.begun = len(hand.costs), True
         return dealt
 
     def _limits_of_threads(self, hands: Sequence[Hand]) -> dict[int, _Limit]:
