@@ -56,18 +56,24 @@ class Instant:
 
 
 IN_WORKERS = "mjx-warp-cpu"
-"""The engine that a run has to name whose workers answer at once: jobs are dealt as to workers with a GPU."""
+"""The engine that a run has to name whose workers answer at once."""
+
+
+def instant_workers() -> dict[str, Any]:
+    """Names of ``worker_pool`` and their values for workers that answer at once and get jobs as if they had a GPU."""
+    return {"Worker": InstantWorker, "LEAST": {IN_WORKERS: worker_pool.LEAST["mjx-warp"]}}
 
 
 @contextmanager
 def answering_in_workers() -> Iterator[None]:
     """Workers that this process starts meanwhile answer at once."""
-    before = vars(worker_pool)["Worker"]
-    vars(worker_pool)["Worker"] = InstantWorker
+    instant = instant_workers()
+    before = {name: vars(worker_pool)[name] for name in instant}
+    vars(worker_pool).update(instant)
     try:
         yield
     finally:
-        vars(worker_pool)["Worker"] = before
+        vars(worker_pool).update(before)
 
 
 class InstantWorker(Worker):

@@ -107,14 +107,14 @@ def _note_workers(stages: Stages, engine: str) -> None:
     from petmjx.engines.remote import ray_cluster, worker_pool
 
     if engine == "instant":
-        from benchmarks.instant import InstantWorker
+        from benchmarks.instant import instant_workers
 
-        vars(worker_pool)["Worker"] = InstantWorker
+        vars(worker_pool).update(instant_workers())
     stages.around(ray_cluster, "import_ray", before="Ray asked for")
     stages.around(ray_cluster._LocalRay, "wait_until_started", after="Ray there")
     stages.around(worker_pool.WorkerPool, "_greet", after="first worker ready")
-    stages.around(worker_pool.WorkerPool, "_hand_out", before="jobs made", after="first jobs sent")
-    stages.around(worker_pool.WorkerPool, "_take", before="first outcome")
+    stages.around(worker_pool.WorkerPool, "_send", before="first jobs made", after="first jobs sent")
+    stages.around(worker_pool.WorkerPool, "_take_report", before="first outcome")
     stages.around(worker_pool.WorkerPool, "retire", before="workers not needed")
     stages.around(worker_pool.WorkerPool, "close", before="end of workers waited for", after="workers ended")
 

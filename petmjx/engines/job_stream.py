@@ -111,6 +111,15 @@ class JobStream(Generic[Tag]):
                 self._changed.notify_all()
             return self._open or not bounded
 
+    def put_all(self, entries: Iterable[tuple[Job, Tag]]) -> None:
+        """Add several jobs and their tags at once, as ``put`` adds jobs that follow from outcomes. An engine that waits
+        takes them together."""
+        with self._changed:
+            for job, tag in entries:
+                self._following.append((job, tag))
+                self._boxes += job.scene.n_boxes
+            self._changed.notify_all()
+
     def close(self) -> None:
         """Declare that the source has no more jobs. Jobs that follow from outcomes may still be put."""
         with self._changed:

@@ -19,10 +19,9 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
-GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
+GROUP_WORLDS = {"mjx-warp": 32_768}
 """Name of an engine → default number of worlds whose states the engine keeps on its device at the same time. On
-mjx-warp, a world of 80 boxes takes 16 kB. A worker process with one of these engines also gets at most this number of
-jobs at once."""
+mjx-warp, a world of 80 boxes takes 16 kB."""
 
 
 @dataclass
@@ -130,8 +129,8 @@ _PHYSICS: Final = Capability.FLOAT64 | Capability.CG | _PAIRS
 PHYSICS: Final[Mapping[str, Capability]] = {
     "mujoco": _PHYSICS | Capability.SOFT,
     "mjx-jax": Capability(0),
-    "mjx-warp": _PAIRS,
-    "mjx-warp-cpu": _PAIRS,
+    "mjx-warp": _PAIRS | Capability.STIFF_JOBS,
+    "mjx-warp-cpu": _PAIRS | Capability.STIFF_JOBS,
 }
 """Name of an engine → its capabilities. An engine in a worker process has the same capabilities. An engine with any
 other name is assumed to have all capabilities except soft boxes.

@@ -80,7 +80,7 @@ class Mixing(Engine):
 
     @property
     def capabilities(self) -> Capability:
-        return super().capabilities | (Capability.STIFF_JOBS if self.mixes else Capability(0))
+        return super().capabilities if self.mixes else super().capabilities & ~Capability.STIFF_JOBS
 
     @takes_stream
     def run(

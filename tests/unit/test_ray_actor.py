@@ -4,27 +4,32 @@ from __future__ import annotations
 
 import os
 import pickle
+import queue
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 from typing import Any
 
+import numpy as np
 import pytest
 from support.fake_stepper import fake_scene
+from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cuda_devices
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.engines.protocol import Progress
+from petmjx.engines.protocol import Progress, takes_stream
 from petmjx.engines.remote import ray_actor
-from petmjx.engines.remote.ray_actor import Recipe, Report, Worker, WorkerReady
+from petmjx.engines.remote.ray_actor import Packet, Recipe, Report, Worker, WorkerReady, WorkerRun
+from petmjx.engines.run_engine import UserEngine
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
-from petmjx.world.job import Job
+from petmjx.world.job import Drive, Excitation, Job
 
 SHORT = Simulation(interval_s=0.1, rest_window_s=0.1)
+RUN = WorkerRun(SHORT)
 MUJOCO = Recipe("mujoco", {"threads": 1})
 
 
@@ -44,37 +49,46 @@ class _Unpicklable(Exception):
         super().__init__(f"{one} and {two}")
 
 
+def simulated(worker: Worker, *packets: Packet, run: WorkerRun = RUN) -> list[Report]:
+    """The reports of a run with these packets."""
+    for packet in packets:
+        worker.feed(pickle.dumps(packet))
+    worker.feed(b"")
+    return [pickle.loads(report) for report in worker.simulate(pickle.dumps(run))]
+
+
+def outcomes_of(reports: list[Report]) -> dict[int, Outcome]:
+    return {outcome.job: outcome for report in reports for outcome in report.outcomes}
+
+
 def test_a_worker_reports_progress_and_errors() -> None:
     worker = Worker(MUJOCO, None, 1)
     hello: WorkerReady = pickle.loads(worker.hello())
     assert (hello.pid, hello.error) == (os.getpid(), None)
-    chunk = pickle.dumps(([Job(fake_scene(1.0))] * 2, SHORT))
-    reports: list[Report] = [pickle.loads(report) for report in worker.simulate(chunk)]
-    assert sorted(outcome.job for report in reports for outcome in report.outcomes) == [0, 1]
+    packets: list[Packet] = [[(7, Job(fake_scene(1.0))), (3, Job(fake_scene(2.0)))], [(5, Job(fake_scene(3.0)))]]
+    reports = simulated(worker, *packets)
+    assert sorted(outcomes_of(reports)) == [3, 5, 7]
     assert reports[-1].progress.world_steps > 0
     broken: Any = _Broken()
     worker._built = Future()
     worker._built.set_result(broken)
-    last_reports: list[Report] = [pickle.loads(report) for report in worker.simulate(chunk)]
+    last_reports = simulated(worker, *packets)
     assert last_reports[0].progress.message == "compiling"
     assert isinstance(last_reports[-1].error, KeyboardInterrupt)
     broken.error = _Unpicklable(1, 2)
-    last_reports = [pickle.loads(report) for report in worker.simulate(chunk)]
+    last_reports = simulated(worker, *packets)
     assert repr(last_reports[-1].error) == "RuntimeError('_Unpicklable: 1 and 2')"
 
 
-def test_processes_beside_a_worker_look_at_the_outcomes_of_large_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_beside_a_worker_look_at_the_outcomes_of_large_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ray_actor, "LARGE", 3)
     worker = Worker(MUJOCO, None, 1, check_pool=1)
     alone = Worker(MUJOCO, None, 1)
     for peer in (worker, alone):
         peer.hello()
     for count in (2, 3, 3):
-        chunk = pickle.dumps(([make_world(make_plan(boxes=stack(1 + k))).job for k in range(count)], SHORT))
-        beside, here = (
-            {outcome.job: outcome for report in peer.simulate(chunk) for outcome in pickle.loads(report).outcomes}
-            for peer in (worker, alone)
-        )
+        jobs: Packet = [(k, make_world(make_plan(boxes=stack(1 + k))).job) for k in range(count)]
+        beside, here = (outcomes_of(simulated(peer, jobs[:1], jobs[1:])) for peer in (worker, alone))
         assert sorted(beside) == sorted(here) == list(range(count))
         for job, outcome in beside.items():
             assert (outcome.margin, outcome.rest_edge_m) == (here[job].margin, here[job].rest_edge_m)
@@ -83,6 +97,74 @@ def test_processes_beside_a_worker_look_at_the_outcomes_of_large_chunks(monkeypa
     assert alone._check_pool is None
     assert worker._check_pool is not None
     worker._check_pool.close()
+
+
+class _Streaming:
+    """Takes a stream, and needs no time. It waits for many jobs, and answers those that it got, the last one first."""
+
+    name = "streaming"
+
+    def __init__(self) -> None:
+        self.taken: list[list[Job]] = []
+
+    @takes_stream
+    def run(self, jobs: Any, sim: Any, progress: Progress) -> Iterator[Outcome]:
+        while some := jobs.take(1000, least=1000):
+            first = jobs.taken - len(some)
+            self.taken.append(some)
+            for index in reversed(range(len(some))):
+                yield make_outcome(some[index].scene.n_boxes, job=first + index)
+
+
+def test_a_run_goes_on_while_packets_come() -> None:
+    """An engine that waits for many jobs gets those of a packet. Profiles that came in several packets are the same
+    object, since an engine has room for a number of profiles that was announced."""
+    worker, engine = Worker(MUJOCO, None, None), _Streaming()
+    worker._built.set_result(UserEngine(engine, None))
+    reports: queue.SimpleQueue[Report | None] = queue.SimpleQueue()
+
+    def run() -> None:
+        for report in worker.simulate(pickle.dumps(WorkerRun(SHORT, feedback=True))):
+            reports.put(pickle.loads(report))
+        reports.put(None)
+
+    threading.Thread(target=run, daemon=True).start()
+    shakes = [Excitation("shake", "force", np.full((5, 3), level)) for level in (1.0, 2.0)]
+    for first in (10, 20):
+        jobs = [Job(fake_scene(1.0), drive=Drive(shakes[k % 2])) for k in range(4)]
+        worker.feed(pickle.dumps([*enumerate(jobs, first)]))
+        numbers: list[int] = []
+        while len(numbers) < 4:
+            report = reports.get(timeout=20.0)
+            assert report is not None
+            numbers += (outcome.job for outcome in report.outcomes)
+        assert numbers == [*reversed(range(first, first + 4))]
+    worker.feed(b"")
+    last = reports.get(timeout=20.0)
+    assert last is not None
+    assert (last.outcomes, last.error) == ([], None)
+    assert reports.get(timeout=20.0) is None
+    assert [len(jobs) for jobs in engine.taken] == [4, 4]
+    assert len({id(job.drive.excitation) for jobs in engine.taken for job in jobs if job.drive}) == 2
+
+
+def test_an_engine_that_leaves_jobs_out_is_told() -> None:
+    class Forgets(_Streaming):
+        @takes_stream
+        def run(self, jobs: Any, sim: Any, progress: Progress) -> Iterator[Outcome]:
+            yield from [*super().run(jobs, sim, progress)][1:]
+
+    class Repeats(_Streaming):
+        @takes_stream
+        def run(self, jobs: Any, sim: Any, progress: Progress) -> Iterator[Outcome]:
+            yield from 2 * [*super().run(jobs, sim, progress)]
+
+    for engine, line in ((Forgets(), "ended before all jobs had outcomes"), (Repeats(), "returned two outcomes")):
+        worker = Worker(MUJOCO, None, None)
+        worker._built.set_result(UserEngine(engine, None))
+        *_, last = simulated(worker, [(k, Job(fake_scene(1.0))) for k in range(3)])
+        assert isinstance(last.error, RuntimeError)
+        assert line in str(last.error)
 
 
 @pytest.fixture
@@ -101,12 +183,11 @@ def test_the_engine_of_a_gpu_is_built_while_jobs_are_made(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(ray_actor, "start_gpu", start)
     monkeypatch.setattr(ray_actor, "make_engine", lambda name: MujocoEngine(1))
-    worker = Worker(Recipe("mjx-warp"), None, 1, thorough=False)
+    worker = Worker(Recipe("mjx-warp"), None, None, thorough=False)
     assert pickle.loads(worker.hello()).error is None
     assert begun.wait(20.0)
-    reports = worker.simulate(pickle.dumps(([Job(fake_scene(1.0))], SHORT)))
     threading.Timer(0.1, may_end.set).start()
-    assert sum(len(pickle.loads(report).outcomes) for report in reports) == 1
+    assert len(outcomes_of(simulated(worker, [(0, Job(fake_scene(1.0)))]))) == 1
     assert may_end.is_set()
 
 
@@ -123,10 +204,10 @@ def test_an_engine_that_cannot_be_built_on_a_gpu_is_told(
 
     monkeypatch.setattr(ray_actor, "start_gpu", lambda: None)
     monkeypatch.setattr(ray_actor, "make_engine", fail)
-    worker = Worker(Recipe("mjx-warp"), None, 1, thorough=thorough)
+    worker = Worker(Recipe("mjx-warp"), None, None, thorough=thorough)
     hello: WorkerReady = pickle.loads(worker.hello())
-    [report] = worker.simulate(pickle.dumps(([Job(fake_scene(1.0))], SHORT)))
-    for failure in [pickle.loads(report).error, *([hello.error] if thorough else [])]:
+    [report] = simulated(worker, [(0, Job(fake_scene(1.0)))])
+    for failure in [report.error, *([hello.error] if thorough else [])]:
         assert isinstance(failure, EngineUnavailable)
         assert str(error) in str(failure)
     assert thorough == (hello.error is not None)

@@ -18,10 +18,12 @@ from typing import Any
 import pytest
 from support.fake_stepper import fake_scene
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
+from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.engines.attempts import ATTEMPTS
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress
 from petmjx.engines.remote import ray_cluster as cluster_module
@@ -107,6 +109,28 @@ def test_tables_are_those_of_a_run_without_workers(kind: str, tmp_path_factory: 
     assert (shared.info["config"]["workers"], shared.info["config"]["ray"]) == (2, None)
 
 
+@pytest.mark.parametrize("least", [None, 1])
+def test_workers_with_kernels_give_the_tables_of_one_process(
+    least: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Drives (motions of the carrier) start from settled states, which may come from the other worker. Piles whose
+    contacts are too soft are placed again in stiffer contacts, among the other worlds. ``least``: if a number, jobs are
+    dealt as to devices."""
+    heavy = stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0))
+    plans = [
+        *PLANS[4:7],
+        make_plan("stands", heavy),
+        make_plan("tips", (*heavy, ((400, 300, 200), (220, 0, 400), 5.0))),
+    ]
+    (file := tmp_path / "sweep.toml").write_text(GRID)
+    alone = petmjx.sweep(file, plans, engine="mjx-warp-cpu", threads=1)
+    monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mjx-warp-cpu": least})
+    shared = petmjx.sweep(file, plans, engine="mjx-warp-cpu", workers=2, threads=1)
+    assert_same(shared, tables(alone))
+    assert set(shared.attempts.attempt) == {1, 6}
+    assert set(shared.attempts.engine) == {"mjx-warp-cpu"}
+
+
 @pytest.mark.gpu
 @pytest.mark.parametrize("kind", ["score", "grid", "search"])
 def test_gpu_workers_give_the_tables_of_one_process(kind: str, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -115,15 +139,42 @@ def test_gpu_workers_give_the_tables_of_one_process(kind: str, tmp_path_factory:
     assert_same(shared, tables(alone))
 
 
+@pytest.mark.parametrize("least", [None, 1])
 @pytest.mark.parametrize("kind", ["score", "grid"])
 def test_workers_that_are_killed_change_no_table(
-    kind: str, pool: WorkerPool, tmp_path_factory: pytest.TempPathFactory
+    kind: str,
+    least: int | None,
+    pool: WorkerPool,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """``least``: if a number, jobs are dealt as to devices."""
+    monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mujoco": least})
     alone = run(kind, tmp_path_factory.mktemp("alone"), engine=MujocoEngine(1))
-    killer = Killer(pool, every=8)
+    killer = Killer(pool, every=8 if least is None else 12)  # a world whose workers die three times would be blamed
     shared = run(kind, tmp_path_factory.mktemp("shared"), engine=pool, watcher=killer)
     assert killer.killed >= 1
     assert_same(shared, tables(alone))
+
+
+@pytest.mark.parametrize("least", [None, 1, 10])
+def test_jobs_are_simulated_as_they_come(least: int | None, pool: WorkerPool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jobs that follow from outcomes are simulated while the source still makes jobs."""
+    monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mujoco": least})
+    stream = JobStream[str](feedback=True, begin_with=2)
+    for tag in ("a", "b"):
+        stream.put(Job(fake_scene(1.0)), tag, bounded=True)
+    tags = []
+    for outcome in pool.run(stream, SHORT):
+        tags.append(tag := stream.answered(outcome.job))
+        if len(tag) < 3:
+            stream.put(Job(fake_scene(1.0, 2.0)), tag + "'")
+        if tag == "b''":
+            stream.put(Job(fake_scene(3.0)), "c", bounded=True)
+            stream.close()
+            stream.put(Job(fake_scene(3.0)), "d''")
+    assert sorted(tags) == ["a", "a'", "a''", "b", "b'", "b''", "c", "c'", "c''", "d''"]
+    assert not stream.in_flight
 
 
 class _Deadly:

@@ -1,36 +1,46 @@
-"""The code of a worker process: it runs chunks (groups) of jobs on an engine and reports their outcomes.
+"""The code of a worker process: it gets jobs for an engine in packets, and reports their outcomes.
 
 The code also works without Ray.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import pickle
 import platform
 import queue
+import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import Any
+from weakref import WeakValueDictionary
 
 from petmjx.common.errors import EngineUnavailable, PetmjxError
 from petmjx.common.machine import device_name, package_versions, why_no_warp_at_once
 from petmjx.common.processes import collect_rarely
 from petmjx.common.text import one_line
+from petmjx.engines.attempt_runner import outcomes_of_stream
+from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.gpu_start import start_gpu
+from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.outcome_checks import MOST_TOGETHER
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.check_pool import LARGE, CheckPool
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
-from petmjx.world.job import Job
+from petmjx.world.job import Excitation, Job
 
 REPORT_S = 0.2
-"""Time between two reports about a chunk, s. Each report costs a millisecond in the process that receives it."""
+"""Time between two reports of a worker that has enough jobs, s. Each report costs a millisecond in the process that
+receives it."""
+
+Packet = list[tuple[int, Job]]
+"""Jobs that a worker gets at once, and the numbers by which the pool knows them."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +55,20 @@ class WorkerReady:
     error: BaseException | None = None
 
 
+@dataclass(frozen=True)
+class WorkerRun:
+    """The arguments of a run in a worker. ``feedback``, ``bounds``, ``stiff``: see ``JobStream``."""
+
+    sim: Simulation
+    feedback: bool = False
+    bounds: JobBounds | None = None
+    stiff: frozenset[float] = frozenset()
+
+
 @dataclass
 class Report:
-    """A report about a chunk of jobs: the outcomes since the last report, the progress since the beginning of the
-    chunk, and the exception that ended the chunk, if any."""
+    """A report about a run: the outcomes since the last report, the progress since the beginning of the run, and the
+    exception that ended the run, if any. ``Outcome.job`` is the number of the job in its packet."""
 
     outcomes: list[Outcome]
     progress: Progress
@@ -64,11 +84,13 @@ class Recipe:
 
 
 class Worker:
-    """Creates an engine once, and runs chunks of jobs on it. Several chunks may run at the same time, in threads.
+    """Creates an engine once, and simulates jobs on it, in one run after another. While a run simulates, further jobs
+    arrive in packets.
 
     Args:
-        threads: number of threads of the engine. If ``threads`` is None, the engine's default is used.
-        check_pool: number of processes that check the outcomes of a large chunk. Only one large chunk runs at a time.
+        threads: number of jobs that the engine simulates at the same time. None: the engine simulates worlds side by
+            side.
+        check_pool: number of processes that check the outcomes of a run with many jobs.
         thorough: whether the engine must be created before the worker reports that it is ready. If ``thorough`` is
             False (only for ``mjx-warp``), a thread creates the engine, which takes seconds, while the first jobs are
             made and sent.
@@ -87,6 +109,7 @@ class Worker:
         self._check_pool: CheckPool[None] | None = None
         self._thorough = thorough
         self._built: Future[Engine] = Future()
+        self._packets: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def hello(self) -> bytes:
         """Create the engine, or start to create it. Returns the pickled first message."""
@@ -113,76 +136,150 @@ class Worker:
         try:
             if name == "mjx-warp":
                 start_gpu()
-            self._built.set_result(make_engine(name, **self._recipe.options))
+            threads = {} if self._threads is None else {"threads": self._threads}
+            self._built.set_result(make_engine(name, **(self._recipe.options | threads)))
         except PetmjxError as error:
             self._built.set_exception(error)
         except BaseException as error:
             self._built.set_exception(EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}"))
 
-    def simulate(self, chunk: bytes) -> Iterator[bytes]:
-        """Simulate the jobs of a chunk, the pickled pair (jobs, sim), and yield pickled reports. The outcomes are
-        checked in this process. ``Outcome.job`` is the index of the job in the chunk."""
-        jobs, sim = pickle.loads(chunk)
-        check_pool = self._check_pool_for(jobs)
-        news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
+    def feed(self, packet: bytes) -> None:
+        """Add jobs to the run: a pickled ``Packet``, or nothing (b""), after which the run ends when all its jobs have
+        outcomes."""
+        self._packets.put(packet)
+
+    def simulate(self, run: bytes) -> Iterator[bytes]:
+        """Simulate the jobs of all packets up to the empty one, and yield pickled reports. The outcomes are checked in
+        this process.
+
+        Args:
+            run: the pickled ``WorkerRun``.
+        """
+        jobs = _RunJobs(pickle.loads(run))
         progress = Progress()
-        end_errors: list[BaseException] = []
-        arguments = jobs, sim, progress, news, end_errors
-        runner = threading.Thread(target=self._run, args=arguments, name="petmjx-chunk", daemon=True)
-        runner.start()
+        threading.Thread(target=self._take_packets, args=(jobs,), name="petmjx-packets", daemon=True).start()
+        threading.Thread(target=self._run, args=(jobs, progress), name="petmjx-run", daemon=True).start()
+        check_pool: CheckPool[None] = CheckPool(0)
         going, last_message = True, ""
         while going:
-            new_outcomes, going = _gather(news)
-            outcomes = _checked_outcomes(new_outcomes, jobs, sim, check_pool, wait=not going)
+            answered, going = jobs.new_outcomes(self._threads or 1)
+            if check_pool is not self._check_pool and self._check_processes and jobs.count >= LARGE:
+                # the first large run starts the processes, which are kept as long as the worker lives
+                check_pool = self._check_pool = self._check_pool or CheckPool(self._check_processes)
+            outcomes = _checked_outcomes(answered, jobs.sim, check_pool, wait=not going or not jobs.unanswered)
             if outcomes or not going or progress.message != last_message:
                 last_message = progress.message
                 # a copy, since the engine keeps writing into ``extra``
                 so_far = replace(progress, extra=dict(progress.extra))
-                yield pickle.dumps(Report(outcomes, so_far, end_errors[0] if end_errors else None))
-        runner.join()
+                yield pickle.dumps(Report(outcomes, so_far, jobs.error))
 
-    def _check_pool_for(self, jobs: Sequence[Job]) -> CheckPool[None]:
-        """The pool of processes that check the outcomes of a chunk. The first large chunk starts the processes, which
-        are kept as long as the worker lives. The outcomes of a small chunk are checked by the worker itself."""
-        if self._check_processes == 0 or len(jobs) < LARGE:
-            return CheckPool(0)
-        self._check_pool = self._check_pool or CheckPool(self._check_processes)
-        return self._check_pool
-
-    def _run(
-        self,
-        jobs: list[Job],
-        sim: Simulation,
-        progress: Progress,
-        news: queue.SimpleQueue[Outcome | None],
-        ended: list[BaseException],
-    ) -> None:
+    def _take_packets(self, jobs: _RunJobs) -> None:
+        """Put the jobs of packets into the stream of the engine, until an empty packet comes."""
         try:
-            for outcome in self._built.result().run(jobs, sim, progress):
-                news.put(outcome)
+            while packet := self._packets.get():
+                jobs.put(pickle.loads(packet))
         except BaseException as error:
-            ended.append(_sendable(error))
+            jobs.end(RuntimeError(f"a worker failed: {one_line(error)}"))
         finally:
-            news.put(None)
+            jobs.close()
 
-
-def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], bool]:
-    """The outcomes that arrive within ``REPORT_S``, and whether further outcomes may follow."""
-    outcomes: list[Outcome] = []
-    until = time.monotonic() + REPORT_S
-    while (left := until - time.monotonic()) > 0:
+    def _run(self, jobs: _RunJobs, progress: Progress) -> None:
+        """Simulate the jobs on the engine."""
         try:
-            outcome = news.get(timeout=left)
-        except queue.Empty:
-            break
-        if outcome is None:
-            return outcomes, False
-        outcomes.append(outcome)
-    return outcomes, True
+            engine = self._built.result()
+            for outcome in outcomes_of_stream(engine, jobs.stream, jobs.sim, progress, sys.maxsize):
+                jobs.answered(outcome, engine.name)
+            if not jobs.stream.closed or jobs.unanswered:
+                raise RuntimeError(f"engine {engine.name} ended before all jobs had outcomes")
+            jobs.end()
+        except BaseException as error:
+            jobs.end(_sendable(error))
+
+
+class _RunJobs:
+    """The jobs of a run in a worker, from their packets to their outcomes.
+
+    Attributes:
+        stream: the stream from which the engine takes jobs. An engine that waits for many jobs gets the jobs that there
+            are, since the pool may have no others.
+        count: number of jobs so far.
+        error: the exception that ended the run.
+    """
+
+    def __init__(self, run: WorkerRun) -> None:
+        self.sim, self.count = run.sim, 0
+        self.stream = JobStream[tuple[int, Job]](
+            most_boxes=1, feedback=run.feedback, bounds=run.bounds, stiff=run.stiff
+        )
+        self.error: BaseException | None = None
+        self._excitations = WeakValueDictionary[tuple[str, str, bytes], Excitation]()
+        """The excitations of the jobs that are in memory, by name, kind and digest."""
+        self._news: queue.SimpleQueue[tuple[Job, Outcome] | None] = queue.SimpleQueue()
+
+    @property
+    def unanswered(self) -> int:
+        """Number of jobs that the engine has not answered."""
+        return self.stream.ready + len(self.stream.in_flight)
+
+    def put(self, packet: Packet) -> None:
+        """Add the jobs of a packet."""
+        self.count += len(packet)
+        distinct = {id(job.drive.excitation): job.drive.excitation for _, job in packet if job.drive is not None}
+        known = {identity: self._known(excitation) for identity, excitation in distinct.items()}
+        shared = (
+            (number, replace(job, drive=replace(job.drive, excitation=known[id(job.drive.excitation)])))
+            if job.drive is not None
+            else (number, job)
+            for number, job in packet
+        )
+        self.stream.put_all([(job, (number, job)) for number, job in shared])
+
+    def _known(self, excitation: Excitation) -> Excitation:
+        """The equal excitation of an earlier packet, if there is one. Engines recognise excitations as objects, and
+        have room for a number of them that is known in advance (``JobBounds``)."""
+        digest = hashlib.blake2b(excitation.samples.tobytes()).digest()
+        return self._excitations.setdefault((excitation.name, excitation.kind, digest), excitation)
+
+    def close(self) -> None:
+        """Declare that no packet follows."""
+        self.stream.close()
+        self.stream.followed()
+
+    def answered(self, outcome: Outcome, engine: str) -> None:
+        """Take an outcome of the engine. Its stream number becomes the number that the pool gave the job."""
+        try:
+            outcome.job, job = self.stream.answered(outcome.job)
+        except KeyError:
+            raise RuntimeError(
+                f"engine {engine} returned two outcomes for job {outcome.job}, or had no such job"
+            ) from None
+        self._news.put((job, outcome))
+
+    def end(self, error: BaseException | None = None) -> None:
+        """Declare that no outcome follows."""
+        self.error = self.error or error
+        self._news.put(None)
+
+    def new_outcomes(self, threads: int) -> tuple[list[tuple[Job, Outcome]], bool]:
+        """The outcomes that arrive within ``REPORT_S``, and whether further outcomes may follow. With fewer jobs left
+        than ``threads``, an outcome is returned at once, since the engine has capacity for further jobs."""
+        outcomes: list[tuple[Job, Outcome]] = []
+        until = time.monotonic() + REPORT_S
+        while (left := until - time.monotonic()) > 0:
+            if outcomes and self._news.empty() and self.unanswered < threads:
+                break
+            try:
+                entry = self._news.get(timeout=left)
+            except queue.Empty:
+                break
+            if entry is None:
+                return outcomes, False
+            outcomes.append(entry)
+        return outcomes, True
 
 
 def _checked_outcomes(
-    outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, check_pool: CheckPool[None], *, wait: bool
+    answered: Sequence[tuple[Job, Outcome]], sim: Simulation, check_pool: CheckPool[None], *, wait: bool
 ) -> list[Outcome]:
     """Hand outcomes to the check pool, in groups. Returns the outcomes whose checks have ended.
 
@@ -190,12 +287,15 @@ def _checked_outcomes(
         wait: whether to wait for the checks of all outcomes.
     """
     keyed_outcomes: list[tuple[None, Outcome]] = []
-    for first in range(0, len(outcomes), MOST_TOGETHER):
-        chunk_outcomes = outcomes[first : first + MOST_TOGETHER]
-        some_jobs = [jobs[outcome.job] for outcome in chunk_outcomes]
-        keyed_outcomes += check_pool.exchanged(
-            [(None, outcome) for outcome in chunk_outcomes], some_jobs, sim, wait=False
-        )
+    by_stiff: dict[float | None, list[tuple[Job, Outcome]]] = {}
+    for job, outcome in answered:
+        by_stiff.setdefault(job.stiff, []).append((job, outcome))
+    for stiff, group in by_stiff.items():
+        group_sim = sim if stiff is None else stiffened(sim, stiff)
+        for first in range(0, len(group), MOST_TOGETHER):
+            some = group[first : first + MOST_TOGETHER]
+            keyed = [(None, outcome) for _, outcome in some]
+            keyed_outcomes += check_pool.exchanged(keyed, [job for job, _ in some], group_sim, wait=False)
     keyed_outcomes += check_pool.exchanged([], [], sim, wait=wait)
     return [outcome for _, outcome in keyed_outcomes]
 

@@ -167,10 +167,6 @@ def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
     assert options.asked_workers is not None
     limits = options_of(name, options)
     worker_places = places(name, cluster.nodes, options.asked_workers, limits.pop("threads", None))
-    if name == "mujoco":
-        limits["threads"] = 1  # a worker runs as many chunks side by side as it has threads
-    elif name == "mjx-warp-cpu":
-        limits["threads"] = min(place.cpus for place in worker_places)
     # on CPUs, all threads simulate, so no processes are started that check outcomes
     threads = threads_beside(cluster.nodes, len(worker_places)) if name == "mjx-warp" else 0
     return WorkerPool(Recipe(name, limits), worker_places, cluster, max_check_processes(threads))

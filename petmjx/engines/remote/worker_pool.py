@@ -1,12 +1,12 @@
-"""An engine whose jobs run in worker processes of a Ray cluster. The engine sends chunks (groups) of jobs to workers,
-collects outcomes, and replaces dead workers."""
+"""An engine whose jobs run in worker processes of a Ray cluster. The engine takes jobs from a stream, sends them to
+workers that have room, collects outcomes, and replaces dead workers."""
 
 from __future__ import annotations
 
 import os
 import pickle
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -17,9 +17,10 @@ from petmjx.common.machine import package_versions
 from petmjx.common.text import count_text, one_line
 from petmjx.engines.cost_model import MEASURED
 from petmjx.engines.failed_world import failed_outcome
-from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand
-from petmjx.engines.remote.chunk_dealer import Chunk, Deal
-from petmjx.engines.remote.ray_actor import Recipe, Report, Worker, WorkerReady
+from petmjx.engines.job_stream import JobStream
+from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
+from petmjx.engines.remote.job_dealer import MOST_ON_DEVICE, Hand, JobDealer
+from petmjx.engines.remote.ray_actor import Packet, Recipe, Report, Worker, WorkerReady, WorkerRun
 from petmjx.engines.remote.ray_cluster import Cluster
 from petmjx.engines.remote.worker_resources import Place
 from petmjx.engines.verdict import Outcome
@@ -29,6 +30,9 @@ from petmjx.world.scene import Scene
 
 LOOK_S = 0.25
 """Longest wait for messages from workers, s. After each wait, signals are handled and progress is updated."""
+
+FEED_S = 0.05
+"""As ``LOOK_S``, if a worker has no jobs while further jobs are made."""
 
 START_S = 30.0
 """Longest wait for the first worker when the pool is created, s. So an engine that cannot run in a worker is reported
@@ -40,19 +44,16 @@ FALSE_STARTS = 3
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
 """Name of an engine → smallest number of jobs that are divided among several workers. If a run has fewer jobs, one
-worker with this engine gets all jobs, since a device takes as long for a few worlds as for many."""
+worker with this engine gets all jobs, since a device takes as long for a few worlds as for many. An engine without an
+entry simulates job after job."""
+
+MOST_TAKEN = GROUP_WORLDS["mjx-warp"]
+"""Largest number of jobs per device that are taken from the stream and have no outcome. The longest of them go to
+workers first."""
 
 _HIGHEST = (" lanes", " contacts")
 """Endings of names in ``Progress.extra``. If a name has one of these endings, the largest value of all workers is
 reported; for other names, the sum."""
-
-
-@dataclass(eq=False)
-class _Stream:
-    """A chunk in a worker, and the part of its progress that has already been added to the run's progress."""
-
-    chunk: Chunk
-    counted: Progress = field(default_factory=Progress)
 
 
 @dataclass(eq=False)
@@ -62,36 +63,49 @@ class _WorkerRecord:
     Attributes:
         hello: Ray's reference to the worker's first message; None when this message has arrived.
         working: whether the worker's engine certainly exists: it was created before the first message, or the worker
-            has reported about a chunk.
-        streams: Ray's streams of reports, one for each chunk of the worker.
-        message: the worker's last progress message.
+            has reported about jobs.
+        reports: Ray's stream of reports about the run; None if the worker has no run.
+        counted: the part of the worker's progress in this run that has already been added to the run's progress.
     """
 
     place: Place
     actor: Any
     hello: Any
+    hand: Hand
     pid: int = 0
     working: bool = False
-    streams: dict[Any, _Stream] = field(default_factory=dict)
-    compile_s: float = 0.0
-    message: str = ""
+    reports: Any = None
+    counted: Progress = field(default_factory=Progress)
 
     @property
     def ready(self) -> bool:
         return self.hello is None
 
-    def has_room(self, plenty: bool) -> bool:
-        """Whether the worker can take another chunk. ``plenty``: whether workers may hold chunks in reserve."""
-        if not self.ready or any(stream.chunk.alone for stream in self.streams.values()):
-            return False
-        return len(self.streams) < self.place.slots * (2 if plenty else 1)
+
+@dataclass(eq=False)
+class _PoolRun:
+    """A run of the pool.
+
+    Attributes:
+        compiled_s: time that earlier runs spent on compiling programs, s.
+        jobs: number → job, for the jobs that have been taken from the stream and have no outcome.
+        taken: number of jobs that have been taken.
+    """
+
+    stream: JobStream[Any]
+    sim: Simulation
+    progress: Progress
+    dealer: JobDealer
+    compiled_s: float
+    jobs: dict[int, Job] = field(default_factory=dict)
+    taken: int = 0
 
 
 class WorkerPool(Engine):
     """The engine ``recipe.name`` in many processes. Outcomes are the same as those of the engine itself.
 
-    A worker that dies is replaced, and its jobs without an outcome are given out again (``Deal``). Workers are kept
-    between runs, until :meth:`close`.
+    A worker that dies is replaced, and its jobs without an outcome are given out again (``JobDealer``). Workers are
+    kept between runs, until :meth:`close`.
 
     Args:
         places: the CPUs and GPUs of each worker. All workers start immediately.
@@ -166,7 +180,10 @@ class WorkerPool(Engine):
             self._cluster.close()
 
     @says_at_hand
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+    @takes_stream
+    def run(
+        self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+    ) -> Iterator[Outcome]:
         """Simulate each job once. Outcomes are yielded as by the engine itself.
 
         Raises:
@@ -175,28 +192,28 @@ class WorkerPool(Engine):
             PetmjxError: Ray has died.
             Exception: the engine in a worker raised this exception.
         """
-        if not jobs:
+        stream = JobStream.of(jobs)
+        if stream.ended:
             return
+        least = LEAST.get(self.name)
+        # mjx-jax cannot take further jobs while it simulates, so it begins with as many as a worker may hold
+        begin_with = MOST_ON_DEVICE if self.name == "mjx-jax" else min(stream.begin_with, MOST_ON_DEVICE)
         with self._running:
-            yield from self._run(jobs, sim, progress if progress is not None else Progress())
+            progress = progress if progress is not None else Progress()
+            run = _PoolRun(stream, sim, progress, JobDealer(least, begin_with), progress.compile_s)
+            yield from self._run(run)
 
-    def _run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> Iterator[Outcome]:
+    def _run(self, run: _PoolRun) -> Iterator[Outcome]:
         lacking = Counter(self._places)
         lacking.subtract(worker.place for worker in self._workers)
         self._workers += [self._start(place) for place in lacking.elements()]
-        slots = sum(place.slots for place in self._places)
-        deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
-        # a user's engine in workers is treated as an MJX engine, since it should inherit from one
-        group = None if self.name == "mujoco" else GROUP_WORLDS.get(self.name, GROUP_WORLDS["mjx-jax"])
-        least = LEAST.get(self.name, 1)
-        deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
-        compiled_s, before = progress.compile_s, progress.message
-        began = time.monotonic()
+        progress = run.progress
+        before, began = progress.message, time.monotonic()
         for worker in self._workers:
-            worker.compile_s, worker.message = 0.0, ""
+            worker.counted, worker.hand.begun = Progress(), False
         try:
-            while deal.unanswered or any(worker.streams for worker in self._workers):
-                self._hand_out(deal, jobs, sim)
+            while self._take_jobs(run) or run.jobs:
+                self._hand_out(run)
                 seconds = time.monotonic() - began
                 if seconds >= START_S and not all(worker.ready for worker in self._workers):
                     self._cluster.check()
@@ -204,55 +221,62 @@ class WorkerPool(Engine):
                 progress.at_hand = 0
                 if progress.pauses:
                     yield None  # type: ignore[misc]  # callers that set ``pauses`` expect it
-                for worker, ref in self._news():
-                    if not worker.ready:
-                        self._greet(worker, ref)
-                        continue
-                    if ref not in worker.streams:
-                        continue  # the worker's death was noticed a moment ago, at another of its chunks
-                    report = self._next_report(ref)
-                    if isinstance(report, Report):
-                        worker.working = True
-                        yield from self._take(worker, worker.streams[ref], report, deal, progress)
-                        progress.compile_s = compiled_s + max(worker.compile_s for worker in self._workers)
-                    elif report is None:
-                        missing = set(worker.streams.pop(ref).chunk.jobs) & deal.unanswered
-                        if missing:
-                            raise RuntimeError(
-                                f"engine {self.name} returned no outcome for {count_text(len(missing), 'job')}"
-                            )
-                    else:
-                        yield from self._bury(worker, deal, jobs, sim, progress)
+                yield from self._reported(run)
+            for worker in self._workers:
+                if worker.reports is not None:
+                    worker.actor.feed.remote(b"")
+            while any(worker.reports is not None for worker in self._workers):
+                yield from self._reported(run)
             progress.message = before
         finally:
-            busy = [worker for worker in self._workers if worker.streams]
-            for worker in busy:  # nobody needs these workers' other chunks
+            busy = [worker for worker in self._workers if worker.reports is not None]
+            for worker in busy:  # nobody needs these workers' other outcomes
                 self._workers.remove(worker)
                 self._kill(worker)
+
+    def _reported(self, run: _PoolRun) -> Iterator[Outcome]:
+        """Handle what workers have sent. Yields the outcomes."""
+        hungry = not run.stream.closed and not all(worker.hand.costs for worker in self._workers)
+        for worker, ref in self._news(FEED_S if hungry else LOOK_S):
+            if not worker.ready:
+                self._greet(worker, ref)
+                continue
+            report = self._next_report(ref)
+            if isinstance(report, Report):
+                worker.working = True
+                yield from self._take_report(worker, report, run)
+            elif report is None:
+                worker.reports = None
+            else:
+                yield from self._bury(worker, run)
 
     # Workers.
 
     def _start(self, place: Place) -> _WorkerRecord:
         resources = {"num_cpus": place.cpus, "num_gpus": place.gpus}
-        remote = self._ray.remote(Worker).options(**resources, max_concurrency=place.slots, max_restarts=0)
-        threads = place.slots if self.name == "mujoco" else None
+        # a worker takes packets of jobs while it reports about its run
+        remote = self._ray.remote(Worker).options(**resources, max_concurrency=2, max_restarts=0)
+        threads = None if self.name in LEAST else place.cpus
         thorough = self.name != "mjx-warp" or self._deaths > 0  # after a death, the device may be broken
         options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
-        return _WorkerRecord(place, actor, actor.hello.remote(), working=thorough)
+        return _WorkerRecord(place, actor, actor.hello.remote(), Hand(place.cpus), working=thorough)
 
     def _kill(self, worker: _WorkerRecord) -> None:
-        worker.streams.clear()
+        worker.reports = None
         self._ray.kill(worker.actor)
 
-    def _news(self) -> list[tuple[_WorkerRecord, Any]]:
-        """Workers that have sent something. Each worker comes with the source of its message: the first message, or the
-        stream of a chunk.
+    def _news(self, longest_s: float = LOOK_S) -> list[tuple[_WorkerRecord, Any]]:
+        """Workers that have sent something, each with the source of its message: the first message, or the reports
+        about the run. Waits for at most ``longest_s``.
         """
-        owner = {ref: worker for worker in self._workers for ref in (worker.hello, *worker.streams) if ref is not None}
+        sources = [(worker, worker.reports if worker.ready else worker.hello) for worker in self._workers]
+        owner = {ref: worker for worker, ref in sources if ref is not None}
+        if not owner:
+            return []
 
         def wait() -> list[Any]:
-            ready, _ = self._ray.wait(list(owner), num_returns=1, timeout=LOOK_S)
+            ready, _ = self._ray.wait(list(owner), num_returns=1, timeout=longest_s)
             return self._ray.wait(list(owner), num_returns=len(owner), timeout=0)[0] if ready else []
 
         return [(owner[ref], ref) for ref in self._thread.submit(wait).result()]
@@ -275,7 +299,7 @@ class WorkerPool(Engine):
                     f"{own_versions[package]}: install the same versions"
                 )
         self._false_starts = 0
-        worker.hello, worker.pid = None, hello.pid
+        worker.hello, worker.pid, worker.hand.ready = None, hello.pid, True
         self._devices[hello.device] = None
 
     def _start_again(self, worker: _WorkerRecord, error: BaseException, most: int) -> None:
@@ -297,40 +321,54 @@ class WorkerPool(Engine):
             self._places.remove(worker.place)
             self._false_starts = 0
 
-    def _bury(
-        self, worker: _WorkerRecord, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
-    ) -> Iterator[Outcome]:
+    def _bury(self, worker: _WorkerRecord, run: _PoolRun) -> Iterator[Outcome]:
         """Replace a dead worker. Yields the outcomes of jobs that are given up. If the worker's engine did not exist
         yet, no job is given up."""
-        held = [stream.chunk for stream in worker.streams.values()]
         self._deaths += 1
         self._kill(worker)
         self._workers[self._workers.index(worker)] = self._start(worker.place)
         if not worker.working:
-            deal.put_back(held)
+            run.dealer.put_back(worker.hand)
             return
-        for index in deal.died(held):
-            self._deadly[id(jobs[index].scene)] = jobs[index].scene
-            progress.worlds_done += 1
+        for number in run.dealer.died(worker.hand):
+            job = run.jobs.pop(number)
+            self._deadly[id(job.scene)] = job.scene
+            run.progress.worlds_done += 1
             yield failed_outcome(
-                index, jobs[index], sim, "the worker died while it simulated only this world, as did earlier workers"
+                number, job, run.sim, "the worker died while it simulated only this world, as did earlier workers"
             )
 
-    # Chunks.
+    # Jobs.
 
-    def _hand_out(self, deal: Deal, jobs: Sequence[Job], sim: Simulation) -> None:
-        """Give chunks to workers in turn, one at a time, while there are chunks and workers that can take one."""
-        waiting = deque(sorted(self._workers, key=lambda worker: len(worker.streams)))
-        while waiting:
-            worker = waiting.popleft()
-            if worker.has_room(deal.plenty) and (chunk := deal.take(idle=not worker.streams)):
-                payload = pickle.dumps(([jobs[index] for index in chunk.jobs], sim))
-                method = worker.actor.simulate.options(num_returns="streaming")
-                worker.streams[method.remote(payload)] = _Stream(chunk)
-                waiting.append(worker)
+    def _take_jobs(self, run: _PoolRun) -> bool:
+        """Take jobs from the stream. If all jobs so far have outcomes, wait for further jobs. Returns whether there
+        were any."""
+        on_devices = self.name in LEAST
+        most = MOST_TAKEN * self.devices - len(run.jobs)
+        least = run.stream.begin_with if on_devices and not run.taken else 1
+        jobs = run.stream.take(most, least=least, wait=not run.jobs)
+        costs = MEASURED.of_jobs_on_device if on_devices else MEASURED.of_jobs
+        for job, cost in zip(jobs, costs(jobs, run.sim).tolist() if jobs else (), strict=True):
+            run.jobs[run.taken] = job
+            run.dealer.add(run.taken, cost, starts=job.start is not None, deadly=id(job.scene) in self._deadly)
+            run.taken += 1
+        return bool(jobs)
+
+    def _hand_out(self, run: _PoolRun) -> None:
+        """Give jobs to the workers that have room."""
+        hands = [worker.hand for worker in self._workers]
+        for index, numbers in run.dealer.deal(hands, more_come=not run.stream.ended).items():
+            self._send(self._workers[index], [(number, run.jobs[number]) for number in numbers], run)
+
+    def _send(self, worker: _WorkerRecord, packet: Packet, run: _PoolRun) -> None:
+        """Send jobs to a worker. The worker's run begins with its first jobs."""
+        if worker.reports is None:
+            arguments = WorkerRun(run.sim, run.stream.feedback, run.stream.bounds, run.stream.stiff)
+            worker.reports = worker.actor.simulate.options(num_returns="streaming").remote(pickle.dumps(arguments))
+        worker.actor.feed.remote(pickle.dumps(packet))
 
     def _next_report(self, ref: Any) -> Report | Exception | None:
-        """The next report about a chunk; None after the last report; an error if the worker is dead."""
+        """The next report about a run; None after the last report; an error if the worker is dead."""
         try:
             item = self._thread.submit(lambda: self._ray.get(ref_of) if (ref_of := next(ref, None)) else None).result()
             report: Report | None = pickle.loads(item) if item is not None else None
@@ -343,27 +381,26 @@ class WorkerPool(Engine):
             lost: Exception = error  # mypy does not know Ray's classes and treats them as Any
             return lost
 
-    def _take(
-        self, worker: _WorkerRecord, stream: _Stream, report: Report, deal: Deal, progress: Progress
-    ) -> Iterator[Outcome]:
-        new, old = report.progress, stream.counted
+    def _take_report(self, worker: _WorkerRecord, report: Report, run: _PoolRun) -> Iterator[Outcome]:
+        """Add a worker's progress to the progress of the run, and yield its new outcomes.
+
+        Raises:
+            RuntimeError: a job has two outcomes.
+            Exception: the exception that ended the worker's run.
+        """
+        new, old, progress = report.progress, worker.counted, run.progress
         progress.world_steps += new.world_steps - old.world_steps
-        worker.compile_s += new.compile_s - old.compile_s
-        worker.message = new.message
         for key, value in new.extra.items():
             before = progress.extra.get(key, 0)
             highest = key.endswith(_HIGHEST)
             progress.extra[key] = max(before, value) if highest else before + value - old.extra.get(key, 0)
-        stream.counted = new
+        worker.counted = new
+        progress.compile_s = run.compiled_s + max(worker.counted.compile_s for worker in self._workers)
         for count, outcome in enumerate(report.outcomes, start=1):
             progress.at_hand = len(report.outcomes) - count
-            index = stream.chunk.jobs[outcome.job]
-            try:
-                deal.answered(index)
-            except KeyError:
-                raise RuntimeError(f"engine {self.name} returned two outcomes for job {index}") from None
+            run.dealer.answered(worker.hand, outcome.job)
+            del run.jobs[outcome.job]
             progress.worlds_done += 1
-            outcome.job = index
             yield outcome
         if report.error is not None:
             raise report.error
@@ -375,5 +412,5 @@ class WorkerPool(Engine):
         if waiting:
             of = f"{len(waiting)} of {count_text(len(self._workers), 'worker')}"
             parts += [f"starting {of}" if seconds < START_S else f"waiting until the cluster has room for {of}"]
-        messages = {worker.message for worker in self._workers if worker.streams and worker.message}
+        messages = {worker.counted.message for worker in self._workers if worker.hand.costs} - {""}
         return "; ".join(parts + sorted(messages))

@@ -30,15 +30,12 @@ class Place:
     """The CPUs and GPUs of one worker.
 
     Attributes:
-        cpus: number of CPUs of the worker, all on one machine.
+        cpus: number of CPUs of the worker, all on one machine. Without a GPU, the number of the engine's threads.
         gpus: number of GPUs on the same machine, or the share of one GPU.
-        slots: number of chunks (groups of jobs) that the worker simulates at the same time: its number of threads on
-            ``mujoco``, one on MJX engines.
     """
 
     cpus: int
     gpus: float = 0
-    slots: int = 1
 
 
 def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int | None = None) -> list[Place]:
@@ -76,7 +73,7 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
     if not fit:
         crew = "a worker" if workers == AUTO else count_text(int(workers), "worker")
         raise InputError(f"workers: no room for {crew} of {count_text(threads or 1, 'CPU')}; {_has(nodes)}")
-    return [Place(cpus=count, slots=count if engine == "mujoco" else 1) for count in cpus]
+    return [Place(cpus=count) for count in cpus]
 
 
 def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:

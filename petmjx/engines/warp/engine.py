@@ -109,7 +109,7 @@ class MjxWarpEngine(Engine):
     @property
     def capabilities(self) -> Capability:
         """See ``Engine.capabilities``."""
-        return super().capabilities | Capability.PAUSES | Capability.STIFF_JOBS
+        return super().capabilities | Capability.PAUSES
 
     def beginnings(self, scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
         """See ``Engine.beginnings``."""

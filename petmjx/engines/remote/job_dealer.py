@@ -1,0 +1,224 @@
+"""Gives jobs to worker processes as the workers have room, and gives the jobs of dead workers out again. This module
+does not need Ray."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+PIECES: Final = 4
+"""Used for engines that simulate job after job. The expected time of the jobs that a thread may hold is the expected
+time of all waiting jobs, divided by this number and by the number of threads. So all threads end at about the same
+time, although expected times are estimates."""
+
+MOST_JOBS: Final = 64
+"""Largest number of jobs per thread of a worker whose engine simulates job after job, so that little work is lost if
+the worker dies. With a reserve, a worker may hold twice as many."""
+
+PLENTY: Final = 4
+"""Workers hold jobs in reserve while more than this number of jobs per thread is waiting. With fewer waiting jobs, a
+job in reserve might wait behind a long job while another thread is idle."""
+
+MOST_ON_DEVICE: Final = 8192
+"""Largest number of jobs of a worker whose engine simulates worlds side by side. The longest worlds of a device begin
+first, so a worker holds many more worlds than its device simulates at once."""
+
+
+@dataclass(eq=False)
+class Hand:
+    """The jobs that a worker holds.
+
+    Attributes:
+        threads: number of jobs that the worker simulates at the same time, if its engine simulates job after job.
+        ready: whether the worker can take jobs.
+        begun: whether the worker has got jobs in this run.
+        costs: number of a job → its expected time, for the jobs without an outcome.
+        suspects: number of jobs in the group of suspects that the worker got; 0 if it holds no suspects. Until all of
+            them have outcomes, the worker gets no other jobs.
+    """
+
+    threads: int = 1
+    ready: bool = False
+    begun: bool = False
+    costs: dict[int, float] = field(default_factory=dict)
+    suspects: int = 0
+
+
+@dataclass(frozen=True)
+class _Limit:
+    """How many jobs a worker may hold now: in any case ``fewest``. Up to ``most`` jobs, the worker gets further jobs
+    while their expected time in total is less than ``cost``."""
+
+    fewest: int
+    most: int
+    cost: float
+
+
+class _Waiting(NamedTuple):
+    """A waiting job. Smaller values come first: jobs that start from a state before jobs that begin with their
+    placement, and longer jobs before shorter ones."""
+
+    begins: bool
+    negated_cost: float
+    number: int
+
+
+class JobDealer:
+    """Gives jobs to workers, the longest of the waiting jobs first, until each job has an outcome or is given up. Jobs
+    that start from a state come before all others, so that few states wait in memory.
+
+    If the engine simulates job after job, a worker holds fewer jobs towards the end, down to one per thread. If the
+    engine simulates worlds side by side, all jobs are divided among the workers at once, so that all workers have the
+    same expected time to go. The share of a worker that is still starting waits for it, as long as the other workers
+    are busy. A worker then begins with ``begin_with`` jobs, unless no more jobs come.
+
+    The first death of a worker may have an outside cause, so its jobs are given out again like other jobs. Jobs whose
+    workers have died twice are *suspects*. They wait until no other jobs are left. If n suspects come from the death of
+    one worker, they are given out in groups of √n jobs, each group to a worker that holds no other job. If a worker
+    dies again, the jobs of its group are given out one by one. A job is given up if it was the only job in a worker
+    that died.
+
+    Args:
+        least: if there are fewer jobs than this number, one worker gets all jobs. None: the engine simulates job after
+            job.
+        begin_with: used with ``least``: number of jobs with which a worker begins.
+    """
+
+    def __init__(self, least: int | None = None, begin_with: int = 1) -> None:
+        self._least, self._begin_with = least, begin_with
+        self._deaths: Counter[int] = Counter()
+        self._suspects: deque[tuple[int, ...]] = deque()
+        self._pending: list[_Waiting] = []
+        """Heap of the waiting jobs."""
+        self._pending_cost = 0.0
+        self._jobs: dict[int, _Waiting] = {}
+        """Number of a job → the job as it waits, for all jobs that have no outcome and are not given up."""
+
+    @property
+    def unanswered(self) -> int:
+        """Number of jobs that have no outcome and are not given up."""
+        return len(self._jobs)
+
+    def add(self, job: int, cost: float, *, starts: bool = False, deadly: bool = False) -> None:
+        """Add a job.
+
+        Args:
+            job: number of the job.
+            cost: expected time of the job, in any unit.
+            starts: whether the job starts from a state.
+            deadly: whether the job was the only job in a worker that died, in an earlier run.
+        """
+        self._jobs[job] = _Waiting(not starts, -cost, job)
+        if deadly:
+            self._suspects.append((job,))
+        else:
+            self._wait(job)
+
+    def deal(self, hands: Sequence[Hand], *, more_come: bool) -> dict[int, list[int]]:
+        """Give waiting jobs to the workers that have room, each job to the worker with the shortest expected time.
+
+        Args:
+            hands: the jobs of all workers, also of those that are starting. The new jobs are added.
+            more_come: whether further jobs come without new outcomes.
+
+        Returns:
+            Index of a worker → numbers of its new jobs.
+        """
+        dealt = self._deal_pending(hands, more_come) if self._pending else {}
+        if not self._pending and not more_come:
+            for index, hand in enumerate(hands):
+                if self._suspects and hand.ready and not hand.costs:
+                    dealt[index] = [*self._suspects.popleft()]
+                    hand.costs = {job: -self._jobs[job].negated_cost for job in dealt[index]}
+                    hand.suspects, hand.begun = len(hand.costs), True
+        return dealt
+
+    def _deal_pending(self, hands: Sequence[Hand], more_come: bool) -> dict[int, list[int]]:
+        limits = self._limits_on_devices(hands, more_come) if self._least else self._limits_of_threads(hands)
+        dealt: dict[int, list[int]] = {}
+        # with equal times, the worker with fewer jobs gets the job
+        queue = [(sum(hands[index].costs.values()), len(hands[index].costs), index) for index in limits]
+        heapq.heapify(queue)
+        while self._pending and queue:
+            cost, n_jobs, index = queue[0]
+            limit = limits[index]
+            if n_jobs >= limit.fewest and (n_jobs >= limit.most or cost >= limit.cost):
+                heapq.heappop(queue)
+                continue
+            _, negated_cost, job = heapq.heappop(self._pending)
+            self._pending_cost = self._pending_cost + negated_cost if self._pending else 0.0
+            hands[index].costs[job] = -negated_cost
+            hands[index].begun = True
+            dealt.setdefault(index, []).append(job)
+            heapq.heapreplace(queue, (cost - negated_cost, n_jobs + 1, index))
+        return dealt
+
+    def _limits_of_threads(self, hands: Sequence[Hand]) -> dict[int, _Limit]:
+        threads = max(sum(hand.threads for hand in hands), 1)
+        times = 2 if len(self._pending) > PLENTY * threads else 1
+        share = self._pending_cost / (PIECES * threads)
+        return {
+            index: _Limit(times * hand.threads, times * hand.threads * MOST_JOBS, times * hand.threads * share)
+            for index, hand in enumerate(hands)
+            if hand.ready and not hand.suspects
+        }
+
+    def _limits_on_devices(self, hands: Sequence[Hand], more_come: bool) -> dict[int, _Limit]:
+        assert self._least is not None
+        n_jobs = len(self._pending) + sum(len(hand.costs) for hand in hands)
+        cost = self._pending_cost + sum(sum(hand.costs.values()) for hand in hands)
+        begun = sum(hand.begun for hand in hands)
+        if more_come:
+            n_workers, n_begin, fewest = len(hands), len(self._pending) // self._begin_with, self._begin_with
+        else:
+            n_workers = min(len(hands), max(begun, math.ceil(n_jobs / self._least)))
+            n_begin, fewest = n_workers - begun, 1
+        idle = [index for index, hand in enumerate(hands) if hand.ready and not hand.begun][: max(n_begin, 0)]
+        return {
+            index: _Limit(1 if hand.begun else fewest, MOST_ON_DEVICE, cost / max(n_workers, 1))
+            for index, hand in enumerate(hands)
+            if hand.ready and not hand.suspects and (hand.begun or index in idle)
+        }
+
+    def answered(self, hand: Hand, job: int) -> None:
+        """Record that a job of a worker has its outcome.
+
+        Raises:
+            KeyError: the worker does not hold the job.
+        """
+        del hand.costs[job]
+        del self._jobs[job]
+        hand.suspects = hand.suspects if hand.costs else 0
+
+    def died(self, hand: Hand) -> list[int]:
+        """Record that a worker died. Its jobs wait again, except for jobs that are given up. Returns the numbers of the
+        jobs that are given up."""
+        jobs = [*hand.costs]
+        self._deaths.update(jobs)
+        if hand.suspects == 1:
+            for job in jobs:
+                del self._jobs[job]
+            return jobs
+        once = [] if hand.suspects else [job for job in jobs if self._deaths[job] < 2]
+        for job in once:
+            self._wait(job)
+        more = [job for job in jobs if self._deaths[job] >= 2]
+        size = 1 if hand.suspects else math.isqrt(max(len(more) - 1, 0)) + 1
+        self._suspects += [tuple(more[first : first + size]) for first in range(0, len(more), size)]
+        return []
+
+    def put_back(self, hand: Hand) -> None:
+        """Record that a worker died before it started the jobs that it holds. These jobs wait again."""
+        if hand.suspects:
+            self._suspects.appendleft(tuple(hand.costs))
+            return
+        for job in hand.costs:
+            self._wait(job)
+
+    def _wait(self, job: int) -> None:
+        heapq.heappush(self._pending, self._jobs[job])
+        self._pending_cost -= self._jobs[job].negated_cost
