@@ -112,11 +112,12 @@ def with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
         return BoxSource(boxes, OWN)
     if not boxes.table.has_header:
         return BoxSource(boxes, ARRAY)
-    if any("matrix" in name or "pose" in name or "transform" in name for name in names):
-        # a box of width, height and depth may stand in a scene with y upwards
-        return BoxSource(boxes, replace(POSES, up="") if any(name.endswith("depth") for name in names) else POSES)
     if any("localposition" in name or "localscale" in name for name in plain):
         return BoxSource(boxes, replace(UNITY, name=f"Unity ({kind})"))
+    if any("matrix" in name or "pose" in name or "transform" in name for name in names):
+        # a box of width, height and depth may stand in a scene with y upwards, and so may a box with a "transform"
+        any_up = any(name.endswith("depth") or "transform." in name for name in names)
+        return BoxSource(boxes, replace(POSES, up="") if any_up else POSES)
     return BoxSource(boxes, KnownForm(kind))
 
 

@@ -176,6 +176,19 @@ def _outside(
     return corner, 0.0, "given"
 
 
+def begins_half_a_box_away(layout: Layout) -> bool:
+    """Whether a load begins, along x and y, half a box away from the corner of the deck: where it begins, a box of just
+    twice this length lies. The corner of the deck is the origin, or the origin is the middle of a known container."""
+    tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+    for axis in range(2):
+        first = int(np.argmin(layout.low[:, axis]))
+        away = float(layout.low[first, axis] - layout.size[first, axis] / 2)
+        half_deck = float(layout.container[axis] / 2)  # NaN if unknown
+        if not (abs(away) <= tolerance or abs(away + half_deck) <= tolerance):
+            return False
+    return True
+
+
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:
     """Whether two readings give the same piles, except for units, a shift, a mirror image or a turn by 90°."""
     factors = set()

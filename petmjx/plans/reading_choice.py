@@ -17,6 +17,7 @@ from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
+    begins_half_a_box_away,
     converted_share,
     deck_cost,
     density_cost,
@@ -26,7 +27,7 @@ from petmjx.plans.plausibility import (
     side_cost,
 )
 from petmjx.plans.reading_candidates import Candidate, candidates, layout_of
-from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_text
+from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, overlap_text, tie_text
 
 TIE: Final = 1.5
 """Two readings whose costs differ by less than this value are a tie. Costs behave like negative log likelihoods: a
@@ -43,6 +44,9 @@ really has odd boxes, even more boxes are odd in wrong readings."""
 _UNUSUAL: Final = 1.0
 """A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
+_SHIFTED: Final = 3.6
+"""Cost of a reading with coordinates of corners if each load begins half a box away from the corner of the deck:
+then the coordinates are probably those of centres."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -94,7 +98,8 @@ class _Judged:
 
     @property
     def cost(self) -> float:
-        return self.candidate.prior + self.layout_cost + self.units[0].cost
+        shifted = _SHIFTED * (self.candidate.anchor == "corner" and all(map(begins_half_a_box_away, self.layouts)))
+        return self.candidate.prior + self.layout_cost + self.units[0].cost + shifted
 
 
 _Sample = list[tuple[NDArray[np.int64], Mapping[str, float]]]
@@ -224,6 +229,9 @@ def choose_reading(
     if close:
         readings = [_reading(one, columns, wishes) for one in (best, *close)]
         raise AmbiguousFile(tie_text(readings, is_weak), readings[:4])
+    if _is_impossible(best, columns, wishes):
+        reading = _reading(best, columns, wishes)
+        raise AmbiguousFile(overlap_text(reading), [reading])
     units = _likely_units(best, wishes)
     readings = [_reading(best, columns, wishes, choice) for choice in units]
     if len(units) > 1:
@@ -233,6 +241,19 @@ def choose_reading(
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
+
+
+_LEAST_OVERLAPPING: Final = 6
+"""A layout is impossible only if at least this number of its boxes overlap."""
+
+
+def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
+    """Whether more than half of the boxes overlap in the most plausible reading, and neither the form nor the caller
+    says which point of a box coordinates describe."""
+    n_overlapping = best.evidence.n_overlapping
+    form = columns.source.form
+    is_said = bool(wishes.anchor or wishes.exact or (form.anchor and form.up))
+    return not is_said and n_overlapping >= _LEAST_OVERLAPPING and 2 * n_overlapping > best.evidence.n_boxes
 
 
 def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[_Judged]:

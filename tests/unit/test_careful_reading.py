@@ -264,6 +264,23 @@ def test_info_names_unused_columns_and_why_the_next_best_lost(tmp_path: Path) ->
     )
 
 
+def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
+    """The option that names the point of the boxes tells that the boxes really overlap."""
+    names = "name,corner x [mm],corner y [mm],corner z [mm],dx [mm],dy [mm],dz [mm],weight [kg]"
+    content = f"{names}\n" + "".join(f"{k},{9 * k},0,0,300,300,300,6\n" for k in range(8))
+    message = refusal(load(tmp_path, "load.csv", content))
+    assert "no reading is plausible; the best is coordinates of corners, z upwards (8 boxes overlap of 8)" in message
+    assert message.endswith("if boxes really overlap, say --anchor corner")
+    assert len(load(tmp_path, "load.csv", content, anchor="corner").plans) == 1
+
+
+def test_equal_numbers_do_not_join_boxes_with_items(tmp_path: Path) -> None:
+    """The width of all boxes is the height of an item of another order, and both tables number their rows."""
+    (tmp_path / "items.csv").write_text("nr,length,width,height,weight\n1,400,300,200,6\n2,500,300,150,5\n")
+    for boxes in ("step,x,y,z\n1,0,0,0\n2,0,0,200\n", "box,x,y,z,quux\na,0,0,0,200\nb,0,0,200,200\n"):
+        assert not load(tmp_path, "load.csv", boxes).plans
+
+
 def two_pallets(first: object, second: object, step: bool) -> list[list[object]]:
     """A table with the four boxes of ``named`` on each of two pallets."""
     boxes = named("", "sums")[:-1]
