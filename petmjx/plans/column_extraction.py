@@ -106,12 +106,21 @@ class ColumnExtraction:
         weights, and cells that name the sizes along the axes are rotations, whatever the name of their column."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
+        self.axis_columns: dict[str, int] = {}  # "x" or "y" → column of vectors along this axis of a box
         if not self.table.has_header:
             return
         kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
         for index, meaning in enumerate(self.meanings):
             cells = [row[index] for row in self.table.rows[:_READ_CELLS] if row[index] not in (None, "")]
             if not cells:
+                continue
+            words = words_of(self.table.header[index])
+            if (words[-1:] == ["origin"] or words[1:] == ["axis"]) and all(cell_triple(cell) for cell in cells):
+                if words[-1] == "origin":  # of a plane (Rhino, Grasshopper), or of a frame
+                    self.meanings[index] = ColumnMeaning("positions")
+                else:
+                    self.meanings[index] = None
+                    self.axis_columns[words[0]] = index
                 continue
             if self._has_units(index, cells):
                 self.meanings[index] = None
