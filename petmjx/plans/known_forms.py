@@ -78,6 +78,8 @@ SCENE: Final = KnownForm("a MuJoCo scene (MJCF)", "m", "kg", "centre", "z", "pla
 THREE_JS: Final = KnownForm("a three.js scene", anchor="centre", up="y", sizes="placed")
 UNITY: Final = KnownForm("Unity", up="y")
 GLTF: Final = KnownForm("a glTF scene", "m", anchor="centre", up="y", sizes="placed")
+_OWN_NAMES: Final = frozenset(("plan_id", "sequence", "article", "orientation"))
+"""Further columns of petmjx's tables. Tables of other tools may have the same names for sizes and coordinates."""
 OWN: Final = KnownForm("petmjx's table", "mm", "kg", "corner", "z", "item", "swap")
 BED_BPP: Final = KnownForm("BED-BPP", anchor="corner", up="z", sizes="item", rule="swap")
 ARRAY: Final = KnownForm("an array of numbers", anchor="corner", up="z")
@@ -108,7 +110,7 @@ def with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
         return BoxSource(boxes, BENCHMARK)
     if {"flb_coordinates[0]", "orientation"} <= names:
         return BoxSource(boxes, BED_BPP)
-    if {"length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm"} <= names:
+    if {"length_mm", "width_mm", "height_mm", "weight_kg", "x_mm", "y_mm", "z_mm"} <= names and names & _OWN_NAMES:
         return BoxSource(boxes, OWN)
     if not boxes.table.has_header:
         return BoxSource(boxes, ARRAY)

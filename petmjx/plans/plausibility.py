@@ -68,7 +68,7 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     """
     low, size = layout.low, layout.size
     tolerance = _TOLERANCE * float(np.median(size.min(axis=1)))
-    bottom = float(low[:, 2].min())
+    bottom = _floor_of(low[:, 2], tolerance)
     heights = low[:, 2] - bottom
     offset = 0.0
     if abs(bottom) > tolerance:
@@ -106,6 +106,18 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     return float(cost), origin, counts
 
 
+def _floor_of(heights: FloatArray, tolerance: float) -> float:
+    """The height of the floor: that of the lowest box. But if several boxes stand at 0, and only a few are below 0, the
+    floor is 0, and the heights of the few are wrong."""
+    n_below, n_at = int((heights < -tolerance).sum()), int((np.abs(heights) <= tolerance).sum())
+    is_few = 0 < n_below <= max(1.0, _FEW_BELOW * len(heights)) and n_at >= max(_LEAST_AT_FLOOR, n_below + 1)
+    return 0.0 if is_few else float(heights.min())
+
+
+_FEW_BELOW: Final = 0.1
+"""Largest share of boxes whose heights below the floor are errors."""
+_LEAST_AT_FLOOR: Final = 3
+"""Smallest number of boxes at height 0 that show that the floor is there."""
 _NEGATIVE: Final = 1.0
 """Cost of a reading in which corners of boxes have negative coordinates and no container is known. In such a reading,
 the origin is not a corner of the deck."""
@@ -176,17 +188,34 @@ def _outside(
     return corner, 0.0, "given"
 
 
-def begins_half_a_box_away(layout: Layout) -> bool:
-    """Whether a load begins, along x and y, half a box away from the corner of the deck: where it begins, a box of just
-    twice this length lies. The corner of the deck is the origin, or the origin is the middle of a known container."""
+def are_centres(layout: Layout, mm: float, *, far: bool = False) -> bool:
+    """Whether the near corners of boxes in a layout are probably the centres of their bases, with z or y upwards. As
+    centres, but not as corners, the load begins at a corner of the deck, or is symmetric to the origin, along both
+    level axes. The origin may be a corner of the deck, or the middle of a deck.
+
+    Args:
+        mm: millimetres of a unit of the layout.
+        far: whether the question is about the far corners and the centres of tops instead.
+    """
     tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))
-    for axis in range(2):
-        first = int(np.argmin(layout.low[:, axis]))
-        away = float(layout.low[first, axis] - layout.size[first, axis] / 2)
-        half_deck = float(layout.container[axis] / 2)  # NaN if unknown
-        if not (abs(away) <= tolerance or abs(away + half_deck) <= tolerance):
-            return False
-    return True
+    decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_PALLETS]]
+    decks += [(0.0, 0.0), *((short, long) for long, short in decks)]
+    if not np.isnan(layout.container[:2]).any():
+        decks = [(0.0, 0.0), (float(layout.container[0]), float(layout.container[1]))]
+    for level in ((0, 1), (0, 2)):
+        low, size = layout.low[:, level], layout.size[:, level]
+        extents = [
+            (begin.min(axis=0), (begin + size).max(axis=0))
+            for begin in (low, low + size / 2 if far else low - size / 2)
+        ]
+        as_corners, as_centres = (
+            bool(np.abs(begin + end).max() <= tolerance)
+            or any(float(np.abs(begin + np.array(deck) / 2).max()) <= tolerance for deck in decks)
+            for begin, end in extents
+        )
+        if as_centres and not as_corners:
+            return True
+    return False
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:

@@ -17,7 +17,7 @@ from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
-    begins_half_a_box_away,
+    are_centres,
     converted_share,
     deck_cost,
     density_cost,
@@ -45,8 +45,7 @@ _UNUSUAL: Final = 1.0
 """A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _SHIFTED: Final = 3.6
-"""Cost of a reading with coordinates of corners if each load begins half a box away from the corner of the deck:
-then the coordinates are probably those of centres."""
+"""Cost of a reading with coordinates of corners if they are probably those of centres (``are_centres``)."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -98,8 +97,11 @@ class _Judged:
 
     @property
     def cost(self) -> float:
-        shifted = _SHIFTED * (self.candidate.anchor == "corner" and all(map(begins_half_a_box_away, self.layouts)))
-        return self.candidate.prior + self.layout_cost + self.units[0].cost + shifted
+        mm, anchor = LENGTH_UNITS[self.units[0].length], self.candidate.anchor
+        shifted = anchor in ("corner", "far-corner") and all(
+            are_centres(layout, mm, far=anchor == "far-corner") for layout in self.layouts
+        )
+        return self.candidate.prior + self.layout_cost + self.units[0].cost + _SHIFTED * shifted
 
 
 _Sample = list[tuple[NDArray[np.int64], Mapping[str, float]]]

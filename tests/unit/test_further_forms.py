@@ -703,6 +703,31 @@ def test_texts_of_other_programs_are_named(text: str, kind: str, tmp_path: Path)
     assert kind in skipped.message
 
 
+def test_centres_of_bases_are_not_taken_for_corners(tmp_path: Path) -> None:
+    """Two loads from the corner of the deck, and one in its middle: no names tell that the places are those of centres
+    of bases, or of tops."""
+    for top in (0, 1):
+        for shift in ((0, 0), (600, 400)):
+            text = table(
+                f"name,x,y,z,{SIZES},mass",
+                lambda k, box, top=top, shift=shift: [
+                    NAMES[k],
+                    *(at - off for at, off in zip(centre(box)[:2], shift, strict=True)),
+                    box[2] + top * box[5],
+                    *box[3:],
+                ],
+            )
+            (plan,) = load(tmp_path, "pile.csv", text).plans
+            np.testing.assert_allclose(plan.corner_mm - plan.corner_mm.min(axis=0), np.array(PILE)[:, :3], atol=0.05)
+
+
+def test_a_height_below_the_floor_does_not_turn_the_pile(tmp_path: Path) -> None:
+    wrong = table(f"name,x,y,z,{SIZES},mass", lambda k, box: [NAMES[k], *box[:2], -310 if k == 7 else box[2], *box[3:]])
+    plan_set = load(tmp_path, "pile.csv", wrong)
+    assert "z upwards" in notes_of(plan_set)
+    assert len(plan_set.warnings) == 1
+
+
 def test_pallets_in_an_array_of_their_own(tmp_path: Path) -> None:
     pile = np.array([*PILE, *PILE], float)
     pallet = np.repeat([1, 2], len(PILE))
