@@ -115,7 +115,8 @@ class ColumnExtraction:
             if not cells:
                 continue
             words = words_of(self.table.header[index])
-            if (words[-1:] == ["origin"] or words[1:] == ["axis"]) and all(cell_triple(cell) for cell in cells):
+            is_named = words[-1:] == ["origin"] or words[1:] == ["axis"]
+            if is_named and sum(cell_triple(cell) is not None for cell in cells) * 2 > len(cells):
                 if words[-1] == "origin":  # of a plane (Rhino, Grasshopper), or of a frame
                     self.meanings[index] = ColumnMeaning("positions")
                 else:

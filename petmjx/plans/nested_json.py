@@ -400,7 +400,8 @@ _FLOORS: Final = word_set("floor ground plane boden")
 
 def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     """Fill coordinates that are 0 and not written, as in JSON of protocol buffers. Some of x, some of y and some of z
-    must be missing, and no coordinate may be written as 0. Returns a note if coordinates were filled."""
+    must be missing, some boxes must lack only a part of their coordinates, and no coordinate may be written as 0.
+    Returns a note if coordinates were filled."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     by_axis: dict[str, list[str]] = {}
     for name, meaning in zip(names, column_meanings(names), strict=True):
@@ -409,7 +410,9 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     columns = [by_axis[axis][0] for axis in "xyz" if len(by_axis.get(axis, ())) == 1]
     numbers = [[cell_number(row.get(name)) for row in flat] for name in columns]
     is_zero = any(number is not None and number.value == 0 for column in numbers for number in column)
-    if len(columns) < 3 or is_zero or not all(any(name not in row for row in flat) for name in columns):
+    n_lacking = [sum(name not in row for name in columns) for row in flat]
+    in_part = any(0 < count < 3 for count in n_lacking)  # else a box has no place at all, perhaps by mistake
+    if len(columns) < 3 or is_zero or not in_part or not all(any(name not in row for row in flat) for name in columns):
         return []
     for row in flat:
         for name in columns:

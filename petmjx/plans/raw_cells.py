@@ -233,6 +233,10 @@ _TRIPLE: Final = re.compile(r"^\s*([\d.,]+)\s*[x×X*/;|]\s*([\d.,]+)\s*[x×X*/;|
 """Three numbers in one cell: "28,0 x 20,6 x 14,1"."""
 
 
+_MANY: Final = 10
+"""If numbers with a point are this many times as many as numbers with a comma, the commas are no decimal signs."""
+
+
 def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     """The decimal sign of numbers that are stored as text. "" if the numbers do not show which sign it is, so that
     "1,200" could be 1200 or 1.2.
@@ -241,7 +245,7 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     numbers of its column have no decimals.
     """
     commas = points = 0
-    maybe = {",": False, ".": False}
+    maybe = {",": 0, ".": 0}
     long_whole = beside_whole = False
     for column in zip(*rows, strict=False):
         has_groups = grouped = False
@@ -255,7 +259,7 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
             commas += _COMMA_SURE.match(cell) is not None
             points += _POINT_SURE.match(cell) is not None
             if (match := _MAYBE.match(cell)) is not None:
-                maybe[match[1]] = True
+                maybe[match[1]] += 1
                 grouped |= match[1] == "."
             elif cell.isdigit():
                 long_whole |= len(cell) > 3
@@ -263,6 +267,8 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
         beside_whole |= has_groups and grouped
     if commas or points:
         return "," if commas > points else "."
+    if maybe["."] > _MANY * maybe[","] > 0:
+        return "."  # the commas are those of a few damaged cells
     if maybe[","]:
         return "," if long_whole and not maybe["."] else ""
     return "" if beside_whole and not long_whole else "."

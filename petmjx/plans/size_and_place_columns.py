@@ -158,8 +158,8 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
 
 
 def _still_columns(extraction: ColumnExtraction) -> set[int]:
-    """Columns of places whose cells are the same in all rows, if the columns of another object vary. They describe
-    something that all boxes have, such as the centre of a collider relative to its box ("collider.center.x")."""
+    """Columns of places whose cells are equal in nearly all rows, if the columns of another object vary. Such columns
+    describe something that all boxes have, such as the centre of a collider ("collider.center.x")."""
     header = extraction.table.header
     varying: dict[str, bool] = {}
     columns: dict[str, list[int]] = {}
@@ -168,10 +168,17 @@ def _still_columns(extraction: ColumnExtraction) -> set[int]:
             prefix = header[index].rpartition(".")[0]
             cells = extraction.cells(index)
             columns.setdefault(prefix, []).append(index)
-            varying[prefix] = varying.get(prefix, False) or any(cell != cells[0] for cell in cells)
+            most = max(map(cells.count, cells[:_COMPARED]), default=0)
+            varying[prefix] = varying.get(prefix, False) or most < _STILL * len(cells)
     if not any(varying.values()):
         return set()
     return {index for prefix, indices in columns.items() if prefix and not varying[prefix] for index in indices}
+
+
+_STILL: Final = 0.9
+"""Share of equal cells in columns of places that do not vary: a cell may be damaged."""
+_COMPARED: Final = 3
+"""Number of first cells that are compared with the others."""
 
 
 def _places_of(extraction: ColumnExtraction, indices: Sequence[int], anchor: str) -> Places:
