@@ -218,6 +218,13 @@ def are_centres(layout: Layout, mm: float, *, far: bool = False) -> bool:
     return False
 
 
+def rises_along_y_alone(layout: Layout) -> bool:
+    """Whether the boxes, in packing order, never go back along y, but go down along z."""
+    tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+    y, z = (np.diff(layout.low[:, axis]) >= -tolerance for axis in (1, 2))
+    return bool(y.all() and not z.all())
+
+
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:
     """Whether two readings give the same piles, except for units, a shift, a mirror image or a turn by 90°."""
     factors = set()

@@ -23,6 +23,7 @@ from petmjx.plans.plausibility import (
     density_cost,
     layout_cost,
     load_fit,
+    rises_along_y_alone,
     same_layouts,
     side_cost,
 )
@@ -46,6 +47,9 @@ _UNUSUAL: Final = 1.0
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _SHIFTED: Final = 3.6
 """Cost of a reading with coordinates of corners if they are probably those of centres (``are_centres``)."""
+_ON_SIDE: Final = 1.0
+"""Cost of a reading in which boxes are listed from back to front, but not from the ground up: y may be the vertical.
+The cost is that of y upwards in a file that does not name the vertical."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -101,11 +105,12 @@ class _Judged:
         shifted = anchor in ("corner", "far-corner") and all(
             are_centres(layout, mm, far=anchor == "far-corner") for layout in self.layouts
         )
-        return self.candidate.prior + self.layout_cost + self.units[0].cost + _SHIFTED * shifted
+        on_side = _ON_SIDE * all(rises_along_y_alone(layout) for layout in self.layouts)
+        return self.candidate.prior + self.layout_cost + self.units[0].cost + _SHIFTED * shifted + on_side
 
 
 _Sample = list[tuple[NDArray[np.int64], Mapping[str, float]]]
-"""The rows and the container of each plan that is used to judge readings."""
+"""The rows, in packing order, and the container of each plan that is used to judge readings."""
 
 
 def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str]) -> _Sample:
@@ -123,6 +128,8 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
     good_plans = {name: rows for name, rows in plans.items() if name not in damaged and is_good[rows].all()}
     for name, rows in (good_plans or plans).items():
         used = rows[is_good[rows]]
+        if columns.sequence is not None:
+            used = used[np.argsort(columns.sequence[used], kind="stable")]
         if len(used) and len(sample) < _MOST_PLANS and taken < _MOST_BOXES:
             sample.append((used, container_of(columns.source.boxes.containers, name)))
             taken += len(used)

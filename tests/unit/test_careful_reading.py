@@ -274,6 +274,20 @@ def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
     assert len(load(tmp_path, "load.csv", content, anchor="corner").plans) == 1
 
 
+@pytest.mark.parametrize("listed", ["by layers", "from back to front"])
+def test_the_order_of_boxes_tells_the_vertical_axis(tmp_path: Path, listed: str) -> None:
+    """A block of equal boxes stands on each of its sides. It is listed from the ground up."""
+    corners = [(370 * x, 190 * y, 240 * z) for z in range(3) for y in range(4) for x in range(3)]
+    if listed == "from back to front":
+        corners.sort(key=lambda corner: (corner[1], corner[2], corner[0]))
+    rows = "".join(f"{x},{y},{z},370,190,240,6\n" for x, y, z in corners)
+    plan_set = load(tmp_path, "load.csv", f"x [mm],y [mm],z [mm],dx [mm],dy [mm],dz [mm],weight [kg]\n{rows}")
+    if listed == "by layers":
+        assert plan_set.plans[0].corner_mm[-1].tolist() == [740, 570, 480]
+    else:
+        assert "z upwards (no box overlaps or floats of 36), or y upwards" in refusal(plan_set)
+
+
 def test_equal_numbers_do_not_join_boxes_with_items(tmp_path: Path) -> None:
     """The width of all boxes is the height of an item of another order, and both tables number their rows."""
     (tmp_path / "items.csv").write_text("nr,length,width,height,weight\n1,400,300,200,6\n2,500,300,150,5\n")
