@@ -5,6 +5,7 @@ Cells are converted to numbers. For each bad cell, an error line names the row a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
@@ -115,6 +116,9 @@ class ColumnExtraction:
             if not cells:
                 continue
             words = words_of(self.table.header[index])
+            if not kinds & {"position", "positions", "low"} and all(map(_has_named_axes, cells)):
+                self.meanings[index] = ColumnMeaning("positions")
+                continue
             is_named = words[-1:] == ["origin"] or words[1:] == ["axis"]
             if is_named and sum(cell_triple(cell) is not None for cell in cells) * 2 > len(cells):
                 if words[-1] == "origin":  # of a plane (Rhino, Grasshopper), or of a frame
@@ -315,6 +319,14 @@ class ColumnExtraction:
     def first(self, kind: str, role: str = "") -> int | None:
         """The column of a role, or else the first column with this kind of meaning; None if there is none."""
         return self.fixed[role] if role in self.fixed else next(iter(self.indices(kind)), None)
+
+
+_NAMED_AXES: Final = re.compile(r"[^a-z]*x\s*[=:].*\by\s*[=:].*\bz\s*[=:]", re.IGNORECASE)
+"""Three coordinates with the names of their axes, in one cell: "x=0 y=300 z=200"."""
+
+
+def _has_named_axes(cell: Any) -> bool:
+    return isinstance(cell, str) and _NAMED_AXES.match(cell) is not None
 
 
 def _are_quarter_turns(cells: Sequence[Any]) -> bool:

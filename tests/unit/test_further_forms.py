@@ -265,6 +265,9 @@ TABLES = {
         "box,position,size,kg",
         lambda k, box: [NAMES[k], "z={2} y={1} x={0}".format(*box), "B={4} L={3} H={5}".format(*box), box[6]],
     ),
+    "coordinates with the names of axes": table(
+        f"box,Pos,{SIZES},kg", lambda k, box: [NAMES[k], "x={} y={} z={}".format(*box), *box[3:]]
+    ),
     "corners in turns": table("X1,X2,Y1,Y2,Z1,Z2,weight", two_corners_in_turns),
     "a web page": "<html><body><table><tr>"
     + "".join(f"<th>{name}</th>" for name in ("box", *FIELDS))
