@@ -285,6 +285,7 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
         members, flat, lines = left_out(members, flat)
         notes += lines
     notes += _with_zeros(flat)
+    _mark_long_lists(flat)
     header = tuple(dict.fromkeys(name for row in flat for name in row))
     meanings = [meaning for meaning in column_meanings(header) if meaning is not None and not meaning.of_container]
     kinds = [meaning.kind for meaning in meanings]
@@ -418,6 +419,17 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
         for name in columns:
             row.setdefault(name, 0)
     return ["coordinates that are not written are 0"]
+
+
+def _mark_long_lists(flat: list[dict[str, Any]]) -> None:
+    """Replace the last number of sizes and places that are lists of four numbers by an error text, if such lists have
+    three numbers in most rows: "[38.5, 22.7, 41,6]"."""
+    names = {name for row in flat for name in row if name.endswith("[3]")}
+    for name in _named(sorted(names), ("size", "position", "low", "high")):
+        long = [row for row in flat if name in row]
+        if len(long) * 2 < len(flat):
+            for row in long:
+                row[f"{name[:-3]}[2]"] = f"{row[f'{name[:-3]}[2]']} and a further number"
 
 
 def _cell(value: Any) -> Any:

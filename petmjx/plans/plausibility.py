@@ -68,7 +68,7 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     """
     low, size = layout.low, layout.size
     tolerance = _TOLERANCE * float(np.median(size.min(axis=1)))
-    bottom = _floor_of(low[:, 2], tolerance)
+    bottom = _floor_of(low, low + size, tolerance)
     heights = low[:, 2] - bottom
     offset = 0.0
     if abs(bottom) > tolerance:
@@ -106,18 +106,23 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     return float(cost), origin, counts
 
 
-def _floor_of(heights: FloatArray, tolerance: float) -> float:
-    """The height of the floor: that of the lowest box. But if several boxes stand at 0, and only a few are below 0, the
-    floor is 0, and the heights of the few are wrong."""
-    n_below, n_at = int((heights < -tolerance).sum()), int((np.abs(heights) <= tolerance).sum())
-    is_few = 0 < n_below <= max(1.0, _FEW_BELOW * len(heights)) and n_at >= max(_LEAST_AT_FLOOR, n_below + 1)
-    return 0.0 if is_few else float(heights.min())
+def _floor_of(low: FloatArray, high: FloatArray, tolerance: float) -> float:
+    """The height of the floor: that of the lowest box. But if several boxes stand on a level, and only a few boxes are
+    lower and do not carry them, the floor is this level, and the heights of the few are wrong."""
+    bottoms = np.sort(low[:, 2])
+    for level in bottoms[1 : max(1, int(_FEW_BELOW * len(low))) + 1]:
+        below, at = low[:, 2] < level - tolerance, np.abs(low[:, 2] - level) <= tolerance
+        common = [shared_length(low[:, axis], high[:, axis])[below][:, at] > tolerance for axis in range(2)]
+        carries = common[0] & common[1] & (np.abs(high[below, 2] - level) <= tolerance)[:, None]
+        if below.any() and np.count_nonzero(~carries.any(axis=0)) >= max(_LEAST_AT_FLOOR, below.sum() + 1):
+            return float(level)
+    return float(bottoms[0])
 
 
 _FEW_BELOW: Final = 0.1
 """Largest share of boxes whose heights below the floor are errors."""
 _LEAST_AT_FLOOR: Final = 3
-"""Smallest number of boxes at height 0 that show that the floor is there."""
+"""Smallest number of boxes that stand on a level, and not on other boxes, if the level is the floor."""
 _NEGATIVE: Final = 1.0
 """Cost of a reading in which corners of boxes have negative coordinates and no container is known. In such a reading,
 the origin is not a corner of the deck."""

@@ -37,8 +37,8 @@ _FRACTION: Final = re.compile(
 )
 """A length in inches and fractions of an inch, as on a tape measure: "23 5/8", "3/4"."""
 _FEET: Final = re.compile(
-    r"^([+-]?)(\d{1,3})\s*(?:['′’]|ft\.?)[\s-]*"
-    r"(?:(?:(\d{1,2}(?:\.\d+)?)(?!/))?(?:(?:^|[\s-])*(\d{1,2})/(2|4|8|16|32|64))?\s*(?:[\"″”]|in\.?))?$",
+    r"^([+-]?)(\d{1,3})\s*(?:['′’]|ft\.?)\s*-?\s*"
+    r"(?:(?:(\d{1,2}(?:\.\d+)?)(?!/))?(?:\s*-?\s*(\d{1,2})/(2|4|8|16|32|64))?\s*(?:[\"″”]|in\.?))?$",
     re.IGNORECASE,
 )
 """A length in feet and inches: 1'-9 3/16\", 2' 3\", 5 ft."""

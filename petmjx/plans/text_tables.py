@@ -203,7 +203,9 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
                 ends = [*(begin for begin, _ in spans[1:]), None]
                 starts = [0, *(begin for begin, _ in spans[1:])]
                 cells = [line[start:end].strip() for start, end in zip(starts, ends, strict=True)]
-                moved = any(re.search(r"\d\s+\d", cell) for cell in cells)
+                moved = any(re.search(r"\d\s+\d", cell) for cell in cells) or any(
+                    re.match(r"[\d.,]{2}", line[begin - 1 : begin + 1]) for begin in starts[1:]
+                )
                 yield line.split() if moved else cells if line.strip() else []
         return
     ways = [[re.split(r"\s{2,}|\t", line.strip()) for line in lines], [line.split() for line in lines]]

@@ -724,6 +724,16 @@ def test_centres_of_bases_are_not_taken_for_corners(tmp_path: Path) -> None:
             np.testing.assert_allclose(plan.corner_mm - plan.corner_mm.min(axis=0), np.array(PILE)[:, :3], atol=0.05)
 
 
+def test_values_that_would_be_lost_in_silence_are_named(tmp_path: Path) -> None:
+    """A decimal comma in a list makes a fourth number, and a missing cell of a printed table moves the other cells."""
+    recipe = DOCUMENTS["TOML"].replace("corner = [0, 300, 300]", "corner = [0, 300, 300,5]")
+    (skipped,) = load(tmp_path, "pile.toml", recipe).skipped
+    assert 'box[6]: corner[2] must be a number, got "300 and a further number"' in skipped.message
+    report = in_pages().replace("      350", "     ")
+    (skipped,) = load(tmp_path, "pile.txt", report).skipped
+    assert "row 21: has 7 fields instead of 8" in skipped.message
+
+
 def test_a_height_below_the_floor_does_not_turn_the_pile(tmp_path: Path) -> None:
     wrong = table(f"name,x,y,z,{SIZES},mass", lambda k, box: [NAMES[k], *box[:2], -310 if k == 7 else box[2], *box[3:]])
     plan_set = load(tmp_path, "pile.csv", wrong)
