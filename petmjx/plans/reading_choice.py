@@ -89,6 +89,7 @@ class _Judged:
         layouts: the layout of each plan that is used to judge readings.
         rows: the row numbers of all boxes of the layouts.
         units: all choices of units, cheapest first. Their costs depend on which sides of the load lie on the deck.
+        order_cost: how implausible it is that the load begins where it does, and that boxes are listed in this order.
     """
 
     candidate: Candidate
@@ -98,15 +99,11 @@ class _Judged:
     layouts: tuple[Layout, ...]
     rows: NDArray[np.int64]
     units: tuple[_Units, ...] = ()
+    order_cost: float = 0.0
 
     @property
     def cost(self) -> float:
-        mm, anchor = LENGTH_UNITS[self.units[0].length], self.candidate.anchor
-        shifted = anchor in ("corner", "far-corner") and all(
-            are_centres(layout, mm, far=anchor == "far-corner") for layout in self.layouts
-        )
-        on_side = _ON_SIDE * all(rises_along_y_alone(layout) for layout in self.layouts)
-        return self.candidate.prior + self.layout_cost + self.units[0].cost + _SHIFTED * shifted + on_side
+        return self.candidate.prior + self.layout_cost + self.units[0].cost + self.order_cost
 
 
 _Sample = list[tuple[NDArray[np.int64], Mapping[str, float]]]
@@ -160,7 +157,21 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     evidence = Evidence(n_boxes, int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
     origin = max(set(origins), key=origins.count)
     judged = _Judged(candidate, sum(costs) / n_boxes, origin, evidence, tuple(layouts), all_rows)
-    return replace(judged, units=tuple(_units(judged, columns, wishes)))
+    units = tuple(_units(judged, columns, wishes))
+    return replace(judged, units=units, order_cost=_order_cost(judged, LENGTH_UNITS[units[0].length]))
+
+
+def _order_cost(judged: _Judged, mm: float) -> float:
+    """The cost of where loads begin, and of the order of boxes.
+
+    Args:
+        mm: millimetres of a unit of the layouts.
+    """
+    anchor = judged.candidate.anchor
+    shifted = anchor in ("corner", "far-corner") and all(
+        are_centres(layout, mm, far=anchor == "far-corner") for layout in judged.layouts
+    )
+    return _SHIFTED * shifted + _ON_SIDE * all(rises_along_y_alone(layout) for layout in judged.layouts)
 
 
 def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:
