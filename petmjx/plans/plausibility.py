@@ -223,6 +223,14 @@ def are_centres(layout: Layout, mm: float, *, far: bool = False) -> bool:
     return False
 
 
+def begins_half_a_box_along_y(layout: Layout) -> bool:
+    """Whether a load begins half a box away from the origin along y. If the coordinates were read as those of centres,
+    they are perhaps those of tops, with y upwards."""
+    tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+    low, size = layout.low[:, 1], layout.size[:, 1]
+    return bool(abs(float((low - size / 2).min())) <= tolerance < abs(float(low.min())))
+
+
 def rises_along_y_alone(layout: Layout) -> bool:
     """Whether the boxes, in packing order, never go back along y, but go down along z."""
     tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))

@@ -18,6 +18,7 @@ from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
     are_centres,
+    begins_half_a_box_along_y,
     converted_share,
     deck_cost,
     density_cost,
@@ -46,7 +47,8 @@ _UNUSUAL: Final = 1.0
 """A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _SHIFTED: Final = 3.6
-"""Cost of a reading with coordinates of corners if they are probably those of centres (``are_centres``)."""
+"""Cost of a reading with coordinates of corners if they are probably those of centres (``are_centres``). Half of it is
+the cost of a reading with centres that are perhaps tops, since only one axis shows this."""
 _ON_SIDE: Final = 1.0
 """Cost of a reading in which boxes are listed from back to front, but not from the ground up: y may be the vertical.
 The cost is that of y upwards in a file that does not name the vertical."""
@@ -171,7 +173,10 @@ def _order_cost(judged: _Judged, mm: float) -> float:
     shifted = anchor in ("corner", "far-corner") and all(
         are_centres(layout, mm, far=anchor == "far-corner") for layout in judged.layouts
     )
-    return _SHIFTED * shifted + _ON_SIDE * all(rises_along_y_alone(layout) for layout in judged.layouts)
+    are_tops = anchor == "centre" and all(map(begins_half_a_box_along_y, judged.layouts))
+    return _SHIFTED * (shifted + 0.5 * are_tops) + _ON_SIDE * all(
+        rises_along_y_alone(layout) for layout in judged.layouts
+    )
 
 
 def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:

@@ -288,6 +288,22 @@ def test_the_order_of_boxes_tells_the_vertical_axis(tmp_path: Path, listed: str)
         assert "z upwards (no box overlaps or floats of 36), or y upwards" in refusal(plan_set)
 
 
+def test_tops_with_y_upwards_are_not_taken_for_centres_in_silence(tmp_path: Path) -> None:
+    """As centres with z upwards, no box overlaps or floats."""
+    boxes = (
+        (193, 147, 107.5, 386, 147, 215),
+        (579, 147, 107.5, 386, 147, 215),
+        (965, 147, 107.5, 386, 147, 215),
+        (193, 147, 322.5, 386, 147, 215),
+        (579, 225, 322.5, 386, 225, 215),
+    )
+    rows = "".join(f"{','.join(map(str, box))},9\n" for box in boxes)
+    names = "x [mm],y [mm],z [mm],dx [mm],dy [mm],dz [mm],weight [kg]"
+    message = refusal(load(tmp_path, "load.csv", f"{names}\n{rows}"))
+    assert "z upwards, coordinates of centres" in message
+    assert "y upwards, coordinates of centres of tops" in message
+
+
 def test_equal_numbers_do_not_join_boxes_with_items(tmp_path: Path) -> None:
     """The width of all boxes is the height of an item of another order, and both tables number their rows."""
     (tmp_path / "items.csv").write_text("nr,length,width,height,weight\n1,400,300,200,6\n2,500,300,150,5\n")
