@@ -51,6 +51,25 @@ def foreign_kind(data: bytes | bytearray) -> str | None:
     return None
 
 
+_PROGRAMS: Final = (
+    (r"#usda\b", "is a scene in USD: save it as glTF"),
+    (r"(?:%%%.*\n)?\s*(?:&ACCESS|DEFDAT|MODULE)\s", "is a program of a robot"),
+    (r"(?:#.*\n|\s)*def \w+\(\):\s[^=]*?\b(?:movej|movel|movep|set_tcp)\(", "is a program of a robot"),
+    (r"(?:UNA|UNB\+|ISA\*)", "is an EDI message"),
+)
+"""Beginning of a text, as a pattern → the kind of the text."""
+
+
+def program_kind(text: str) -> str | None:
+    """An error text for programs, scenes and messages as text, which have no table or list of boxes; None for other
+    texts."""
+    for pattern, kind in _PROGRAMS:
+        if re.match(pattern, text[:_SNIFFED_BYTES]):
+            advice = "" if ": " in kind else ": plans are JSON, or tables of boxes with sizes and places"
+            return f"{kind}{advice}"
+    return None
+
+
 def _zip_kind(begin: bytes) -> str:
     if b"xl/" in begin or b"[Content_Types].xml" in begin:
         return f"is an Excel workbook (.xlsx): {_SAVE}"

@@ -5,6 +5,7 @@ Cells are converted to numbers. For each bad cell, an error line names the row a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
@@ -107,12 +108,25 @@ class ColumnExtraction:
         weights, and cells that name the sizes along the axes are rotations, whatever the name of their column."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
+        self.axis_columns: dict[str, int] = {}  # "x" or "y" → column of vectors along this axis of a box
         if not self.table.has_header:
             return
         kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
         for index, meaning in enumerate(self.meanings):
             cells = [row[index] for row in self.table.rows[:_READ_CELLS] if row[index] not in (None, "")]
             if not cells:
+                continue
+            words = words_of(self.table.header[index])
+            if not kinds & {"position", "positions", "low"} and all(map(_has_named_axes, cells)):
+                self.meanings[index] = ColumnMeaning("positions")
+                continue
+            is_named = words[-1:] == ["origin"] or words[1:] == ["axis"]
+            if is_named and sum(cell_triple(cell) is not None for cell in cells) * 2 > len(cells):
+                if words[-1] == "origin":  # of a plane (Rhino, Grasshopper), or of a frame
+                    self.meanings[index] = ColumnMeaning("positions")
+                else:
+                    self.meanings[index] = None
+                    self.axis_columns[words[0]] = index
                 continue
             if self._has_units(index, cells):
                 self.meanings[index] = None
@@ -323,6 +337,14 @@ class ColumnExtraction:
     def first(self, kind: str, role: str = "") -> int | None:
         """The column of a role, or else the first column with this kind of meaning; None if there is none."""
         return self.fixed[role] if role in self.fixed else next(iter(self.indices(kind)), None)
+
+
+_NAMED_AXES: Final = re.compile(r"[^a-z]*x\s*[=:].*\by\s*[=:].*\bz\s*[=:]", re.IGNORECASE)
+"""Three coordinates with the names of their axes, in one cell: "x=0 y=300 z=200"."""
+
+
+def _has_named_axes(cell: Any) -> bool:
+    return isinstance(cell, str) and _NAMED_AXES.match(cell) is not None
 
 
 def _are_quarter_turns(cells: Sequence[Any]) -> bool:

@@ -101,7 +101,7 @@ _POSITION: Final = word_set(
 )
 _LOW: Final = word_set("min minimum low lower start begin from von flb front minimal")
 _HIGH: Final = word_set("max maximum high upper end to bis rrt far maximal top")
-_CENTRE: Final = word_set(
+CENTRE_WORDS: Final = word_set(
     "center centre centers centres centroid mid middle midpoint mitte mittelpunkt zentrum schwerpunkt milieu centro "
     "centroide srodek com"
 )
@@ -123,7 +123,8 @@ _CONTAINER: Final = word_set(
 )
 PALLET_WORDS: Final = word_set(
     "pallet pallets palette paletten palet paleta pale palety palete bancale bancali pal palno palnr palletno palletid "
-    "palid lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
+    "palid lu hu su nve sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit versandelement carrier "
+    "container bin"
 )
 """Words that mean a pallet in names of columns that otherwise have no known meaning, and in types of records."""
 TITLE_WORDS: Final = PALLET_WORDS | word_set(
@@ -140,7 +141,8 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "rotation": word_set(
         "rotation rotated rotationtype rot rt orientation orient orientierung ausrichtung drehung gedreht rotacion "
         "rotazione rotacja orientacion orientazione orientacja tourne girado ruotato obrot angle winkel yaw "
-        "turned ori theta gedraaid gekanteld rotacionado virado girato volteado otoceno obrocony"
+        "turned ori theta gedraaid gekanteld rotacionado virado girato volteado otoceno obrocony gedr verdreht "
+        "giro sens"
     ),
     "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "
@@ -189,6 +191,8 @@ first rows, capital and small letters have different meanings."""
 
 _LONE: Final = {"l": "length", "w": "width", "b": "width", "h": "height", "d": "depth", "t": "depth"}
 """Letters that name a size even if no other column is named by a letter."""
+_SHORT: Final = {"lg": "length", "ht": "height"}
+"""Short words that are a size if they stand alone. In other names, they mean something else: "Prix HT"."""
 _BOX: Final = word_set(
     "box item case carton ctn outer parcel package pkg karton kiste caja colis collo placed dim size"
 )
@@ -244,6 +248,10 @@ class ColumnMeaning:
     order: tuple[str, ...] = ()
 
 
+_WEIGHTS_BY_UNIT: Final = word_set(
+    "kg kgs kilo kilos kilogram kilograms kilogramm gram grams gramm grammes gramos lb lbs pounds"
+)
+"""Units of mass that are the whole name of a column of weights."""
 _NUMBER_SIGN: Final = re.compile(r"\b[nN]\s?[°º]|№")
 
 
@@ -357,6 +365,9 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
         for base, column in halves.items():
             unit = split_unit(names[column])[1]
             meanings[column] = ColumnMeaning("size", base[1], unit if unit in LENGTH_UNITS else "", half=True)
+    if {"Lg", "lg"} <= set(bases):  # longueur and largeur
+        small = bases.index("lg")
+        meanings[small] = ColumnMeaning("size", "width", split_unit(names[small])[1])
     single = {index: base for index, base in enumerate(bases) if len(base) == 1 and base.lower() not in _AXES}
     for letters, axes in _LETTERS:
         strict = letters != tuple(letter.lower() for letter in letters)
@@ -390,6 +401,18 @@ def may_count(name: str) -> bool:
     """Whether a column with this name may hold running numbers of boxes, in any order: "N°", "Lfd. Nr.", "#",
     "Pick"."""
     return bool(_COUNTER.match(" ".join(re.findall(r"[a-z]+|#", plain_text(name.rpartition("[")[0] or name).lower()))))
+
+
+_CONTENT: Final = re.compile(
+    r"(?:/|\b(?:per|pro|je|par|por|na|w|a)[\s_])\s*(?:box|bx|case|cs|carton|ctn|cart|karton|kart|kar|kartonie|kiste|gebinde|"
+    r"caja|caixa|colis|collo|cartone|scatola|opak\w*|pack|packung|vpe|ve)\.?\s*$|^inner\b"
+)
+"""Names of columns with the number of pieces in a box: "Uds/caja", "Stück pro Karton", "units_per_case"."""
+
+
+def is_content(name: str) -> bool:
+    """Whether a column with this name has the number of pieces in each box, and not the number of boxes."""
+    return bool(_CONTENT.search(plain_text(name).lower().replace("_", " ").strip()))
 
 
 def words_of(name: str) -> list[str]:
@@ -428,10 +451,12 @@ def _meaning(name: str) -> ColumnMeaning | None:
         if meaning.kind in ("size", "sizes") and _CONTAINER.intersection(path) and not _BOX.intersection(path):
             contained = True  # "pallet.length"
         return replace(meaning, unit=length_unit, of_container=contained)
+    if len(words) == 1 and words[0] in _WEIGHTS_BY_UNIT:
+        return ColumnMeaning("weight", unit=words[0])
     kind = _kind_of(tail, path)
     if kind in (None, "weight", "density") and _quotient(name) and (of_density := density_unit(name)):
         return ColumnMeaning("density", unit=of_density)  # "Raumgewicht [kg/m³]"
-    if kind is None:
+    if kind is None or (kind == "quantity" and is_content(name)):
         return None
     if kind == "density":
         return ColumnMeaning(kind, unit=density_unit(name))
@@ -451,6 +476,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if primed:
         return ColumnMeaning("size", tail[-2], placed=True) if tail[-2] in _AXES else None
     size_word = next((size for size, names in _SIZES.items() if words & set(names.split())), None)
+    if size_word is None and len(tail) == 1:
+        size_word = _SHORT.get(last)
     if size_word is None and len(tail) == 2 and tail[0] in _BOX and last in _LONE:
         size_word = _LONE[last]
     if last == "qw" or (last == "w" and everything & {"rot", "rotation"}):
@@ -468,9 +495,9 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
             return None  # the name is an angular velocity (wx), or another kind of word
         return ColumnMeaning("size", letter, placed=last[0] in "l" or placed, half=half)
     point = re.fullmatch(
-        r"(r|rot|c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc)([xyz])", last
+        r"(r|rot|c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc|coor|coord|koord)([xyz])", last
     )
-    back = re.fullmatch(r"([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi)", last)
+    back = re.fullmatch(r"([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi|loc|coor|coord|koord)", last)
     edge = re.fullmatch(r"([xyz])([012])", "".join(tail[-2:])) if numbered or last == "0" else None
     mark, letter = (point[1], point[2]) if point else (back[2], back[1]) if back else ("", "")
     if letter:
@@ -494,7 +521,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         is_dims = bool((words | context) & (_DIMENSIONS - {"masse"}))
     if words & _CONTAINER and words & {"location", "nr", "no", "id"} and axis is None and not index:
         return None
-    is_position = bool(everything & _POSITION) or bool(everything & _CENTRE and (axis or index))
+    is_position = bool(everything & _POSITION) or bool(everything & CENTRE_WORDS and (axis or index))
     if size_word and is_position and not is_dims and not index and "left" not in words:
         return ColumnMeaning("position", size_word, anchor=_anchor_of(everything))
     if size_word and not (words & {"unit", "units", "total", "max", "min", "sum", "weight"}):
@@ -504,7 +531,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
             return ColumnMeaning("size", axis, placed=placed, half=half)
         if everything & {"rotation", "rot", "angle", "angles", "euler"}:
             return ColumnMeaning("euler", axis)
-        if len(tail) == 1 or is_position or everything & (_CENTRE | _LOW | _HIGH | BASE_WORDS):
+        if len(tail) == 1 or is_position or everything & (CENTRE_WORDS | _LOW | _HIGH | BASE_WORDS):
             if everything & _HIGH and not everything & {"left"}:
                 return ColumnMeaning("high", axis)
             kind: Kind = "low" if everything & {"min", "minimum", "low", "lower"} else "position"
@@ -512,14 +539,14 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         return ColumnMeaning("position", axis) if len(tail) <= 2 and not words & {"bin", "grid"} else None
     if index and is_dims:
         return ColumnMeaning("size", _order_axis(everything, int(index)), placed=placed, half=half)
-    if index and (is_position or everything & (_LOW | _HIGH | _CENTRE)):
+    if index and (is_position or tail == ["at"] or everything & (_LOW | _HIGH | CENTRE_WORDS)):
         if everything & {"max", "high", "upper", "end"}:
             return ColumnMeaning("high", index)
         kind = "low" if everything & {"min", "low", "lower", "start"} else "position"
         return ColumnMeaning(kind, index, anchor=_anchor_of(everything))
     if not index and words & _DIMENSIONS and is_dims:
         return ColumnMeaning("sizes", placed=placed, half=half, order=_orders(everything))
-    if not index and len(words & (_POSITION | _CENTRE)) and words & {
+    if not index and len(words & (_POSITION | CENTRE_WORDS)) and words & {
         "position", "coordinates", "koordinaten", "coords", "xyz", "location", "flb", "corner", "placement", "center",
         "centre", "coordonnees", "coordenadas", "coordinate", "wspolrzedne", "posizione", "posicion", "pozycja",
     }:  # fmt: skip
@@ -550,7 +577,7 @@ def _letters_order(letters: str) -> tuple[str, ...]:
 
 
 def _anchor_of(words: set[str]) -> str:
-    if words & _CENTRE:
+    if words & CENTRE_WORDS:
         return "base-centre" if words & BASE_WORDS else "centre"
     return "corner" if words & {"corner", "ecke", "flb", "flbcoordinates", "coin", "esquina", "angolo", "rog"} else ""
 
@@ -568,6 +595,10 @@ _FIRST: Final[tuple[Kind, ...]] = (
 """Kinds that a word decides, in the order in which they are tried: "density (kg/m3)" has a word for weights, too."""
 
 
+_AMOUNT: Final = re.compile(r"(?!mindest|max|rest|verpackung|inhalt|bestand|lager)[a-z]+(?:menge|anzahl|stuckzahl)$")
+"""German words for quantities that consist of several words: "Liefermenge", "Kartonanzahl"."""
+
+
 def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
     """The kind of a column whose name contains no axis."""
     words = set(tail)
@@ -577,7 +608,7 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
     if joined in ("fragile", "color", "colour", "farbe", "status", "level"):
         return None
     for kind in _FIRST:
-        if words & _WORDS[kind] or joined in _WORDS[kind]:
+        if words & _WORDS[kind] or joined in _WORDS[kind] or (kind == "quantity" and _AMOUNT.match(joined)):
             if kind == "sequence" and words & {"id", "no", "nr", "nummer", "number"} and "order" in words:
                 return "plan"  # order_id is the customer's order
             if kind == "quantity" and words & {"id", "nr", "no", "name"}:

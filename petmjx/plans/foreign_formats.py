@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from petmjx.common.errors import InputError
-from petmjx.common.file_kinds import foreign_kind
+from petmjx.common.file_kinds import foreign_kind, program_kind
 from petmjx.plans.column_names import words_of
-from petmjx.plans.file_formats import NoBoxes, nul_fault
+from petmjx.plans.file_formats import NoBoxes, NoGeometry, nul_fault
 from petmjx.plans.header_and_total_rows import geometric_names
 from petmjx.plans.known_forms import MOST_BYTES, BoxSource, with_known_form, with_named_units
 from petmjx.plans.nested_containers import LAYERS
@@ -21,6 +21,7 @@ from petmjx.plans.raw_tables import BoxList, RawTable, united, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
 from petmjx.plans.text_tables import decoded_text
 from petmjx.plans.workbooks import read_raw_tables, tables_of_page, value_of_xml
+from petmjx.plans.yaml_text import is_toml, is_yaml, value_of_toml, value_of_yaml
 
 
 def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
@@ -49,7 +50,7 @@ def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
         if re.search(r"<mujoco[\s>/]", start[:20_000]):
             return [source_of_scene(text)]
         return _sources_of_markup(start)
-    if start[:1] in ("{", "[") and not re.match(r"\[\s*[A-Za-z]", start):
+    if start[:1] in ("{", "[") and not re.match(r"\[+\s*[A-Za-z]", start):
         try:
             value = decoded_json(text)
         except InputError:
@@ -76,6 +77,14 @@ def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
         raise NoBoxes(kind)
     if (printed := source_of_printed(text)) is not None:
         return [printed]
+    if (kind := program_kind(start)) is not None:
+        raise NoGeometry(kind)
+    for is_kind, value_of, name in ((is_toml, value_of_toml, "TOML"), (is_yaml, value_of_yaml, "YAML")):
+        if is_kind(start):
+            sources = [with_named_units(with_known_form(boxes, name)) for boxes in box_lists(value_of(start))]
+            if sources:
+                return sources
+            raise NoGeometry(f"is {name} without a list of boxes: petmjx looks for objects with places and sizes")
     return sources_of_tables(*read_raw_tables(data))
 
 

@@ -52,8 +52,21 @@ def header_rows(rows: Sequence[tuple[Any, ...]]) -> list[int]:
         first = next((index for index, row in enumerate(rows) if any(cell is not None for cell in row)), None)
         return [] if first is None or not _heads_numbers(rows, first) else [first]
     head = counts.index(most)
+    if head + 1 < len(rows) and _completes(rows[head + 1]):
+        head += 1
     header = rows[head]
     return [index for index in range(head, len(rows)) if index == head or rows[index] == header]
+
+
+def _completes(row: Sequence[Any]) -> bool:
+    """Whether the row below a header is its second line, such as L, W, H, X, Y, Z below "Dimensions" and "Position": it
+    has no number, and at least three names of sizes or places."""
+    names = [cell if isinstance(cell, str) else "" for cell in row]
+    return len(geometric_columns(names)) >= _LEAST_BELOW and not any(map(is_number, row))
+
+
+_LEAST_BELOW: Final = 3
+"""Smallest number of names of sizes or places in the second line of a header."""
 
 
 def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
@@ -95,23 +108,28 @@ def has_places(names: Sequence[str]) -> bool:
 def with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
     """Names that include merged headings in the line above: "Position" above X, Y, Z gives "Position X"."""
     heading, joined = "", []
-    for index, name in enumerate(names):
-        cell = group[index] if index < len(group) else None
-        heading = cell_text(cell) if cell is not None else heading
-        joined.append(f"{heading} {name}".strip() if heading and name else name)
+    cells = [
+        cell_text(group[index]) if index < len(group) and group[index] is not None else ""
+        for index in range(len(names))
+    ]
+    names = [name or cell for name, cell in zip(names, cells, strict=True)]  # a name may extend over both lines
+    for name, cell in zip(names, cells, strict=True):
+        heading = cell or heading
+        joined.append(f"{heading} {name}".strip() if heading and name and name != cell else name)
     with_units = []  # a name with a known meaning gets only the unit of the heading above it
     for long, name, meaning in zip(joined, names, column_meanings(names), strict=True):
         unit = split_unit(long.removesuffix(name).strip())[1]
         with_unit = f"{name} [{unit}]" if unit and not names_unit(name) else name
-        with_units.append(long if meaning is None else with_unit)
-    return max(joined, with_units, names, key=_n_distinct)  # if several are equal, max returns the first
+        is_known = meaning is not None or column_meanings([long])[0] is None
+        with_units.append(with_unit if is_known else long)
+    return max(with_units, joined, names, key=_n_distinct)  # if several are equal, max returns the first
 
 
 def _n_distinct(names: Sequence[str]) -> int:
     return len({(meaning.kind, meaning.axis) for meaning in column_meanings(names) if meaning is not None})
 
 
-_NO_MEASURE: Final = ("", "-", "–", "°", "deg", "grad", "st", "pcs", "stk", "szt", "ud", "qty")
+_NO_MEASURE: Final = ("", "-", "#", "–", "°", "deg", "grad", "st", "pcs", "stk", "szt", "ud", "qty")
 """Units of angles and of numbers, and signs for no unit."""
 
 

@@ -20,7 +20,7 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import GROSS
 from petmjx.plans.column_extraction import IGNORED, ROLES, ColumnExtraction
-from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, split_unit, word_set, words_of
+from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, is_content, split_unit, word_set, words_of
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.order_generator import MOST_ITEMS
 from petmjx.plans.plan_fields import sparse_fault
@@ -36,6 +36,9 @@ TWO_WAYS: Final = "can be read in two ways:"
 _KINDS: Final[dict[str, Kind]] = {
     "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
 }  # fmt: skip
+_LEAST_RISING: Final = 8
+"""Whole numbers that increase from row to row, by unequal steps, are identifiers if there are at least this many: so
+many quantities are hardly sorted by chance."""
 MOST_PIECES: Final = 100_000
 """Largest number of boxes that one row of a table may stand for."""
 
@@ -54,6 +57,13 @@ _PIECES: Final = word_set(
     "boxes cartons kartons kartonanzahl cases packages colli packstucke packstuecke stuck stueck cajas bultos colis "
     "scatole kartony kartonow paczki units unit einheiten items cs ctn ctns szt pz pzas st"
 )
+_BOXES: Final = word_set(
+    "box boxes bx carton cartons karton kartons kartonanzahl case cases cs ctn ctns colli collo kolli packstucke caja "
+    "cajas bulto bultos colis scatole kartony kartonow paczki packages parcels kisten doos"
+)
+"""Words for boxes in names of columns that count boxes and not pieces."""
+_BOX: Final = word_set("box carton karton case ctn kiste caja collo colis kartonu scatola doos caixa")
+"""Words for one box in names of columns with the weight of one box."""
 _COUNTED: Final = _PIECES | word_set(
     "nb nbr nombre n no num number of ordered order total gesamt totale bestellt bestellmenge de di anz "
     "pro per commandes pedidas ordinati zamowione pick picked"
@@ -223,14 +233,20 @@ class _ItemExtraction(ColumnExtraction):
             if words & _WEIGHT and words & _TOTAL:
                 self.meanings[index] = ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "")
                 self.totals.add(index)
-            elif joined in _UNIT_WEIGHT or (words & _WEIGHT and words & {"unit", "piece", "each", "stuck", "per"}):
+            elif (
+                joined in _UNIT_WEIGHT
+                or (words & _WEIGHT and words & {"unit", "piece", "each", "stuck", "per"})
+                or (meaning is not None and meaning.kind == "weight" and words & _BOX)
+            ):
                 self.meanings[index] = ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "")
                 self.of_box.add(index)
             elif words & _LAYER and words & _PER:
                 self.meanings[index] = ColumnMeaning("quantity")
                 self.of_layer.add(index)
-            elif "quantity" not in kinds and (
-                (self._is_quantity(words, joined) and self._is_whole(index)) or self._counts_pieces(index)
+            elif (
+                "quantity" not in kinds
+                and not is_content(name)
+                and ((self._is_quantity(words, joined) and self._is_whole(index)) or self._counts_pieces(index))
             ):
                 self.meanings[index] = ColumnMeaning("quantity")
             elif ("plan" not in kinds and words & _ORDERS and words & _NUMBERED and words <= _ORDERS | _NUMBERED) or (
@@ -239,6 +255,27 @@ class _ItemExtraction(ColumnExtraction):
                 self.meanings[index] = ColumnMeaning("plan")
             elif meaning is None and (joined in _ARTICLE or (words & _TYPE and words <= _TYPE | _PIECE)):
                 self.meanings[index] = ColumnMeaning("article")
+
+    def check_pieces(self, quantity: int) -> None:
+        """Refuse a column of quantities that may count pieces, because another column has the number of pieces in each
+        box.
+
+        Raises:
+            InputError: the name of the column of quantities has no word for boxes.
+        """
+        name = self.table.header[quantity]
+        if set(words_of(name)) & _BOXES:
+            return
+        for index, content in enumerate(self.table.header):
+            if self.meanings[index] is not None or not is_content(content):
+                continue
+            numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
+            if any(number is not None and number.value > 1 for number in numbers):
+                counted, content = printable_name(name), printable_name(content)
+                raise InputError(
+                    f"{TWO_WAYS} {counted} counts boxes, or pieces ({content} of them are in a box); if it counts "
+                    f"boxes, say --columns quantity={counted}"
+                )
 
     @staticmethod
     def _is_quantity(words: set[str], joined: str) -> bool:
@@ -253,13 +290,15 @@ class _ItemExtraction(ColumnExtraction):
 
     def _is_whole(self, index: int) -> bool:
         """Whether most cells of a column are whole numbers, but no identifiers. Numbers are identifiers if they
-        increase from row to row, or are all large."""
+        increase by equal steps (10, 20, 30), if they increase over many rows, or if they are all large."""
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
         integers = [number.value for number in numbers if number is not None and number.value.is_integer()]
         if len(integers) * 2 <= len(numbers):
             return False
         steps = np.diff(integers)
-        return not (len(integers) > 2 and bool((steps > 0).all())) and min(integers) <= MOST_ITEMS
+        is_rising = len(integers) > 2 and bool((steps > 0).all())
+        is_even = is_rising and bool((steps == steps[0]).all())
+        return not is_even and not (is_rising and len(integers) >= _LEAST_RISING) and min(integers) <= MOST_ITEMS
 
     def maybe_quantity(self) -> str:
         """A column with an unknown name that may have quantities, because its cells are small whole numbers; "" if
@@ -275,7 +314,7 @@ class _ItemExtraction(ColumnExtraction):
         ):
             return ""
         for index, name in enumerate(self.table.header):
-            is_other = name in BOX_PROPERTIES or set(words_of(name)) & _NO_QUANTITY
+            is_other = name in BOX_PROPERTIES or set(words_of(name)) & _NO_QUANTITY or is_content(name)
             if self.meanings[index] is not None or index in self.taken or is_other:
                 continue
             numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
@@ -424,6 +463,7 @@ def item_columns(
         for index in work.indices("quantity", of_container=True):
             if index not in work.of_layer and work.cells(index) != cells:
                 raise work.tie("quantity", header[quantity_index], header[index])
+        work.check_pieces(quantity_index)
     layers_index = work.role("layers", "layers")
     copies = _is_of_packingsolver(header)
     quantity = layers = None

@@ -14,6 +14,7 @@ import numpy as np
 from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
+from petmjx.plans.column_names import column_meanings, word_set
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.json_reader import unpacked_bytes
 from petmjx.plans.known_forms import PACKINGSOLVER, BoxSource
@@ -22,6 +23,10 @@ from petmjx.plans.raw_tables import RawTable
 
 _MATCHED: Final = 0.9
 """A table of items belongs to the boxes if at least this share of the boxes has an item in the table."""
+_MEASURES: Final = word_set(
+    "size sizes position positions low high quaternion euler weight density volume quantity sequence"
+)
+"""Kinds of columns that cannot name the item of a box: equal numbers in them are chance."""
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
 _MOST_BESIDE: Final = 20
 """If a file of plans has only places, at most this number of files in its folder are tried as files of items."""
@@ -148,18 +153,30 @@ def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None
     return rows if alike >= _MATCHED * max(len(table.rows), 1) else None
 
 
+def _naming_columns(table: RawTable) -> list[int]:
+    """Columns that may name items: no sizes, places and weights, and no numbers of the rows."""
+    running = [str(number) for number in range(1, len(table.rows) + 1)]
+    return [
+        index
+        for index, meaning in enumerate(column_meanings(table.header))
+        if (meaning is None or meaning.kind not in _MEASURES)
+        and (len(running) < 2 or [cell_text(row[index]) for row in table.rows] != running)
+    ]
+
+
 def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
     """For each box, the row of its item. Rows are found by the pair of columns (of boxes and items) whose values agree
     best."""
     best, most = None, _MATCHED * max(len(table.rows), 1)
-    for item_column in range(len(other.header)):
+    box_columns = _naming_columns(table)
+    for item_column in _naming_columns(other):
         names: dict[str, int] = {}
         for number, row in enumerate(other.rows):
             names.setdefault(cell_text(row[item_column]), number)
         names.pop("", None)
         if len(names) < len(other.rows):
             continue
-        for box_column in range(len(table.header)):
+        for box_column in box_columns:
             rows = [names.get(cell_text(row[box_column])) for row in table.rows]
             matched = sum(row is not None for row in rows)
             text = any(not cell_text(row[box_column]).replace(".", "").isdigit() for row in table.rows[:5])

@@ -80,6 +80,8 @@ SCENE: Final = KnownForm("a MuJoCo scene (MJCF)", "m", "kg", "centre", "z", "pla
 THREE_JS: Final = KnownForm("a three.js scene", anchor="centre", up="y", sizes="placed")
 UNITY: Final = KnownForm("Unity", up="y")
 GLTF: Final = KnownForm("a glTF scene", "m", anchor="centre", up="y", sizes="placed")
+_OWN_NAMES: Final = frozenset(("plan_id", "sequence", "article", "orientation"))
+"""Further columns of petmjx's tables. Tables of other tools may have the same names for sizes and coordinates."""
 OWN: Final = KnownForm("petmjx's table", "mm", "kg", "corner", "z", "item", "swap")
 BED_BPP: Final = KnownForm("BED-BPP", anchor="corner", up="z", sizes="item", rule="swap")
 ARRAY: Final = KnownForm("an array of numbers", anchor="corner", up="z")
@@ -115,16 +117,17 @@ def _with_form_of_names(boxes: BoxList, kind: str) -> BoxSource:
         return BoxSource(boxes, BENCHMARK)
     if {"flb_coordinates[0]", "orientation"} <= names:
         return BoxSource(boxes, BED_BPP)
-    if {"length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm"} <= names:
+    if {"length_mm", "width_mm", "height_mm", "weight_kg", "x_mm", "y_mm", "z_mm"} <= names and names & _OWN_NAMES:
         return BoxSource(boxes, OWN)
     if not boxes.table.has_header:
         return BoxSource(boxes, ARRAY)
-    matrices = any(is_matrix(cell) for cell in boxes.table.rows[0]) if boxes.table.rows else False
-    if matrices or any("matrix" in name or "pose" in name or "transform" in name for name in names):
-        # a box of width, height and depth may stand in a scene with y upwards
-        return BoxSource(boxes, replace(POSES, up="") if any(name.endswith("depth") for name in names) else POSES)
     if any("localposition" in name or "localscale" in name for name in plain):
         return BoxSource(boxes, replace(UNITY, name=f"Unity ({kind})"))
+    matrices = any(is_matrix(cell) for cell in boxes.table.rows[0]) if boxes.table.rows else False
+    if matrices or any("matrix" in name or "pose" in name or "transform" in name for name in names):
+        # a box of width, height and depth may stand in a scene with y upwards, and so may a box with a "transform"
+        any_up = any(name.endswith("depth") or "transform." in name for name in names)
+        return BoxSource(boxes, replace(POSES, up="") if any_up else POSES)
     return BoxSource(boxes, KnownForm(kind))
 
 

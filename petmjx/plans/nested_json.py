@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import first_names, printable_name
+from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.box_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.column_names import column_meanings, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_names
@@ -288,8 +288,12 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     flat = [_fields_of(member) for member in members]
     for row, member in zip(flat, members, strict=True):
         row.update(fields_of_part(member))
-    members, flat, notes = _without_other_kinds(members, flat)
+    notes: list[str] = []
+    for left_out in (_without_static, _without_other_kinds, _without_floors):
+        members, flat, lines = left_out(members, flat)
+        notes += lines
     notes += _with_zeros(flat)
+    _mark_long_lists(flat)
     header = tuple(dict.fromkeys(name for row in flat for name in row))
     meanings = [meaning for meaning in column_meanings(header) if meaning is not None and not meaning.of_container]
     kinds = [meaning.kind for meaning in meanings]
@@ -354,15 +358,11 @@ _KIND_FIELDS: Final = frozenset(("event", "type", "kind", "action", "record", "o
 def _without_other_kinds(
     members: Sequence[NestedBox], flat: list[dict[str, Any]]
 ) -> tuple[Sequence[NestedBox], list[dict[str, Any]], list[str]]:
-    """The boxes among the members of a list, their fields, and notes. Other members, such as events "start" and "end",
-    are left out. A member is no box if it has no size and no place, and if a field such as ``type`` gives it a kind
-    that no box has."""
+    """The boxes among the members of a list, their fields, and notes. Other members, such as events "start" and "end"
+    or the lights of a scene, are left out. A member is no box if it has no size (or, in a list without sizes, no
+    place), and if a field such as ``type`` gives it a kind that no box has."""
     names = list(dict.fromkeys(name for row in flat for name in row))
-    geometric = {
-        name
-        for name, meaning in zip(names, column_meanings(names), strict=True)
-        if meaning is not None and meaning.kind in _GEOMETRIC and not meaning.of_container
-    }
+    geometric = _named(names, _SIZE_KINDS) or _named(names, _GEOMETRIC)
     lacking = {number for number, row in enumerate(flat) if not geometric.intersection(row)}
     if not lacking or len(lacking) == len(flat):
         return members, flat, []
@@ -370,18 +370,73 @@ def _without_other_kinds(
         others = {str(flat[number].get(name, "")) for number in lacking}
         boxes = {str(row.get(name, "")) for number, row in enumerate(flat) if number not in lacking}
         if others.isdisjoint(boxes) and "" not in others:
-            note = f"objects whose {name} is {first_names(sorted(others))} have no size and no place, and are left out"
-            kept = [number for number in range(len(flat)) if number not in lacking]
-            return [members[number] for number in kept], [flat[number] for number in kept], [note]
+            note = f"objects whose {name} is {first_names(sorted(others))} have no size, and are left out"
+            return *_but(lacking, members, flat), [note]
     return members, flat, []
 
 
-_GEOMETRIC: Final = ("size", "sizes", "position", "positions", "low", "high")
+_SIZE_KINDS: Final = ("size", "sizes", "high")
+_GEOMETRIC: Final = (*_SIZE_KINDS, "position", "positions", "low")
+
+
+def _named(names: Sequence[str], kinds: Collection[str]) -> set[str]:
+    """The names whose meaning is of one of these kinds."""
+    return {
+        name
+        for name, meaning in zip(names, column_meanings(names), strict=True)
+        if meaning is not None and meaning.kind in kinds and not meaning.of_container
+    }
+
+
+def _but(
+    others: Collection[int], members: Sequence[NestedBox], flat: list[dict[str, Any]]
+) -> tuple[Sequence[NestedBox], list[dict[str, Any]]]:
+    """The members of a list, and their fields, without some of them."""
+    kept = [number for number in range(len(flat)) if number not in others]
+    return [members[number] for number in kept], [flat[number] for number in kept]
+
+
+def _without_static(
+    members: Sequence[NestedBox], flat: list[dict[str, Any]]
+) -> tuple[Sequence[NestedBox], list[dict[str, Any]], list[str]]:
+    """The members of a list without those that a scene calls static, such as its floor and its pallet, and notes."""
+    static = {
+        number
+        for number, row in enumerate(flat)
+        if any(name.lower() in _STATIC and str(value).lower() in ("true", "1") for name, value in row.items())
+    }
+    if not static or len(static) == len(flat):
+        return members, flat, []
+    return *_but(static, members, flat), [f"{count_text(len(static), 'static object')} left out"]
+
+
+_STATIC: Final = frozenset(("static", "isstatic", "is_static"))
+"""Names of fields, in lower case, that tell whether an object of a scene can move."""
+
+
+def _without_floors(
+    members: Sequence[NestedBox], flat: list[dict[str, Any]]
+) -> tuple[Sequence[NestedBox], list[dict[str, Any]], list[str]]:
+    """The members of a list without planes that are named as a floor, and notes. A plane has a size of 0."""
+    sizes = _named(list(dict.fromkeys(name for row in flat for name in row)), _SIZE_KINDS)
+    floors = {
+        number
+        for number, row in enumerate(flat)
+        if any(row.get(name) == 0 for name in sizes)
+        and any(isinstance(value, str) and _FLOORS.intersection(words_of(value)) for value in row.values())
+    }
+    if not floors or len(floors) == len(flat):
+        return members, flat, []
+    return *_but(floors, members, flat), [f"{count_text(len(floors), 'floor')} left out"]
+
+
+_FLOORS: Final = word_set("floor ground plane boden")
 
 
 def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     """Fill coordinates that are 0 and not written, as in JSON of protocol buffers. Some of x, some of y and some of z
-    must be missing, and no coordinate may be written as 0. Returns a note if coordinates were filled."""
+    must be missing, some boxes must lack only a part of their coordinates, and no coordinate may be written as 0.
+    Returns a note if coordinates were filled."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     by_axis: dict[str, list[str]] = {}
     for name, meaning in zip(names, column_meanings(names), strict=True):
@@ -390,12 +445,25 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     columns = [by_axis[axis][0] for axis in "xyz" if len(by_axis.get(axis, ())) == 1]
     numbers = [[cell_number(row.get(name)) for row in flat] for name in columns]
     is_zero = any(number is not None and number.value == 0 for column in numbers for number in column)
-    if len(columns) < 3 or is_zero or not all(any(name not in row for row in flat) for name in columns):
+    n_lacking = [sum(name not in row for name in columns) for row in flat]
+    in_part = any(0 < count < 3 for count in n_lacking)  # else a box has no place at all, perhaps by mistake
+    if len(columns) < 3 or is_zero or not in_part or not all(any(name not in row for row in flat) for name in columns):
         return []
     for row in flat:
         for name in columns:
             row.setdefault(name, 0)
     return ["coordinates that are not written are 0"]
+
+
+def _mark_long_lists(flat: list[dict[str, Any]]) -> None:
+    """Replace the last number of sizes and places that are lists of four numbers by an error text, if such lists have
+    three numbers in most rows: "[38.5, 22.7, 41,6]"."""
+    names = {name for row in flat for name in row if name.endswith("[3]")}
+    for name in _named(sorted(names), ("size", "position", "low", "high")):
+        long = [row for row in flat if name in row]
+        if len(long) * 2 < len(flat):
+            for row in long:
+                row[f"{name[:-3]}[2]"] = f"{row[f'{name[:-3]}[2]']} and a further number"
 
 
 def _cell(value: Any) -> Any:

@@ -125,7 +125,7 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
     columns = {
         name: array
         for name, array in row_arrays.items()
-        if (array.ndim <= 2 or array.shape[1:] in ((4, 4), (3, 4))) and not _is_container(name)
+        if (array.ndim <= 2 or array.shape[1:] in ((4, 4), (3, 4))) and not _is_container(name, array)
     }
     lengths = Counter(len(array) for array in columns.values())
     if len(columns) > 1 and lengths and column_names_known(columns):
@@ -146,7 +146,7 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         return [with_known_form(BoxList(table, containers=containers), "NumPy arrays")]
     sources = []
     for name, array in row_arrays.items():
-        if _is_container(name) or array.dtype.kind not in "fiu":
+        if _is_container(name, array) or array.dtype.kind not in "fiu":
             continue
         if array.ndim == 3 and array.shape[1:] in ((4, 4), (3, 4)):
             table = _table(("matrix",), [(matrix,) for matrix in array.tolist()], name)
@@ -217,12 +217,14 @@ def _fields_of(array: Any, prefix: str = "") -> dict[str, list[Any]]:
     return fields
 
 
-def _is_container(name: str) -> bool:
-    return bool(re.search(r"bin|container|pallet", name, re.IGNORECASE)) and not re.search(r"id", name, re.IGNORECASE)
+def _is_container(name: str, array: Any) -> bool:
+    """Whether an array has the sizes of containers. An array with one number per box has the pallets of the boxes."""
+    named = re.search(r"bin|container|pallet", name, re.IGNORECASE) and not re.search(r"id", name, re.IGNORECASE)
+    return bool(named) and (array.ndim > 1 or array.size <= 3)
 
 
 def _containers_in(arrays: Mapping[str, Any]) -> dict[str, Mapping[str, float]]:
     for name, array in arrays.items():
-        if _is_container(name) and getattr(array, "size", 0) == 3:
+        if getattr(array, "size", 0) == 3 and _is_container(name, array):
             return {"": {str(axis): float(value) for axis, value in enumerate(np.ravel(array))}}
     return {}

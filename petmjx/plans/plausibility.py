@@ -68,7 +68,7 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     """
     low, size = layout.low, layout.size
     tolerance = _TOLERANCE * float(np.median(size.min(axis=1)))
-    bottom = float(low[:, 2].min())
+    bottom = _floor_of(low, low + size, tolerance)
     heights = low[:, 2] - bottom
     offset = 0.0
     if abs(bottom) > tolerance:
@@ -106,6 +106,23 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     return float(cost), origin, counts
 
 
+def _floor_of(low: FloatArray, high: FloatArray, tolerance: float) -> float:
+    """The height of the floor: that of the lowest box. But if several boxes stand on a level, and only a few boxes are
+    lower and do not carry them, the floor is this level, and the heights of the few are wrong."""
+    bottoms = np.sort(low[:, 2])
+    for level in bottoms[1 : max(1, int(_FEW_BELOW * len(low))) + 1]:
+        below, at = low[:, 2] < level - tolerance, np.abs(low[:, 2] - level) <= tolerance
+        common = [shared_length(low[:, axis], high[:, axis])[below][:, at] > tolerance for axis in range(2)]
+        carries = common[0] & common[1] & (np.abs(high[below, 2] - level) <= tolerance)[:, None]
+        if below.any() and np.count_nonzero(~carries.any(axis=0)) >= max(_LEAST_AT_FLOOR, below.sum() + 1):
+            return float(level)
+    return float(bottoms[0])
+
+
+_FEW_BELOW: Final = 0.1
+"""Largest share of boxes whose heights below the floor are errors."""
+_LEAST_AT_FLOOR: Final = 3
+"""Smallest number of boxes that stand on a level, and not on other boxes, if the level is the floor."""
 _NEGATIVE: Final = 1.0
 """Cost of a reading in which corners of boxes have negative coordinates and no container is known. In such a reading,
 the origin is not a corner of the deck."""
@@ -174,6 +191,51 @@ def _outside(
     if _odd_cost(middle, _OUTSIDE) + 0.5 < _odd_cost(corner, _OUTSIDE):
         return middle, 0.5, "middle"
     return corner, 0.0, "given"
+
+
+def are_centres(layout: Layout, mm: float, *, far: bool = False) -> bool:
+    """Whether the near corners of boxes in a layout are probably the centres of their bases, with z or y upwards. As
+    centres, but not as corners, the load begins at a corner of the deck, or is symmetric to the origin, along both
+    level axes. The origin may be a corner of the deck, or the middle of a deck.
+
+    Args:
+        mm: millimetres of a unit of the layout.
+        far: whether the question is about the far corners and the centres of tops instead.
+    """
+    tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+    decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_PALLETS]]
+    decks += [(0.0, 0.0), *((short, long) for long, short in decks)]
+    if not np.isnan(layout.container[:2]).any():
+        decks = [(0.0, 0.0), (float(layout.container[0]), float(layout.container[1]))]
+    for level in ((0, 1), (0, 2)):
+        low, size = layout.low[:, level], layout.size[:, level]
+        extents = [
+            (begin.min(axis=0), (begin + size).max(axis=0))
+            for begin in (low, low + size / 2 if far else low - size / 2)
+        ]
+        as_corners, as_centres = (
+            bool(np.abs(begin + end).max() <= tolerance)
+            or any(float(np.abs(begin + np.array(deck) / 2).max()) <= tolerance for deck in decks)
+            for begin, end in extents
+        )
+        if as_centres and not as_corners:
+            return True
+    return False
+
+
+def begins_half_a_box_along_y(layout: Layout) -> bool:
+    """Whether a load begins half a box away from the origin along y. If the coordinates were read as those of centres,
+    they are perhaps those of tops, with y upwards."""
+    tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+    low, size = layout.low[:, 1], layout.size[:, 1]
+    return bool(abs(float((low - size / 2).min())) <= tolerance < abs(float(low.min())))
+
+
+def rises_along_y_alone(layout: Layout) -> bool:
+    """Whether the boxes, in packing order, never go back along y, but go down along z."""
+    tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+    y, z = (np.diff(layout.low[:, axis]) >= -tolerance for axis in (1, 2))
+    return bool(y.all() and not z.all())
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:

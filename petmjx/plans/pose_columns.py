@@ -57,7 +57,11 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
             _check_scales(extraction, scale, matrix)
         geometry = Geometry(size, places, axes, unit, unit, columns={**columns, "pose": header[matrix]})
         return [_turned(extraction, geometry, rotations, matrix)]
-    options = _quaternions(extraction) or _angles(extraction) or _turning_matrices(extraction) if sizes else []
+    options = (
+        _quaternions(extraction) or _angles(extraction) or _turning_matrices(extraction) or _frames(extraction)
+        if sizes
+        else []
+    )
     at = places_in(extraction) if options else None
     if sizes is None or at is None:
         return []
@@ -163,6 +167,17 @@ def _turning_matrices(extraction: ColumnExtraction) -> list[_Rotations]:
         except (TypeError, ValueError):
             extraction.bad(row, index, f"must be a 3×3 matrix of numbers{bad_member(cell)}")
     return [(rotations, {"rotation": extraction.table.header[index]}, index)]
+
+
+def _frames(extraction: ColumnExtraction) -> list[_Rotations]:
+    """Rotations by the x and the y axis of each box ("X Axis", "Y Axis"), if there are columns with these vectors."""
+    indices = [extraction.axis_columns[axis] for axis in "xy" if axis in extraction.axis_columns]
+    if len(indices) < 2:
+        return []
+    x, y = (extraction.triples(index)[0] for index in indices)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        axes = [vector / np.linalg.norm(vector, axis=1, keepdims=True) for vector in (x, y, np.cross(x, y))]
+    return [(np.stack(axes, axis=2), _roles("axis", [extraction.table.header[index] for index in indices]), indices[0])]
 
 
 def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArray, index: int) -> Geometry:

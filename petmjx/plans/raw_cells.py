@@ -37,6 +37,12 @@ _FRACTION: Final = re.compile(
     r"^([+-]?)(?:(\d{1,4})[ -])?(\d{1,2})/(2|4|8|16|32|64)\s*(\"|″|in\.?|inch|inches)?$", re.IGNORECASE
 )
 """A length in inches and fractions of an inch, as on a tape measure: "23 5/8", "3/4"."""
+_FEET: Final = re.compile(
+    r"^([+-]?)(\d{1,3})\s*(?:['′’]|ft\.?)\s*-?\s*"
+    r"(?:(?:(\d{1,2}(?:\.\d+)?)(?!/))?(?:\s*-?\s*(\d{1,2})/(2|4|8|16|32|64))?\s*(?:[\"″”]|in\.?))?$",
+    re.IGNORECASE,
+)
+"""A length in feet and inches: 1'-9 3/16\", 2' 3\", 5 ft."""
 _LONGEST_NUMBER: Final = 60
 
 
@@ -60,6 +66,9 @@ def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
     if "/" in text and (fraction := _FRACTION.match(text)) is not None:
         value = int(fraction[2] or 0) + int(fraction[3]) / int(fraction[4])
         return CellNumber(-value if fraction[1] == "-" else value, "in" if fraction[5] else "")
+    if ("'" in text or "′" in text or "’" in text or "f" in text) and (feet := _FEET.match(text)) is not None:
+        value = 12 * int(feet[2]) + float(feet[3] or 0) + (int(feet[4]) / int(feet[5]) if feet[4] else 0.0)
+        return CellNumber(-value if feet[1] == "-" else value, "in")
     if (wrapped := _DECIMAL_REPR.match(text)) is not None:
         text, decimal = wrapped[1].strip(), "."
     unit = ""
@@ -228,6 +237,14 @@ def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: b
     return faults
 
 
+_TRIPLE: Final = re.compile(r"^\s*([\d.,]+)\s*[x×X*/;|]\s*([\d.,]+)\s*[x×X*/;|]\s*([\d.,]+)")
+"""Three numbers in one cell: "28,0 x 20,6 x 14,1"."""
+
+
+_MANY: Final = 10
+"""If numbers with a point are this many times as many as numbers with a comma, the commas are no decimal signs."""
+
+
 def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     """The decimal sign of numbers that are stored as text. "" if the numbers do not show which sign it is, so that
     "1,200" could be 1200 or 1.2.
@@ -236,17 +253,21 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     numbers of its column have no decimals.
     """
     commas = points = 0
-    maybe = {",": False, ".": False}
+    maybe = {",": 0, ".": 0}
     long_whole = beside_whole = False
     for column in zip(*rows, strict=False):
         has_groups = grouped = False
         for cell in column:
             if not isinstance(cell, str) or len(cell) >= 40:
                 continue
+            if (triple := _TRIPLE.match(cell)) is not None:
+                commas += any(map(_COMMA_SURE.match, triple.groups()))
+                points += any(map(_POINT_SURE.match, triple.groups()))
+                continue
             commas += _COMMA_SURE.match(cell) is not None
             points += _POINT_SURE.match(cell) is not None
             if (match := _MAYBE.match(cell)) is not None:
-                maybe[match[1]] = True
+                maybe[match[1]] += 1
                 grouped |= match[1] == "."
             elif cell.isdigit():
                 long_whole |= len(cell) > 3
@@ -254,6 +275,8 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
         beside_whole |= has_groups and grouped
     if commas or points:
         return "," if commas > points else "."
+    if maybe["."] > _MANY * maybe[","] > 0:
+        return "."  # the commas are those of a few damaged cells
     if maybe[","]:
         return "," if long_whole and not maybe["."] else ""
     return "" if beside_whole and not long_whole else "."

@@ -124,9 +124,25 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     named_axis = form.up or geometry.named_up
     if named_axis:
         return [(up, 0.0 if up == named_axis else _FIRM) for up in ("z", "y")]
+    if geometry.turn is not None and (axis := _turning_axis(geometry.turn)):
+        return [(up, 0.0 if up == axis else _FIRM) for up in ("z", "y")]
     if form.rule == "py3dbp" or set(geometry.axes) == {"width", "height", "depth"}:
         return [("z", 0.2), ("y", 0.2)]
     return [("z", 0.0), ("y", 1.0)]
+
+
+def _turning_axis(turn: FloatArray) -> str:
+    """The axis about which boxes are turned, "y" or "z", if all turned boxes are turned about it. Boxes of a pile are
+    turned about the vertical. "" if no box is turned, or boxes are turned about several axes.
+
+    Args:
+        turn: (n, 3, 3) absolute values of rotation matrices.
+    """
+    is_turned = np.isfinite(turn).all(axis=(1, 2)) & (turn != np.eye(3)).any(axis=(1, 2))
+    if not is_turned.any():
+        return ""
+    fixed = [bool((turn[is_turned, axis, axis] == 1).all()) for axis in range(3)]
+    return "y" if fixed == [False, True, False] else "z" if fixed == [False, False, True] else ""
 
 
 def _pairs(

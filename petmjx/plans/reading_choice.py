@@ -17,16 +17,19 @@ from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
+    are_centres,
+    begins_half_a_box_along_y,
     converted_share,
     deck_cost,
     density_cost,
     layout_cost,
     load_fit,
+    rises_along_y_alone,
     same_layouts,
     side_cost,
 )
 from petmjx.plans.reading_candidates import Candidate, candidates, layout_of
-from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_text
+from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, overlap_text, tie_text
 
 TIE: Final = 1.5
 """Two readings whose costs differ by less than this value are a tie. Costs behave like negative log likelihoods: a
@@ -43,6 +46,12 @@ really has odd boxes, even more boxes are odd in wrong readings."""
 _UNUSUAL: Final = 1.0
 """A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
+_SHIFTED: Final = 3.6
+"""Cost of a reading with coordinates of corners if they are probably those of centres (``are_centres``). Half of it is
+the cost of a reading with centres that are perhaps tops, since only one axis shows this."""
+_ON_SIDE: Final = 1.0
+"""Cost of a reading in which boxes are listed from back to front, but not from the ground up: y may be the vertical.
+The cost is that of y upwards in a file that does not name the vertical."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -82,6 +91,7 @@ class _Judged:
         layouts: the layout of each plan that is used to judge readings.
         rows: the row numbers of all boxes of the layouts.
         units: all choices of units, cheapest first. Their costs depend on which sides of the load lie on the deck.
+        order_cost: how implausible it is that the load begins where it does, and that boxes are listed in this order.
     """
 
     candidate: Candidate
@@ -91,14 +101,15 @@ class _Judged:
     layouts: tuple[Layout, ...]
     rows: NDArray[np.int64]
     units: tuple[_Units, ...] = ()
+    order_cost: float = 0.0
 
     @property
     def cost(self) -> float:
-        return self.candidate.prior + self.layout_cost + self.units[0].cost
+        return self.candidate.prior + self.layout_cost + self.units[0].cost + self.order_cost
 
 
 _Sample = list[tuple[NDArray[np.int64], Mapping[str, float]]]
-"""The rows and the container of each plan that is used to judge readings."""
+"""The rows, in packing order, and the container of each plan that is used to judge readings."""
 
 
 def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str]) -> _Sample:
@@ -116,6 +127,8 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
     good_plans = {name: rows for name, rows in plans.items() if name not in damaged and is_good[rows].all()}
     for name, rows in (good_plans or plans).items():
         used = rows[is_good[rows]]
+        if columns.sequence is not None:
+            used = used[np.argsort(columns.sequence[used], kind="stable")]
         if len(used) and len(sample) < _MOST_PLANS and taken < _MOST_BOXES:
             sample.append((used, container_of(columns.source.boxes.containers, name)))
             taken += len(used)
@@ -146,7 +159,24 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     evidence = Evidence(n_boxes, int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
     origin = max(set(origins), key=origins.count)
     judged = _Judged(candidate, sum(costs) / n_boxes, origin, evidence, tuple(layouts), all_rows)
-    return replace(judged, units=tuple(_units(judged, columns, wishes)))
+    units = tuple(_units(judged, columns, wishes))
+    return replace(judged, units=units, order_cost=_order_cost(judged, LENGTH_UNITS[units[0].length]))
+
+
+def _order_cost(judged: _Judged, mm: float) -> float:
+    """The cost of where loads begin, and of the order of boxes.
+
+    Args:
+        mm: millimetres of a unit of the layouts.
+    """
+    anchor = judged.candidate.anchor
+    shifted = anchor in ("corner", "far-corner") and all(
+        are_centres(layout, mm, far=anchor == "far-corner") for layout in judged.layouts
+    )
+    are_tops = anchor == "centre" and all(map(begins_half_a_box_along_y, judged.layouts))
+    return _SHIFTED * (shifted + 0.5 * are_tops) + _ON_SIDE * all(
+        rises_along_y_alone(layout) for layout in judged.layouts
+    )
 
 
 def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:
@@ -224,6 +254,9 @@ def choose_reading(
     if close:
         readings = [_reading(one, columns, wishes) for one in (best, *close)]
         raise AmbiguousFile(tie_text(readings, is_weak), readings[:4])
+    if _is_impossible(best, columns, wishes):
+        reading = _reading(best, columns, wishes)
+        raise AmbiguousFile(overlap_text(reading), [reading])
     units = _likely_units(best, wishes)
     readings = [_reading(best, columns, wishes, choice) for choice in units]
     if len(units) > 1:
@@ -233,6 +266,19 @@ def choose_reading(
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
+
+
+_LEAST_OVERLAPPING: Final = 6
+"""A layout is impossible only if at least this number of its boxes overlap."""
+
+
+def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
+    """Whether more than half of the boxes overlap in the most plausible reading, and neither the form nor the caller
+    says which point of a box coordinates describe."""
+    n_overlapping = best.evidence.n_overlapping
+    form = columns.source.form
+    is_said = bool(wishes.anchor or wishes.exact or (form.anchor and form.up))
+    return not is_said and n_overlapping >= _LEAST_OVERLAPPING and 2 * n_overlapping > best.evidence.n_boxes
 
 
 def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[_Judged]:

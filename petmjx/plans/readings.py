@@ -259,6 +259,15 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     return f"{reason} {ways}; say which with {options}, or with --as FILE.toml"
 
 
+def overlap_text(reading: Reading) -> str:
+    """The line about a file in whose most plausible reading most boxes overlap."""
+    return (
+        f"no reading is plausible; the best is coordinates of {_ANCHOR_WORDS[reading.anchor]}, {reading.up} upwards "
+        f"({reading.evidence}); if the file has several pallets, name their column with --columns plan=NAME; if boxes "
+        f"really overlap, say --anchor {reading.anchor}"
+    )
+
+
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
 """Function that asks the user which reading of a file is right. Its arguments are the name of the file and the possible
 readings. The function returns the right reading, or None if the user does not know. If None is given instead of a

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, ColumnExtraction, role_of
-from petmjx.plans.column_names import BASE_WORDS, LENGTH_UNITS, word_set, words_of
+from petmjx.plans.column_names import BASE_WORDS, CENTRE_WORDS, LENGTH_UNITS, word_set, words_of
 from petmjx.plans.turn_columns import Turns
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
@@ -23,6 +23,9 @@ _SIZE_SETS: Final = (
 _GOALS: Final = word_set("to bis top")
 """Words such as "to". Beside columns of near corners ("from"), a column with such a word has the far corners; alone, it
 may describe any point of the box."""
+_FAR_SIDES: Final = word_set("right back rear far rechts hinten droite arriere derecha destra")
+"""Words for the sides of a box that are far from the origin. "back_right_top" is the far corner, whereas "top" alone
+may be any point of the top."""
 _PICKED: Final = word_set("pick picked grasp source from")
 """Words in the names of columns that hold the places from which a robot takes boxes."""
 
@@ -118,9 +121,12 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
         return Places(values, unit, "", {"position": header[fixed["position"]]})
     if all(axis in fixed for axis in XYZ):
         return _places_of(extraction, [fixed[axis] for axis in XYZ], "")
+    still = _still_columns(extraction)
     by_anchor: dict[str, dict[str, list[int]]] = {}
     for index, meaning in enumerate(extraction.meanings):
         if meaning is None or meaning.kind not in ("position", "low") or meaning.of_container:
+            continue
+        if index in still:
             continue
         anchor = meaning.anchor or ("corner" if meaning.kind == "low" else "")
         axis = _ON_AXES.get(meaning.axis, meaning.axis)
@@ -145,8 +151,34 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
     far = {_ON_AXES.get(axis, axis): columns[0] for axis, columns in extraction.columns_of("high").items()}
     if not all(axis in far for axis in XYZ):
         return None
-    is_goal = any(_GOALS.intersection(words_of(header[far[axis]])) for axis in XYZ)
-    return _places_of(extraction, [far[axis] for axis in XYZ], "" if is_goal else "far-corner")
+    words = {word for axis in XYZ for word in words_of(header[far[axis]])}
+    is_goal = bool(words & _GOALS) and not words & _FAR_SIDES
+    anchor = "top-centre" if words & CENTRE_WORDS else "" if is_goal else "far-corner"
+    return _places_of(extraction, [far[axis] for axis in XYZ], anchor)
+
+
+def _still_columns(extraction: ColumnExtraction) -> set[int]:
+    """Columns of places whose cells are equal in nearly all rows, if the columns of another object vary. Such columns
+    describe something that all boxes have, such as the centre of a collider ("collider.center.x")."""
+    header = extraction.table.header
+    varying: dict[str, bool] = {}
+    columns: dict[str, list[int]] = {}
+    for index, meaning in enumerate(extraction.meanings):
+        if meaning is not None and meaning.kind in ("position", "low") and not meaning.of_container:
+            prefix = header[index].rpartition(".")[0]
+            cells = extraction.cells(index)
+            columns.setdefault(prefix, []).append(index)
+            most = max(map(cells.count, cells[:_COMPARED]), default=0)
+            varying[prefix] = varying.get(prefix, False) or most < _STILL * len(cells)
+    if not any(varying.values()):
+        return set()
+    return {index for prefix, indices in columns.items() if prefix and not varying[prefix] for index in indices}
+
+
+_STILL: Final = 0.9
+"""Share of equal cells in columns of places that do not vary: a cell may be damaged."""
+_COMPARED: Final = 3
+"""Number of first cells that are compared with the others."""
 
 
 def _places_of(extraction: ColumnExtraction, indices: Sequence[int], anchor: str) -> Places:

@@ -101,7 +101,7 @@ def _table_below(
     if filled == 1 and group[0] is not None and not geometric_columns([cell_text(group[0])]):
         filled = 0  # a title or a comment above the table, not a heading of its columns
     if (filled >= 1 and count_known_names(rows[head]) < len(names)) or (filled > 1 and not has_places(names)):
-        names = with_groups(names, group)
+        names = with_groups([*names, *_unnamed_below(rows, head, len(names))], group)
     first = head + 1
     if first < end and any(rows[first]) and all(cell is None or is_unit_cell(cell) for cell in rows[first]):
         names = [
@@ -123,6 +123,16 @@ def _table_below(
         own_lost = lost if number == 1 else ()
         tables.append(RawTable(header, body, places, decimal, title, above, own_lost, tuple(notes), part=label))
     return tables or [RawTable(header, [], [], ".", title, above, lost, tuple(notes))], trailing if more else []
+
+
+def _unnamed_below(rows: Sequence[tuple[Any, ...]], head: int, width: int) -> list[str]:
+    """Empty names for the columns behind the last name of a header, if the line above names them and the row below has
+    values in them: a name may extend over both lines of a header."""
+    group, below = rows[head - 1], rows[head + 1] if head + 1 < len(rows) else ()
+    count = 0
+    while width + count < min(len(group), len(below)) and group[width + count] and below[width + count] is not None:
+        count += 1
+    return [""] * count
 
 
 _Section = tuple[str, list[tuple[tuple[Any, ...], str]]]

@@ -82,6 +82,7 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     lost: list[tuple[str, str]] = []
     if text.count('"') % 2:
         text = _without_unclosed(text, lost, begin)
+    text = _without_page_heads(text)
     if delimiter is None:
         delimiter = _delimiter_of(text)
     if delimiter not in (",", "\t"):
@@ -96,6 +97,39 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     return [replace(table, notes=(*notes, *table.notes)) for table in tables]
 
 
+_PAGE: Final = re.compile(
+    r"\b(?:page|pag|pagina|página|pág|seite|blatt|strona|str)\b[.:]?\s*\d+(?:\s*(?:of|/|von|de|di|z|sur)\s*\d+)?",
+    re.IGNORECASE,
+)
+"""The number of a page in a printed report: "Page 2 of 3"."""
+
+
+def _without_page_heads(text: str) -> str:
+    """The text of a printed report in which the heads of all pages but the first are replaced by empty lines. The head
+    of a page has the number of the page, and the same lines as the head of the first page."""
+    if _PAGE.search(text[:_LONGEST_HEAD]) is None:
+        return text
+    lines = text.split("\n")
+    plain = [_PAGE.sub("", line).strip() for line in lines]
+    counts = Counter(plain)
+    first = next(index for index, line in enumerate(lines) if _PAGE.search(line))
+    end = next((index for index in range(first, len(lines)) if counts[plain[index]] < 2), len(lines))
+    head = {*plain[:end], ""}
+    if end == len(lines):
+        return text
+    begin = None
+    for index in range(end, len(lines) + 1):
+        if index < len(lines) and plain[index] in head:
+            begin = index if begin is None else begin
+            continue
+        if begin is not None and any(map(_PAGE.search, lines[begin:index])):
+            lines[begin:index] = [""] * (index - begin)
+        begin = None
+    return "\n".join(lines)
+
+
+_LONGEST_HEAD: Final = 5_000
+"""Number of characters at the beginning of a text in which the head of the first page must be."""
 _BOX_DRAWING: Final = str.maketrans(
     {
         **dict.fromkeys("│┃║┆", "|"),
@@ -159,16 +193,20 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
     rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
     if rule is not None:
         spans = [match.span() for match in re.finditer(r"[-=]{2,}", lines[rule])]
+        above = next((count for count in range(rule) if not lines[rule - 1 - count].strip()), rule)
+        head = rule - (above if above <= _MOST_HEADER_LINES else 1)
         for index, line in enumerate(lines):
             if _RULE.match(line):
                 yield []
-            elif index < rule - 1:
+            elif index < head:
                 yield line.split()
             else:
                 ends = [*(begin for begin, _ in spans[1:]), None]
                 starts = [0, *(begin for begin, _ in spans[1:])]
                 cells = [line[start:end].strip() for start, end in zip(starts, ends, strict=True)]
-                moved = any(re.search(r"\d\s+\d", cell) for cell in cells)
+                moved = any(re.search(r"\d\s+\d", cell) for cell in cells) or any(
+                    re.match(r"[\d.,]{2}", line[begin - 1 : begin + 1]) for begin in starts[1:]
+                )
                 yield line.split() if moved else cells if line.strip() else []
         return
     ways = [[re.split(r"\s{2,}|\t", line.strip()) for line in lines], [line.split() for line in lines]]
@@ -188,6 +226,9 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
     yield from rows
 
 
+_MOST_HEADER_LINES: Final = 2
+"""Most lines of a header above its line of dashes: names, and units below them. If there are more lines without a blank
+line between them, only the last one is the header."""
 _LEAST_TABS: Final = 2
 """Fewest tabs of a line that count as separators: fields are separated by tabs if all lines have equally many tabs, and
 at least this many."""

@@ -264,6 +264,53 @@ def test_info_names_unused_columns_and_why_the_next_best_lost(tmp_path: Path) ->
     )
 
 
+def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
+    """The option that names the point of the boxes tells that the boxes really overlap."""
+    names = "name,corner x [mm],corner y [mm],corner z [mm],dx [mm],dy [mm],dz [mm],weight [kg]"
+    content = f"{names}\n" + "".join(f"{k},{9 * k},0,0,300,300,300,6\n" for k in range(8))
+    message = refusal(load(tmp_path, "load.csv", content))
+    assert "no reading is plausible; the best is coordinates of corners, z upwards (8 boxes overlap of 8)" in message
+    assert message.endswith("if boxes really overlap, say --anchor corner")
+    assert len(load(tmp_path, "load.csv", content, anchor="corner").plans) == 1
+
+
+@pytest.mark.parametrize("listed", ["by layers", "from back to front"])
+def test_the_order_of_boxes_tells_the_vertical_axis(tmp_path: Path, listed: str) -> None:
+    """A block of equal boxes stands on each of its sides. It is listed from the ground up."""
+    corners = [(370 * x, 190 * y, 240 * z) for z in range(3) for y in range(4) for x in range(3)]
+    if listed == "from back to front":
+        corners.sort(key=lambda corner: (corner[1], corner[2], corner[0]))
+    rows = "".join(f"{x},{y},{z},370,190,240,6\n" for x, y, z in corners)
+    plan_set = load(tmp_path, "load.csv", f"x [mm],y [mm],z [mm],dx [mm],dy [mm],dz [mm],weight [kg]\n{rows}")
+    if listed == "by layers":
+        assert plan_set.plans[0].corner_mm[-1].tolist() == [740, 570, 480]
+    else:
+        assert "z upwards (no box overlaps or floats of 36), or y upwards" in refusal(plan_set)
+
+
+def test_tops_with_y_upwards_are_not_taken_for_centres_in_silence(tmp_path: Path) -> None:
+    """As centres with z upwards, no box overlaps or floats."""
+    boxes = (
+        (193, 147, 107.5, 386, 147, 215),
+        (579, 147, 107.5, 386, 147, 215),
+        (965, 147, 107.5, 386, 147, 215),
+        (193, 147, 322.5, 386, 147, 215),
+        (579, 225, 322.5, 386, 225, 215),
+    )
+    rows = "".join(f"{','.join(map(str, box))},9\n" for box in boxes)
+    names = "x [mm],y [mm],z [mm],dx [mm],dy [mm],dz [mm],weight [kg]"
+    message = refusal(load(tmp_path, "load.csv", f"{names}\n{rows}"))
+    assert "z upwards, coordinates of centres" in message
+    assert "y upwards, coordinates of centres of tops" in message
+
+
+def test_equal_numbers_do_not_join_boxes_with_items(tmp_path: Path) -> None:
+    """The width of all boxes is the height of an item of another order, and both tables number their rows."""
+    (tmp_path / "items.csv").write_text("nr,length,width,height,weight\n1,400,300,200,6\n2,500,300,150,5\n")
+    for boxes in ("step,x,y,z\n1,0,0,0\n2,0,0,200\n", "box,x,y,z,quux\na,0,0,0,200\nb,0,0,200,200\n"):
+        assert not load(tmp_path, "load.csv", boxes).plans
+
+
 def two_pallets(first: object, second: object, step: bool) -> list[list[object]]:
     """A table with the four boxes of ``named`` on each of two pallets."""
     boxes = named("", "sums")[:-1]

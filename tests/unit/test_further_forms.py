@@ -111,6 +111,20 @@ def far_corners(number: int, box: list[float]) -> list[Any]:
     return [box[axis] + box[axis + 3] for axis in range(3)] + box[3:]
 
 
+def in_feet(number: int, box: list[float]) -> list[Any]:
+    lengths = [f"{value / 304.8 // 1:.0f}'-{value / 25.4 % 12:.4f}\"" for value in box[:6]]
+    return [NAMES[number], *lengths, box[6] / 0.45359237]
+
+
+def in_pages() -> str:
+    """A printed report of two pages, each with its head."""
+    head = "LOAD REPORT      Page {} of 2\nCustomer: A\n\n" + "  ".join(name.rjust(7) for name in ("box", *FIELDS))
+    head += "\n" + "  ".join(unit.rjust(7) for unit in ("#", *["(mm)"] * 6, "(kg)"))
+    head += "\n" + "  ".join("-" * 7 for _ in range(8)) + "\n"
+    lines = ["  ".join(str(cell).rjust(7) for cell in named(k, list(box))) + "\n" for k, box in enumerate(PILE)]
+    return head.format(1) + "".join(lines[:5]) + "\n\f" + head.format(2) + "".join(lines[5:]) + "\nTotal boxes: 8\n"
+
+
 def two_corners_in_turns(number: int, box: list[float]) -> list[Any]:
     return [value for axis in range(3) for value in (box[axis], box[axis] + box[axis + 3])] + [box[6]]
 
@@ -124,6 +138,26 @@ TABLES = {
     ),
     "Portuguese": table("Caixa,X,Y,Z,Comprimento,Largura,Altura,Peso", named, mark=";"),
     "Dutch": table("Doos,X,Y,Z,Lengte,Breedte,Hoogte,Gewicht", named, mark=";"),
+    "planes of boxes": table(
+        "Index;Plane Origin;X Axis;Y Axis;Box Size;Mass".replace(";", ","),
+        lambda k, box: [
+            NAMES[k],
+            '"{{{}, {}, {}}}"'.format(*centre(box)[:2], box[2]),
+            '"{0, 1, 0}"' if TURNED[k] else '"{1, 0, 0}"',
+            '"{-1, 0, 0}"' if TURNED[k] else '"{0, 1, 0}"',
+            '"{{{}, {}, {}}}"'.format(*before_turn(k, box)),
+            box[6],
+        ],
+    ),
+    "short French words": table("Colis,X,Y,Z,Lg (mm),lg (mm),Ht (mm),Poids", named, mark=";"),
+    "words for coordinates": table(f"box,xcoor,ycoor,zcoor,{SIZES},kg", named),
+    "feet and inches": table(f"box,x,y,z,{SIZES},weight (lb)", in_feet),
+    "two lines of a header": table(
+        ",L,W,H,(kg),X,Y,Z,",
+        lambda k, box: [NAMES[k], *box[3:6], box[6], *box[:3], "no"],
+        above="Box,Dimensions (mm),,,Weight,Position (mm),,,Tilted\n",
+    ),
+    "pages of a report": in_pages(),
     "units in camel case": table("boxId,posXmm,posYmm,posZmm,sizeXmm,sizeYmm,sizeZmm,massGrams",
                                  lambda k, box: [NAMES[k], *box[:6], 1000 * box[6]]),
     "comments above": table(f"box,x,y,z,{SIZES},weight", named, above="# by Packer 3\n# pallet: 1200 x 800\n"),
@@ -233,6 +267,9 @@ TABLES = {
     "letters in cells": table(
         "box,position,size,kg",
         lambda k, box: [NAMES[k], "z={2} y={1} x={0}".format(*box), "B={4} L={3} H={5}".format(*box), box[6]],
+    ),
+    "coordinates with the names of axes": table(
+        f"box,Pos,{SIZES},kg", lambda k, box: [NAMES[k], "x={} y={} z={}".format(*box), *box[3:]]
     ),
     "corners in turns": table("X1,X2,Y1,Y2,Z1,Z2,weight", two_corners_in_turns),
     "a web page": "<html><body><table><tr>"
@@ -456,7 +493,44 @@ def with_units() -> Any:
     return {"units": {"length": "in", "weight": "lb"}, "boxes": boxes}
 
 
+def in_engine(box: list[float]) -> dict[str, Any]:
+    """An object of a game engine: y upwards, turned about y, with a collider whose centre is relative to the object."""
+    at, size = upwards_y(box)
+    quarter = {"x": 0.0, "y": math.sqrt(0.5), "z": 0.0, "w": math.sqrt(0.5)}
+    zero, one = dict.fromkeys("xyz", 0.0), dict.fromkeys("xyz", 1.0)
+    transform = {"position": dict(zip("xyz", at, strict=True)), "rotation": quarter, "localScale": one}
+    collider = {"center": zero, "size": dict(zip("xyz", size, strict=True))}
+    return {"transform": transform, "boxCollider": collider, "rigidbody": {"mass": box[6]}}
+
+
+def in_a_scene() -> list[dict[str, Any]]:
+    """Boxes among the other objects of a scene."""
+    boxes = boxes_by(
+        lambda box: {"type": "MESH", "location": centre(box), "dimensions": box[3:6], "mass": box[6]}, "name"
+    )
+    lamp = {"name": "Lamp", "type": "LIGHT", "location": [4, 1, 6]}
+    floor = {"name": "Floor", "type": "MESH", "location": [0, 0, 0], "dimensions": [9000, 9000, 0]}
+    pallet = {"name": "A", "type": "MESH", "location": [600, 400, -72], "dimensions": [1200, 800, 144], "static": True}
+    return [lamp, floor, pallet, *boxes]
+
+
 DOCUMENTS = {
+    "objects of a game engine": {"items": boxes_by(in_engine, "prefab")},
+    "other objects of a scene": {"objects": in_a_scene()},
+    "YAML": "# a recipe\npallet: {length: 1200, width: 800}\nlayers:\n" + "".join(
+        f"- z: {z}\n  boxes:\n" + "".join(
+            f"    - {{id: {name}, x: {box[0]}, y: {box[1]}, size: [{box[3]}, {box[4]}, {box[5]}], kg: {box[6]}}}\n"
+            for name, box in zip(NAMES, PILE, strict=True) if box[2] == z)
+        for z in (0, 300)),
+    "blocks of YAML": "boxes:\n" + "".join(
+        f"- pose:\n    position:\n      x: {box[0]}\n      y: {box[1]}\n      z: {box[2]}\n  size:\n  - {box[3]}\n"
+        f"  - {box[4]}\n  - {box[5]}\n  mass: {box[6]}\n  'text': \"a # b\"\n" for box in PILE) + "---\n",
+    "TOML": 'title = "a"\n' + "".join(
+        f"[[box]]\nsize = {list(box[3:6])}\ncorner = {list(box[:3])}\nweight_kg = {box[6]}\n" for box in PILE),
+    "far corners by their sides": boxes_by(lambda box: {
+        "back_right_top": {axis: box[k] + box[k + 3] for k, axis in enumerate("xyz")}, **sized(box)}),
+    "centres of bases beside a deck": {"container": {"length": 1200, "width": 800}, "boxes": boxes_by(
+        lambda box: {**plain(box), "x": box[0] + box[3] / 2, "y": box[1] + box[4] / 2})},
     "scales of cubes": scene(),
     "a three.js scene": three_js(),
     "a shape in a list": {"collision_objects": boxes_by(in_lists)},
@@ -590,11 +664,92 @@ def test_an_implausible_reading_of_an_unusual_kind_is_asked_about(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("cell", "value", "unit"), [("23 5/8", 23.625, ""), ('3/4"', 0.75, "in"), ("1-1/2 in", 1.5, "in")]
+    ("cell", "value", "unit"),
+    [
+        ("23 5/8", 23.625, ""),
+        ('3/4"', 0.75, "in"),
+        ("1-1/2 in", 1.5, "in"),
+        ("1'-9 3/16\"", 21.1875, "in"),
+        ("-2' 1/2\"", -24.5, "in"),
+        ("1 ft 2 1/4 in", 14.25, "in"),
+    ],
 )
 def test_fractions_of_inches(cell: str, value: float, unit: str) -> None:
     assert cell_number(cell) == (value, unit)
     assert cell_number(cell.replace("/", "/7")) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("boxes:\n- x: 1\n  y: 2\n - z: 3\n", "not YAML at line 4 (its indent fits no line above)"),
+        ("a: 1\nb: [1, {c: 2\nd: 3\n", "not YAML at line 2 (a bracket is not closed)"),
+        ("a: 1\nb: 2\nb: 3\n", "not YAML at line 3 (b occurs twice)"),
+        ("a: &b 1\nc: 2\nd: 3\n", "not YAML at line 1 (petmjx does not read values that begin with &)"),
+        ("a: 1\nb: 2\nc: 3\n", "is YAML without a list of boxes"),
+        ("[[box]]\nx = 1\ny = \n", "not TOML: "),
+    ],
+)
+def test_damaged_yaml_and_toml_are_one_line(text: str, fault: str, tmp_path: Path) -> None:
+    (skipped,) = load(tmp_path, "pile.yaml", text).skipped
+    assert fault in skipped.message
+    assert "\n" not in skipped.message
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ('#usda 1.0\n(\n    upAxis = "Z"\n)\n', "is a scene in USD: save it as glTF"),
+        ("MODULE PalletData\n  CONST num n:=3;\nENDMODULE\n", "is a program of a robot: plans are JSON"),
+        ("def place():\n  movel(p[0.1,0.2,0.3,0,3.14,0], a=1.2)\nend\n", "is a program of a robot: plans are JSON"),
+    ],
+)
+def test_texts_of_other_programs_are_named(text: str, kind: str, tmp_path: Path) -> None:
+    (skipped,) = load(tmp_path, "pile.txt", text).skipped
+    assert kind in skipped.message
+
+
+def test_centres_of_bases_are_not_taken_for_corners(tmp_path: Path) -> None:
+    """Two loads from the corner of the deck, and one in its middle: no names tell that the places are those of centres
+    of bases, or of tops."""
+    for top in (0, 1):
+        for shift in ((0, 0), (600, 400)):
+            text = table(
+                f"name,x,y,z,{SIZES},mass",
+                lambda k, box, top=top, shift=shift: [
+                    NAMES[k],
+                    *(at - off for at, off in zip(centre(box)[:2], shift, strict=True)),
+                    box[2] + top * box[5],
+                    *box[3:],
+                ],
+            )
+            (plan,) = load(tmp_path, "pile.csv", text).plans
+            np.testing.assert_allclose(plan.corner_mm - plan.corner_mm.min(axis=0), np.array(PILE)[:, :3], atol=0.05)
+
+
+def test_values_that_would_be_lost_in_silence_are_named(tmp_path: Path) -> None:
+    """A decimal comma in a list makes a fourth number, and a missing cell of a printed table moves the other cells."""
+    recipe = DOCUMENTS["TOML"].replace("corner = [0, 300, 300]", "corner = [0, 300, 300,5]")
+    (skipped,) = load(tmp_path, "pile.toml", recipe).skipped
+    assert 'box[6]: corner[2] must be a number, got "300 and a further number"' in skipped.message
+    report = in_pages().replace("      350", "     ")
+    (skipped,) = load(tmp_path, "pile.txt", report).skipped
+    assert "row 21: has 7 fields instead of 8" in skipped.message
+
+
+def test_a_height_below_the_floor_does_not_turn_the_pile(tmp_path: Path) -> None:
+    wrong = table(f"name,x,y,z,{SIZES},mass", lambda k, box: [NAMES[k], *box[:2], -310 if k == 7 else box[2], *box[3:]])
+    plan_set = load(tmp_path, "pile.csv", wrong)
+    assert "z upwards" in notes_of(plan_set)
+    assert len(plan_set.warnings) == 1
+
+
+def test_pallets_in_an_array_of_their_own(tmp_path: Path) -> None:
+    pile = np.array([*PILE, *PILE], float)
+    pallet = np.repeat([1, 2], len(PILE))
+    np.savez(tmp_path / "pile.npz", size=pile[:, 3:6], corner=pile[:, :3], mass=pile[:, 6], pallet=pallet)
+    for plan in petmjx.load_plans(tmp_path / "pile.npz").plans:
+        check_pile(plan)
 
 
 def test_pairs_of_sizes_and_places_in_an_array(tmp_path: Path) -> None:

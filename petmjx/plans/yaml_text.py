@@ -1,0 +1,213 @@
+"""Reads YAML and TOML (``value_of_yaml``, ``value_of_toml``) as the nested values that JSON has.
+
+Of YAML, the part is read that programs write: block mappings and sequences, flow mappings and sequences, scalars,
+comments, and several documents in one file. Anchors, tags and texts of several lines are refused.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+from petmjx.common.errors import InputError
+
+_KEY: Final = re.compile(r"""^((?:"[^"]*"|'[^']*'|[^\W_][\w .$/°-]*?|_\w+))\s*:(?:\s+(.*))?$""")
+"""A line with the key of a mapping, and its value if the value is in the same line."""
+_ITEM: Final = re.compile(r"^-(?:\s+(.*))?$")
+_TOML_TABLE: Final = re.compile(r"^\s*\[\[?\s*[\w\"'.-]+\s*\]?\]\s*(?:#.*)?$", re.MULTILINE)
+_TOML_PAIR: Final = re.compile(r"^\s*[\w\"'.-]+\s*=\s*\S")
+_COMMENT: Final = re.compile(r"""^((?:"[^"]*"|'[^']*'|[^"'#]|(?<!\s)#)*?)(?:(?:^|\s)#.*)?$""")
+_NUMBER: Final = re.compile(r"^[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?$")
+_WORDS: Final = {
+    "": None, "~": None, "null": None, "true": True, "false": False, "yes": True, "no": False,
+    ".nan": float("nan"), ".inf": float("inf"), "-.inf": float("-inf"),
+}  # fmt: skip
+_DEEPEST: Final = 50
+"""Largest depth of values that are read."""
+
+
+class _Line(NamedTuple):
+    """A line with content: its number from 1, its indent, and its text without indent and comment."""
+
+    number: int
+    indent: int
+    text: str
+
+
+def is_yaml(text: str) -> bool:
+    """Whether most of the first lines are keys or items of YAML."""
+    lines = [line.strip() for line in text[:20_000].splitlines()]
+    used = [line for line in lines if line and not line.startswith("#") and line not in ("---", "...")]
+    fitting = sum(_KEY.match(line) is not None or line.startswith("- ") or line == "-" for line in used)
+    return len(used) > 2 and fitting > 0.9 * len(used) and ";" not in used[0] and "," not in used[0].partition(":")[0]
+
+
+def is_toml(text: str) -> bool:
+    """Whether a text has a table of TOML, and its other lines are pairs."""
+    lines = [line for line in text[:20_000].splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    fitting = sum(_TOML_TABLE.match(line) is not None or _TOML_PAIR.match(line) is not None for line in lines)
+    return _TOML_TABLE.search(text[:20_000]) is not None and fitting > 0.5 * len(lines)
+
+
+def value_of_toml(text: str) -> Any:
+    """The tables of TOML.
+
+    Raises:
+        InputError: the text is not TOML. The error does not name the file.
+    """
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"not TOML: {error}") from None
+
+
+def value_of_yaml(text: str) -> Any:
+    """The value of the document in YAML; a list of values if there are several documents.
+
+    Raises:
+        InputError: the text is not YAML, or uses a part of YAML that petmjx does not read. The error does not name the
+            file.
+    """
+    documents: list[list[_Line]] = [[]]
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.rstrip() in ("---", "..."):
+            documents.append([])
+            continue
+        match = _COMMENT.match(line)
+        content = (line if match is None else match[1]).rstrip()
+        if "\t" in content[: len(content) - len(content.lstrip())]:
+            raise InputError(f"not YAML at line {number} (a tab before the text)")
+        if content.strip():
+            documents[-1].append(_Line(number, len(content) - len(content.lstrip()), content.lstrip()))
+    values = [_Reader(lines).document() for lines in documents if lines]
+    return values[0] if len(values) == 1 else values
+
+
+class _Reader:
+    """Reads one document."""
+
+    def __init__(self, lines: Sequence[_Line]) -> None:
+        self.lines = list(lines)
+        self.next = 0
+
+    def document(self) -> Any:
+        value = self._block(self.lines[0].indent, 0)
+        if self.next < len(self.lines):
+            raise self._fault(self.lines[self.next], "its indent fits no line above")
+        return value
+
+    def _fault(self, line: _Line, why: str) -> InputError:
+        return InputError(f"not YAML at line {line.number} ({why})")
+
+    def _block(self, indent: int, depth: int) -> Any:
+        """The mapping or sequence that begins at the next line, whose lines have this indent."""
+        line = self.lines[self.next]
+        if depth > _DEEPEST:
+            raise self._fault(line, "nested too deeply")
+        if _ITEM.match(line.text):
+            return self._sequence(indent, depth)
+        if _KEY.match(line.text):
+            return self._mapping(indent, depth)
+        self.next += 1
+        return self._scalar(line, line.text)
+
+    def _sequence(self, indent: int, depth: int) -> list[Any]:
+        values = []
+        while self.next < len(self.lines) and self.lines[self.next].indent == indent:
+            line = self.lines[self.next]
+            match = _ITEM.match(line.text)
+            if match is None:
+                break
+            rest = (match[1] or "").strip()
+            if not rest:
+                self.next += 1
+                values.append(self._inner(indent, depth))
+            elif _ITEM.match(rest) or _KEY.match(rest):  # the value begins behind the dash
+                inner = indent + len(line.text) - len(match[1])
+                self.lines[self.next] = _Line(line.number, inner, rest)
+                values.append(self._block(inner, depth + 1))
+            else:
+                self.next += 1
+                values.append(self._scalar(line, rest))
+        return values
+
+    def _mapping(self, indent: int, depth: int) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        while self.next < len(self.lines) and self.lines[self.next].indent == indent:
+            line = self.lines[self.next]
+            match = _KEY.match(line.text)
+            if match is None:
+                raise self._fault(line, "is no key and value")
+            key, rest = match[1].strip("\"'"), (match[2] or "").strip()
+            if key in values:
+                raise self._fault(line, f"{key} occurs twice")
+            self.next += 1
+            values[key] = self._scalar(line, rest) if rest else self._inner(indent, depth, of_key=True)
+        return values
+
+    def _inner(self, indent: int, depth: int, *, of_key: bool = False) -> Any:
+        """The value in the lines below a key or a dash; None if there are none."""
+        if self.next == len(self.lines):
+            return None
+        line = self.lines[self.next]
+        # the items below a key may have the indent of the key
+        if line.indent > indent or (of_key and line.indent == indent and _ITEM.match(line.text)):
+            return self._block(line.indent, depth + 1)
+        return None
+
+    def _scalar(self, line: _Line, text: str) -> Any:
+        """A value in one line, or a flow mapping or sequence, which may go on in the next lines."""
+        if text[0] in "[{":
+            while text.count("[") + text.count("{") > text.count("]") + text.count("}"):
+                if self.next == len(self.lines):
+                    raise self._fault(line, "a bracket is not closed")
+                text += f" {self.lines[self.next].text}"
+                self.next += 1
+            value, rest = self._flow(line, text, 0)
+            if rest.strip():
+                raise self._fault(line, "there is text behind a bracket")
+            return value
+        if text[0] in "&*!|>%@`":
+            raise self._fault(line, f"petmjx does not read values that begin with {text[0]}")
+        return _plain(text)
+
+    def _flow(self, line: _Line, text: str, depth: int) -> tuple[Any, str]:
+        """The value at the beginning of a text, and the rest of the text."""
+        text = text.lstrip()
+        if depth > _DEEPEST or not text:
+            raise self._fault(line, "nested too deeply" if text else "a bracket is not closed")
+        if text[0] not in "[{":
+            match = re.match(r"""\s*("[^"]*"|'[^']*'|[^,\]}]*)""", text)
+            assert match is not None
+            return _plain(match[1].strip()), text[match.end() :]
+        end, items = {"[": "]", "{": "}"}[text[0]], []
+        pairs: dict[str, Any] = {}
+        rest = text[1:].lstrip()
+        while not rest.startswith(end):
+            if end == "}":
+                match = re.match(r"""("[^"]*"|'[^']*'|[^:,{}\[\]]+?)\s*:\s*""", rest)
+                if match is None:
+                    raise self._fault(line, "is no key and value")
+                pairs[match[1].strip("\"'")], rest = self._flow(line, rest[match.end() :], depth + 1)
+            else:
+                value, rest = self._flow(line, rest, depth + 1)
+                items.append(value)
+            rest = rest.lstrip()
+            if rest.startswith(","):
+                rest = rest[1:].lstrip()
+            elif not rest.startswith(end):
+                raise self._fault(line, "a bracket is not closed")
+        return (pairs if end == "}" else items), rest[1:]
+
+
+def _plain(text: str) -> Any:
+    """The value of a scalar."""
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
+        return text[1:-1]
+    if text.lower() in _WORDS:
+        return _WORDS[text.lower()]
+    if _NUMBER.match(text):
+        return float(text) if re.search(r"[.eE]", text) else int(text) if len(text) < 20 else float(text)
+    return text
