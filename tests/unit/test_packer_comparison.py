@@ -248,7 +248,7 @@ def test_files_hold_all_tables(two: tuple[Path, Path], tmp_path: Path) -> None:
         assert all(b"unit" in field.metadata and field.metadata[b"description"] for field in fields)
         assert len(pd.read_csv(tmp_path / "deep" / "out" / f"{name}.csv")) == len(table)
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file: cannot be written"):
+    with pytest.raises(InputError, match="file: is a file; name a folder"):
         write_comparison(comparison, tmp_path / "file")
 
 
