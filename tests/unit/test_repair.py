@@ -329,7 +329,7 @@ def test_a_search_asks_for_the_same_worlds_again() -> None:
         result_of(search.run(), ask)
         requests.append(drafts)
     assert requests[0] == requests[1]
-    assert len(requests[0]) > 20
+    assert len(requests[0]) > 12
 
 
 def test_a_draft_is_judged_as_it_is_scored() -> None:
@@ -719,7 +719,7 @@ def test_a_gpu_judges_more_plans_at_once() -> None:
     result_of(search.run(), ask)
     assert search.repairs[0].trial.stands
     assert len(search.repairs[0].changes) == 2
-    assert 24 < max(sizes) <= 48
+    assert 12 < max(sizes) <= 24, "twice as many as on CPU threads"
 
 
 def test_each_way_to_change_a_box_is_judged_before_other_amounts() -> None:
