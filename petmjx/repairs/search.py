@@ -1,11 +1,12 @@
 """The search for the smallest change that makes a plan stand.
 
 The search changes plans step by step. It continues with the plans that promise the shortest repair: those with the
-smallest number of changes so far plus faults that are left. Simulations without the boxes that fall count these faults.
-A plan is changed where it fails: statics ranks the possible changes, and the best ranked are judged at once, by one
-short simulation each. Plans that stand are scored. Then needless changes are taken back. Each remaining change is
-needed: without it, the plan falls. Worlds with errors decide which of the repairs with the fewest changes is chosen. If
-this repair falls in too many of these worlds, it is changed further at the places where it falls there.
+smallest number of changes so far plus faults that are left. Simulations without the boxes that fall count the faults of
+the plan; those of a changed plan follow from the box that falls in its own simulation. A plan is changed where it
+fails: statics ranks the possible changes, and the best ranked are judged at once, by one short simulation each. Plans
+that stand are scored. Then needless changes are taken back. Each remaining change is needed: without it, the plan
+falls. Worlds with errors decide which of the repairs with the fewest changes is chosen. If this repair falls in too
+many of these worlds, it is changed further at the places where it falls there.
 
 ``Search.run`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans
 can share runs of an engine. Parts of a search that do not depend on each other run side by side (``Together``). The
@@ -63,8 +64,8 @@ MOST_NEARLY: Final = 6
 when they were judged, because a box tilted."""
 
 MOST_ANEW: Final = 2
-"""Largest number of changed plans that are built anew at once. Each plan is built in up to sixteen ways. A way takes a
-tenth of a second."""
+"""Largest number of changed plans that are built anew at once. Each plan is built in up to sixteen ways. A way takes
+two tenths of a second."""
 
 CONFIRMED_AT_ONCE: Final = 2
 """Of the plans that stand when judged, this many are scored at once."""
