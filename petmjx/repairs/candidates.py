@@ -9,13 +9,13 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, zip_longest
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.repairs.balance import SAFE_MM, balances
+from petmjx.repairs.balance import SAFE_MM, Balance, balances
 from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_change
 from petmjx.repairs.drafts import Draft, Rules
 from petmjx.repairs.proposals import MOST_TARGETS, Proposal, Target, proposals, targets
@@ -40,14 +40,12 @@ class State:
         draft: the changed plan.
         changes: the changes.
         trial: its simulation.
-        faults: an estimate of the changes that are still needed.
         errors: number of a world with errors → the trial in this world. Only worlds in which the plan was judged.
     """
 
     draft: Draft
     changes: tuple[Change, ...]
     trial: Trial
-    faults: float = math.inf
     errors: Mapping[int, Trial] = field(default_factory=dict)
 
     @property
@@ -73,7 +71,8 @@ class Candidate:
     Attributes:
         proposal: the changes that turn the plan of ``parent`` into this plan.
         key: rank of the plan; smaller is better.
-        parent: the state whose plan was changed.
+        parent: the node whose plan was changed.
+        risk: two numbers by which statics compares plans that stand (``Candidates._risks``).
     """
 
     draft: Draft
@@ -81,7 +80,20 @@ class Candidate:
     proposal: Proposal
     trouble: float
     key: float
-    parent: State
+    parent: Node
+    risk: tuple[int, int] = (0, 0)
+
+
+class Fault(NamedTuple):
+    """A fault of a plan.
+
+    Attributes:
+        box: number of the box that falls once the boxes of all faults before are taken off.
+        weight: expected number of changes that mend the fault.
+    """
+
+    box: int
+    weight: float
 
 
 @dataclass(eq=False)
@@ -89,6 +101,7 @@ class Node:
     """A changed plan that may be changed further.
 
     Attributes:
+        faults: the faults of the plan, in the order of time; None: not counted yet.
         queue: the allowed changes of the plan that were not judged yet, the most promising first; None: no changes were
             proposed yet.
         n_judged: number of the plan's changes that were judged.
@@ -96,15 +109,21 @@ class Node:
     """
 
     state: State
+    faults: tuple[Fault, ...] | None = None
     queue: list[Candidate] | None = None
     n_judged: int = 0
     is_anew: bool = False
 
     @property
+    def n_faults(self) -> float:
+        """Expected number of changes that are still needed; infinite: the faults are not counted yet."""
+        return math.inf if self.faults is None else sum(fault.weight for fault in self.faults)
+
+    @property
     def n_expected(self) -> float:
-        """Expected number of changes of a repair that begins with this plan's changes: these changes plus the estimated
-        faults."""
-        return len(self.state.changes) + self.state.faults
+        """Expected number of changes of a repair that begins with this plan's changes: these changes plus those that
+        are still needed."""
+        return len(self.state.changes) + self.n_faults
 
     @property
     def key(self) -> tuple[float, int, int, float]:
@@ -206,12 +225,14 @@ class Candidates:
         self.rules = Rules(self.plan, self.sim, options.max_height_mm, options.built)
         self._start = Draft.of(self.plan, self.film_turns)
         self._seen: set[bytes] = set()
+        self._known: dict[bytes, Trial] = {}  # of each draft that was judged
         self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # of each draft, by the number of the world
 
     # ------------------------------------------------------------------ proposals
 
-    def _ranked(self, state: State, kinds: frozenset[Kind], *, anew: bool = False) -> list[Candidate]:
+    def _ranked(self, node: Node, kinds: frozenset[Kind], *, anew: bool = False) -> list[Candidate]:
         """Allowed changes of a plan, or ways to build it anew, the most promising first."""
+        state = node.state
         causes = self._causes(state)
         first = next((cause for cause in causes if cause.depth_mm > 0), causes[0]) if causes else None
         if anew:
@@ -247,7 +268,9 @@ class Candidates:
             unsolved = first is not None and after.depth_of(first.box) > 0
             risk = after.trouble + PER_WEAKNESS * after.weakness
             rank = risk + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
-            ranked.append(Candidate(draft, changes, proposal, after.trouble, rank, state))
+            ranked.append(
+                Candidate(draft, changes, proposal, after.trouble, rank, node, _risk(after, cost_of(changes)))
+            )
         ranked.sort(key=lambda candidate: candidate.key)
         self._seen.difference_update(key_of(candidate.draft) for candidate in ranked[MOST_RANKED:])
         return ranked[:MOST_RANKED]
@@ -288,17 +311,22 @@ class Candidates:
         (``Balance``), divided by ``SAME_WEAKNESS`` and rounded. The second is its cost, divided by ``SAME_COST`` and
         rounded down. So plans that differ little count as equal."""
         some = balances([state.draft for state in states], self.sim)
-        return [
-            (round((balance.weakness + balance.trouble) / SAME_WEAKNESS), math.floor(state.cost / SAME_COST))
-            for state, balance in zip(states, some, strict=True)
-        ]
+        return [_risk(balance, state.cost) for state, balance in zip(states, some, strict=True)]
 
     # ------------------------------------------------------------------ simulations
 
     def _simulated(self, drafts: Sequence[Draft], *, judged: bool = False) -> Steps[list[Trial]]:
-        """The trials of drafts."""
-        self.n_trials += len(drafts)
-        return (yield [Asked(draft, judged) for draft in drafts]) if drafts else []
+        """The trials of drafts. A draft that was judged before is not simulated again to be judged."""
+        if not judged:
+            self.n_trials += len(drafts)
+            return (yield [Asked(draft, False) for draft in drafts]) if drafts else []
+        keys = [key_of(draft) for draft in drafts]
+        unknown = {key: draft for key, draft in zip(keys, drafts, strict=True) if key not in self._known}
+        self.n_trials += len(unknown)
+        if unknown:
+            trials = yield [Asked(draft, True) for draft in unknown.values()]
+            self._known.update(zip(unknown, trials, strict=True))
+        return [self._known[key] for key in keys]
 
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:
         """States that were judged, with their scores."""
@@ -333,3 +361,8 @@ class Candidates:
             known[k][world] = trial
         self._in_worlds.update((key_of(state.draft), errors) for state, errors in zip(states, known, strict=True))
         return [replace(state, errors=errors) for state, errors in zip(states, known, strict=True)]
+
+
+def _risk(balance: Balance, cost: float) -> tuple[int, int]:
+    """The two numbers of ``Candidates._risks`` for a plan with this balance and this cost of all changes."""
+    return round((balance.weakness + balance.trouble) / SAME_WEAKNESS), math.floor(cost / SAME_COST)

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from petmjx.options.simulation import Simulation
-from petmjx.repairs.balance import balances
+from petmjx.repairs.balance import Balance, balances
 from petmjx.repairs.changes import Change, LeaveOut, Place
 from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
 from petmjx.repairs.proposals import Proposal, Target, resting_corners
@@ -25,6 +25,9 @@ MOST_CAUSES: Final = 2
 
 SAME_TROUBLE: Final = 1e-6
 """Two values of ``Balance.trouble`` that differ by less than this count as equal."""
+
+TRIED_AT_ONCE: Final = 8
+"""Places of a box that statics judges at once."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,7 @@ class _Pile:
         self._distrusted, self._way, self._leaves_out = distrusted, way, leaves_out
         self._held = set(draft.order[:n_held])
         self._pile = replace(draft, order=())
+        self._known_trouble: float | None = None
 
     def built(self) -> Proposal | None:
         """The changes that turn the draft into the new plan; None: there is no place for a box."""
@@ -114,16 +118,18 @@ class _Pile:
             if not self._rules.allow([pile])[0]:
                 return False
             if self._way.strict and box not in self._held and self._pile.order:
-                before, after = balances([self._pile, pile], self._sim)
-                if after.trouble > before.trouble + SAME_TROUBLE:
+                (after,) = balances([pile], self._sim)
+                if after.trouble > self._trouble + SAME_TROUBLE:
                     return False
-        self._pile = pile
+                self._pile, self._known_trouble = pile, after.trouble
+                return True
+        self._pile, self._known_trouble = pile, None
         return True
 
     def _placed(self, box: int, later: Collection[int]) -> Place | None:
         """Put a box at the best place; None: there is no place. At the best place, statics objects least. Of such
-        places, it is the one that is in the way of the fewest later boxes; then the one with the safest loads; then the
-        lowest one."""
+        places, it is one that is in the way of the fewest later boxes; then the one with the safest loads; then the
+        lowest one. Places in the way of few boxes, and low ones, are tried first, until statics does not object."""
         planned = self._draft.corner_mm[box]
         places = [
             Place(box, corner, bool(self._draft.turned[box]) != turn, differs=turn)
@@ -131,17 +137,33 @@ class _Pile:
             if turn or box not in self._distrusted or np.abs(planned - corner).max() > TOLERANCE_MM
         ]
         waiting = replace(self._pile, order=(*self._pile.order, box))
-        drafts = [placed for place in places if (placed := place.applied(waiting)) is not None]
-        allowed = np.flatnonzero(self._rules.allow(drafts)).tolist() if drafts else []
-        ranks = [
-            (balance.trouble, self._in_the_way(drafts[k], box, later), balance.weakness, places[k].corner_mm[2], k)
-            for k, balance in zip(allowed, balances([drafts[k] for k in allowed], self._sim), strict=True)
-        ]
-        if not ranks:
+        tried = [(place, draft) for place in places if (draft := place.applied(waiting)) is not None]
+        in_the_way = [self._in_the_way(draft, box, later) for _, draft in tried]
+        queue = sorted(range(len(tried)), key=lambda k: (in_the_way[k], tried[k][0].corner_mm[2]))
+        best: tuple[tuple[float, ...], Balance] | None = None
+        for begin in range(0, len(queue), TRIED_AT_ONCE):
+            numbers = queue[begin : begin + TRIED_AT_ONCE]
+            allowed = self._rules.allow([tried[k][1] for k in numbers])
+            numbers = [k for k, is_allowed in zip(numbers, allowed, strict=True) if is_allowed]
+            for k, balance in zip(numbers, balances([tried[k][1] for k in numbers], self._sim), strict=True):
+                rank = balance.trouble, in_the_way[k], balance.weakness, tried[k][0].corner_mm[2], k
+                if best is None or rank < best[0]:
+                    best = rank, balance
+            if best is not None and best[1].trouble <= self._trouble + SAME_TROUBLE:
+                break  # no box makes the trouble of the boxes below less
+        if best is None:
             return None
-        chosen = min(ranks)[-1]
-        self._pile = drafts[chosen]
-        return places[chosen]
+        chosen = int(best[0][-1])
+        self._pile, self._known_trouble = tried[chosen][1], best[1].trouble
+        return tried[chosen][0]
+
+    @property
+    def _trouble(self) -> float:
+        """``Balance.trouble`` of the pile."""
+        if self._known_trouble is None:
+            (balance,) = balances([self._pile], self._sim) if self._pile.order else (None,)
+            self._known_trouble = 0.0 if balance is None else balance.trouble
+        return self._known_trouble
 
     def _in_the_way(self, pile: Draft, box: int, later: Collection[int]) -> int:
         """How many later boxes cannot keep their places because a box stands there, or above."""

@@ -1,11 +1,12 @@
 """The search for the smallest change that makes a plan stand.
 
 The search changes plans step by step. It continues with the plans that promise the shortest repair: those with the
-smallest number of changes so far plus faults that are left. Simulations without the boxes that fall count these faults.
-A plan is changed where it fails: statics ranks the possible changes, and the best ranked are judged at once, by one
-short simulation each. Plans that stand are scored. Then needless changes are taken back. Each remaining change is
-needed: without it, the plan falls. Worlds with errors decide which of the repairs with the fewest changes is chosen. If
-this repair falls in too many of these worlds, it is changed further at the places where it falls there.
+smallest number of changes so far plus faults that are left. Simulations without the boxes that fall count the faults of
+the plan; those of a changed plan follow from the box that falls in its own simulation. A plan is changed where it
+fails: statics ranks the possible changes, and the best ranked are judged at once, by one short simulation each. Plans
+that stand are scored. Then needless changes are taken back. Each remaining change is needed: without it, the plan
+falls. Worlds with errors decide which of the repairs with the fewest changes is chosen. If this repair falls in too
+many of these worlds, it is changed further at the places where it falls there.
 
 ``Search.run`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans
 can share runs of an engine. Parts of a search that do not depend on each other run side by side (``Together``). The
@@ -23,6 +24,7 @@ from petmjx.repairs.candidates import (
     AT_ONCE,
     Candidate,
     Candidates,
+    Fault,
     Node,
     State,
     batch_of,
@@ -39,18 +41,22 @@ from petmjx.repairs.trials import ERROR_WORLDS, Steps, Together, Trial
 BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
 
-MOST_COUNTED: Final = 12
-"""Of the plans that are judged at once, the faults of at most this many are counted."""
+FIRST_AT_ONCE: Final = 12
+"""Number of changed plans that are judged first. If one change is enough, statics usually ranks it among the best."""
 
 PILE: Final = 4.0
 """A box that falls is taken off together with all boxes that need it. This many of these boxes count as one fault,
 because there is no other place for a large pile, and it hides further faults."""
 
-ALONE: Final = 0.7
+MOST_LIFTED: Final = 3
+"""The boxes of at most this many faults are taken off one after the other. Each time, the search waits for a
+simulation. Further faults come to light when these are mended."""
+
+ALONE: Final = 0.35
 """Share of all trials in which only single changes are tried. A plan that still falls after them has faults everywhere,
 so it is built anew."""
 
-SHORTER: Final = 0.15
+SHORTER: Final = 0.04
 """Once a repair is known, a shorter one is sought in this share of all trials."""
 
 MOST_NEARLY: Final = 6
@@ -58,10 +64,10 @@ MOST_NEARLY: Final = 6
 when they were judged, because a box tilted."""
 
 MOST_ANEW: Final = 2
-"""Largest number of changed plans that are built anew at once. Each plan is built in up to sixteen ways. A way takes a
-tenth of a second."""
+"""Largest number of changed plans that are built anew at once. Each plan is built in up to sixteen ways. A way takes
+two tenths of a second."""
 
-CONFIRMED_AT_ONCE: Final = 8
+CONFIRMED_AT_ONCE: Final = 2
 """Of the plans that stand when judged, this many are scored at once."""
 
 MOST_FINALISTS: Final = 4
@@ -88,9 +94,10 @@ MORE_TO_COMPARE: Final = 24
 """Number of additional changed plans that are judged, so that more repairs can be compared."""
 
 MOST_UNDONE: Final = 8
-"""Limit of the total number of changes in all repairs that are compared. Each change is taken back for a trial, and the
-trial is scored. So fewer repairs are compared if repairs are long. If one repair alone has more changes, its trials are
-only judged. On a GPU, all such trials are only judged: scores of plans that fall would keep all searches waiting."""
+"""Limit of the total number of changes in all repairs that are compared. Each change is taken back for a trial, so
+fewer repairs are compared if repairs are long. The trials are judged. Those of the chosen repair are also scored,
+unless it has more changes alone. On a GPU, none is scored: scores of plans that fall would keep all searches
+waiting."""
 
 PER_DRIVE: Final = 6
 """A plan that is scored with a drive counts as this many trials. With a drive, every plan is scored, because no short
@@ -135,23 +142,24 @@ class Search(Candidates):
         """Yields drafts to be simulated, and is sent their trials."""
         is_driven = self.options.profile is not None
         (trial,) = yield from self._simulated([self._start], judged=not is_driven)
-        start = State(self._start, (), trial)
-        if not is_driven:
-            (scored,), (faults,) = yield Together([self._begun(start), self._faults([start], math.inf)])
-            start = scored if start.trial.stands else replace(start, faults=faults)
-            trial = scored.trial
-        else:
+        if is_driven:
             self.begin(trial)
-        if not trial.stands:
-            yield from self._mended(start)
-            self._seen.clear()
-            self.complete = True
+        elif trial.stands:
+            yield from self._begun(trial)
+        if self.before is None or not self.before.stands:
+            yield from self._mended(State(self._start, (), self.before or trial))
+            if self.before is None:
+                yield from self._begun(trial)
+            if self.before is not None and self.before.stands:
+                self.begin(self.before)
+        self._seen.clear()
+        self._known.clear()
+        self.complete = True
 
-    def _begun(self, start: State) -> Steps[list[State]]:
-        """Score the plan as it is, and note its score at once: the time may be up before its faults are counted."""
-        scored = yield from self._scored([start])
-        self.begin(scored[0].trial)
-        return scored
+    def _begun(self, judged: Trial) -> Steps[None]:
+        """Score the plan as it is, and note its score at once: the time may be up before the search ends."""
+        (scored,) = yield from self._scored([State(self._start, (), judged)])
+        self.begin(scored.trial)
 
     def _mended(self, start: State) -> Steps[None]:
         """Search for repairs of a plan that falls."""
@@ -159,20 +167,30 @@ class Search(Candidates):
         standing: list[State] = []
         if Kind.FILM in kinds:
             standing = yield from self._wrapped(start)
-        promising, kinds_with_all_boxes = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
+        promising, kinds_with_all_boxes = [Node(start)], kinds - {Kind.FILM, Kind.LEAVE_OUT}
         most = self.options.trials if self.options.profile is None else self.options.trials // PER_DRIVE
         if not standing and kinds_with_all_boxes:
             standing, promising = yield from self._changed(promising, kinds_with_all_boxes, most)
-        if not standing and Kind.LEAVE_OUT in kinds:
+        if not standing and Kind.LEAVE_OUT in kinds and not self._stands:
             self._seen.clear()
             standing, promising = yield from self._changed(promising, kinds - {Kind.FILM}, most // 2)
             if not standing:
-                standing = yield from self._stripped(promising[0])
+                standing = yield from self._stripped(promising[0].state)
         if standing:
             self.repairs = tuple(standing)
             yield from self._finished(standing)
+            fewest = len(self.repairs[0].changes)
             if self.options.worlds:
                 yield from self._strengthened()
+            is_enough = self.is_wide or self.options.profile is not None  # with a profile, all trials are scores
+            if not is_enough and len(self.repairs[0].changes) == fewest <= MOST_UNDONE:
+                (shorter,) = yield from self._pruned(self.repairs[:1], judged=False)
+                self.repairs = (shorter, *self.repairs[1:])
+
+    @property
+    def _stands(self) -> bool:
+        """Whether the plan stands as it is, although a box tilted when it was judged: the box leans on something."""
+        return self.before is not None and self.before.stands
 
     # ------------------------------------------------------------------ film
 
@@ -196,20 +214,18 @@ class Search(Candidates):
     # ------------------------------------------------------------------ changes
 
     def _changed(
-        self, start: Sequence[State], kinds: frozenset[Kind], most_trials: int
-    ) -> Steps[tuple[list[State], list[State]]]:
+        self, start: Sequence[Node], kinds: frozenset[Kind], most_trials: int
+    ) -> Steps[tuple[list[State], list[Node]]]:
         """Two lists: plans that stand after changes of these kinds, and the most promising of the plans that still
         fall."""
         options = self.options
         last, alone = self.n_trials + most_trials, self.n_trials + int(ALONE * most_trials)
-        unknown = [state for state in start if math.isinf(state.faults)]
-        counts = iter((yield from self._faults(unknown, math.inf)))
-        nodes = [Node(replace(state, faults=next(counts)) if math.isinf(state.faults) else state) for state in start]
+        nodes = list(start)
         ways = {way_of(node.state) for node in nodes}
         standing: list[State] = []
         judged: list[State] = []  # states that stand
         is_late = False
-        while self.n_trials < last:
+        while self.n_trials < last and not self._stands:
             nodes.sort(key=lambda node: node.key)
             useful = nodes
             if standing:  # only shorter repairs are of use
@@ -221,28 +237,33 @@ class Search(Candidates):
                 if standing:
                     break
             queues = self._queues(useful, kinds, anew=is_late)
-            batch = batch_of(queues, min(self._scale * (2 * AT_ONCE if is_late else AT_ONCE), last - self.n_trials))
+            at_once = FIRST_AT_ONCE if self.before is None else 2 * AT_ONCE if is_late else AT_ONCE
+            batch = batch_of(queues, min(self._scale * at_once, last - self.n_trials))
             if not batch:  # no queue is left, or fewer trials are left than there are queues
                 break
-            states = yield from self._judged(batch)
+            parts = [self._judged(batch), self._count_faults(nodes)]
+            if self.before is None:
+                parts.append(self._begun(self._known[key_of(self._start)]))
+            states, *_ = yield Together(parts)
             if any(state.trial.stands for state in states):  # other plans may stand in more worlds with errors
                 if not self.is_wide:
-                    next_candidates = batch_of(queues, min(AT_ONCE, last - self.n_trials))
+                    next_candidates = self._rivals(queues, states, min(AT_ONCE, last - self.n_trials))
                     batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
                 judged += [state for state in states if state.trial.stands]
-            (states, shortened), faults = yield Together([self._shortened(states), self._counted(states, batch)])
+            states, shortened = yield from self._shortened(states)
             if shortened and not standing:
                 last = min(last, self.n_trials + int(SHORTER * most_trials))
             standing = shortest([*standing, *shortened])
             self.repairs = tuple(standing)
-            # a plan that stands only when judged has a fault
-            least = [0.0 if state.trial.stands else 1.0 for state in states]
-            states = [replace(state, faults=max(two)) for state, *two in zip(states, faults, least, strict=True)]
-            for state in sorted(states, key=lambda state: Node(state).key):
+            if is_late and standing:  # what is built anew has many changes, and is hardly built in fewer another time
+                break
+            changed = [Node(one, self._remaining(one, c.parent)) for one, c in zip(states, batch, strict=True)]
+            for node in sorted(changed, key=lambda node: node.key):
+                state = node.state
                 is_short = n_counted(state.changes) < options.most_changes
                 if is_short and not state.trial.stands and (way := way_of(state)) not in ways:
                     ways.add(way)
-                    nodes.append(Node(state))
+                    nodes.append(node)
         if standing and self.options.worlds and options.profile is None:
             fewest = len(standing[0].changes)
             nodes = sorted((n for n in nodes if len(n.state.changes) == fewest - 1), key=lambda node: node.key)
@@ -250,7 +271,20 @@ class Search(Candidates):
             judged += [state for state in further if state.trial.stands]
             standing = yield from self._compared(standing, [one for one in judged if len(one.changes) == fewest])
         nodes.sort(key=lambda node: (node.n_expected, node.key))
-        return standing, [node.state for node in nodes[:BEAM]]
+        return standing, [Node(node.state, node.faults) for node in nodes[:BEAM]]
+
+    def _rivals(self, queues: Sequence[list[Candidate]], states: Sequence[State], count: int) -> list[Candidate]:
+        """Take candidates off the queues that may be chosen instead of the plans that stand: with worlds with errors,
+        any; without, those that statics prefers to all of the shortest plans that stand."""
+        if not self.options.worlds:
+            standing = shortest([state for state in states if state.trial.stands])
+            fewest, best = len(standing[0].changes), min(self._risks(standing))
+            safer = [[c for c in queue if (len(c.changes), c.risk) < (fewest, best)] for queue in queues]
+            batch = batch_of([queue for queue in safer if queue], count)
+            for queue in queues:
+                queue[:] = [c for c in queue if c not in batch]
+            return batch
+        return batch_of(queues, count)
 
     def _compared(self, scored: Sequence[State], judged: Sequence[State]) -> Steps[list[State]]:
         """Of repairs with the same number of changes, those that stand most often in a few worlds with errors.
@@ -278,7 +312,7 @@ class Search(Candidates):
         then leans on something."""
         if self.options.profile is not None:
             return []
-        chosen = sorted((node.state for node in nodes if node.state.faults <= 1), key=lambda state: len(state.changes))
+        chosen = sorted((node.state for node in nodes if node.n_faults <= 1), key=lambda state: len(state.changes))
         scored = yield from self._scored(chosen[:MOST_NEARLY])
         return shortest([state for state in scored if state.trial.stands])
 
@@ -290,13 +324,13 @@ class Search(Candidates):
             queues = []
             for node in chosen:
                 node.is_anew = True
-                queues.append(self._ranked(node.state, kinds, anew=True))
+                queues.append(self._ranked(node, kinds, anew=True))
             if any(queues):
                 return queues
         queues = []
         for node in nodes:
             if node.queue is None:
-                node.queue = self._ranked(node.state, kinds)
+                node.queue = self._ranked(node, kinds)
             if node.queue:
                 queues.append(node.queue)
                 node.n_judged += AT_ONCE
@@ -304,44 +338,44 @@ class Search(Candidates):
                 break
         return queues
 
-    def _counted(self, states: Sequence[State], batch: Sequence[Candidate]) -> Steps[list[float]]:
-        """The number of faults of each state. For each way to change a plan, only the faults of the most promising
-        state are counted. All other states are assumed to have as many faults as the plan before the change."""
+    def _count_faults(self, nodes: Sequence[Node]) -> Steps[None]:
+        """Count the faults of the nodes whose faults are not counted yet."""
+        unknown = [node for node in nodes if node.faults is None]
+        counts: list[tuple[Fault, ...]] = yield Together([self._faults_of(node.state) for node in unknown])
+        for node, faults in zip(unknown, counts, strict=True):
+            node.faults = faults
 
-        def rank(k: int) -> tuple[bool, int, int, float]:
-            trial, before = states[k].trial, batch[k].parent.trial
-            is_same = trial.culprit == before.culprit and trial.progress <= before.progress
-            return is_same, -trial.progress[0], -trial.progress[1], batch[k].trouble
-
-        different: dict[tuple[object, ...], int] = {}
-        for k in sorted(range(len(states)), key=rank):
-            different.setdefault(way_of(states[k]), k)
-        chosen = [*different.values()][: self._scale * MOST_COUNTED]
-        faults = [0.0 if state.trial.stands else c.parent.faults for state, c in zip(states, batch, strict=True)]
-        counts = yield from self._faults([states[k] for k in chosen], max((faults[k] for k in chosen), default=0.0))
-        for k, count in zip(chosen, counts, strict=True):
-            faults[k] = count
-        return faults
-
-    def _faults(self, states: Sequence[State], most: float) -> Steps[list[float]]:
-        """The number of faults of each plan, counted up to the limit ``most``."""
-        faults: list[float] = yield Together([self._faults_of(state, most) for state in states])
-        return faults
-
-    def _faults_of(self, state: State, most: float) -> Steps[float]:
-        """The number of faults of a plan. Boxes that fall are taken off one by one, with all boxes that need them,
-        until the rest stands. With a drive, this would be too expensive, so only the boxes that fell are counted."""
-        draft, trial, faults = state.draft, state.trial, 0.0
+    def _faults_of(self, state: State) -> Steps[tuple[Fault, ...]]:
+        """The faults of a plan. Boxes that fall are taken off one by one, with all boxes that need them, until the rest
+        stands. With a drive, this would be too expensive, so only the boxes that fell are counted."""
+        draft, trial, faults = state.draft, state.trial, list[Fault]()
         if self.options.profile is not None and not trial.stands:
-            return max(1.0, len(trial.fallen) / PILE)
+            return (Fault(_lost(draft, trial), max(1.0, len(trial.fallen) / PILE)),)
         while not trial.stands:
-            lifted = lifted_with(draft, _lost(draft, trial))
-            faults += max(1.0, len(lifted) / PILE)
-            if faults > most or min(lifted) < self.rules.built or len(lifted) == len(draft.order):
+            box = _lost(draft, trial)
+            lifted = lifted_with(draft, box)
+            faults.append(Fault(box, max(1.0, len(lifted) / PILE)))
+            if len(faults) > MOST_LIFTED or min(lifted) < self.rules.built or len(lifted) == len(draft.order):
                 break
             draft = replace(draft, order=tuple(box for box in draft.order if box not in lifted))
             (trial,) = yield from self._simulated([draft], judged=True)
-        return faults
+        return tuple(faults)
+
+    def _remaining(self, state: State, parent: Node) -> tuple[Fault, ...]:
+        """The expected faults of a changed plan, from its trial and the faults of the plan before the change. The
+        faults before the box that falls are mended. If this box was none of the faults, the change has added one, and
+        the faults after it remain. To take boxes off and simulate the rest would take as many trials as the faults of
+        all changed plans."""
+        if state.trial.stands:
+            return ()
+        before, draft = parent.faults or (), state.draft
+        box = _lost(draft, state.trial)
+        boxes = [fault.box for fault in before]
+        if box in boxes:
+            return before[boxes.index(box) :]
+        lifted = lifted_with(draft, box)
+        later = [fault for fault in before if fault.box not in lifted and draft.rank[fault.box] > draft.rank[box]]
+        return (Fault(box, max(1.0, len(lifted) / PILE)), *later)
 
     def _stripped(self, state: State) -> Steps[list[State]]:
         """The state without the boxes that fall. They are left out one by one, with all boxes on them, until the
@@ -388,10 +422,9 @@ class Search(Candidates):
 
     def _finished(self, standing: Sequence[State]) -> Steps[None]:
         """Take back needless changes, and keep the repairs with the fewest changes."""
-        fewest = min(len(state.changes) for state in standing)
         finalists = shortest(standing)[: _n_finalists(standing)]
         reduced: list[State] = yield Together([self._reduced(state) for state in finalists])
-        pruned = shortest((yield from self._pruned(reduced, judged=self.is_wide or fewest > MOST_UNDONE)))
+        pruned = shortest((yield from self._pruned(reduced, judged=True)))
         different = [*{key_of(state.draft): state for state in pruned}.values()]
         ranks = [(-state.n_good, *risk) for state, risk in zip(different, self._risks(different), strict=True)]
         self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
@@ -419,7 +452,7 @@ class Search(Candidates):
         while nodes and best.n_good < wanted and self.n_trials < last:
             node = min(nodes, key=lambda node: (node.n_judged // AT_ONCE - node.state.n_good, node.state.cost))
             if node.queue is None:
-                node.queue = self._ranked(node.state, kinds)
+                node.queue = self._ranked(node, kinds)
             if not node.queue:
                 nodes.remove(node)
                 continue

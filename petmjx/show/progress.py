@@ -83,14 +83,15 @@ def _wrapped_line(text: str) -> str:
 
 
 class ProgressLines:
-    """Writes a line every ``LINE_S`` seconds, and a line at the end. If lines cannot be written, the run continues."""
+    """Writes a line every ``LINE_S`` seconds. At the end, it writes a line if worlds have finished since the last one.
+    If lines cannot be written, the run continues."""
 
     def __init__(
         self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._pace, self._write, self._clock = Throughput(total, what, clock), write, clock
         self._last = clock()
-        self._done = 0
+        self._done = self._written = 0
 
     def update(self, done: int, message: str = "", share: float | None = None) -> None:
         self._done = done
@@ -101,10 +102,11 @@ class ProgressLines:
             self._print(message)
 
     def end(self) -> None:
-        if self._done:
+        if self._done != self._written:
             self._print()
 
     def _print(self, message: str = "") -> None:
+        self._written = self._done
         parts = self._pace.words + ([printable(message)] if message else [])
         with suppress(OSError):
             self._write(", ".join(parts) + "\n")

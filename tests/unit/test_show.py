@@ -368,8 +368,18 @@ def test_what_is_no_terminal_gets_lines() -> None:
     assert output == [
         "0 of 10,003 plans, compiling\\u001b\n",
         "2,020 of 10,003 plans, 100 plans/s, 1 min 20 s left\n",
-        "2,020 of 10,003 plans, 100 plans/s, 1 min 20 s left\n",
     ]
+
+
+def test_the_last_line_of_progress_is_written_once() -> None:
+    now = 0.0
+    output: list[str] = []
+    lines = ProgressLines(2, "plan", output.append, clock=lambda: now)
+    for now, done in ((1.0, 0), (12.0, 1), (13.0, 2)):  # noqa: B007  # the clock reads it
+        lines.update(done)
+    lines.end()
+    lines.end()
+    assert [line.split(",")[0].strip() for line in output] == ["1 of 2 plans", "2 of 2 plans"]
 
 
 def test_the_last_worlds_are_expected_to_take_as_long_as_the_ones_before() -> None:
