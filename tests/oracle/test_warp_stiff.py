@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import warp as wp
 from support.fake_stepper import assert_same
 from support.job_streams import feedback_stream
 from support.plans import make_plan, make_world, stack
@@ -21,7 +20,7 @@ from support.tiny_worlds import devices, engine, shared_engine
 import petmjx
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempts import ATTEMPTS, AttemptRecipe
-from petmjx.engines.contact_penetration import stiffened
+from petmjx.engines.contact_penetration import STIFF_INTERVAL_S, stiffened
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine
@@ -73,15 +72,20 @@ def test_the_kernel_s_further_attempts_end_as_c_mujoco_s() -> None:
     }  # fmt: skip
 
 
+RESTLESS = SIM.changed(longest_wait_s=0.8, quiet={"quiet_m_s": 1e-9})
+"""With these options no pallet is ever quiet, so all waits but the first and the last are short."""
+
+
 @pytest.mark.slow
 @devices
-def test_worlds_in_stiffer_contacts_among_others_are_as_they_are_alone(device: str) -> None:
-    jobs = [replace(make_world(make_plan(name, boxes), SIM).job, keep_state=True) for name, boxes in PILES.items()]
+@pytest.mark.parametrize("sim", [SIM, RESTLESS], ids=["usual", "restless"])
+def test_worlds_in_stiffer_contacts_among_others_are_as_they_are_alone(device: str, sim: Simulation) -> None:
+    jobs = [replace(make_world(make_plan(name, boxes), sim).job, keep_state=True) for name, boxes in PILES.items()]
     mixing = engine()
-    usual = {outcome.job: outcome for outcome in mixing.run(jobs, SIM)}
-    stiff = {outcome.job: outcome for outcome in mixing.run(jobs, stiffened(SIM, 0.5))}
+    usual = {outcome.job: outcome for outcome in mixing.run(jobs, sim)}
+    stiff = {outcome.job: outcome for outcome in mixing.run(jobs, stiffened(sim, 0.5))}
     mixed = [job for alone in jobs for job in (alone, replace(alone, stiff=0.5))]
-    together = {outcome.job: outcome for outcome in mixing.run(feedback_stream(mixed), SIM)}
+    together = {outcome.job: outcome for outcome in mixing.run(feedback_stream(mixed), sim)}
     assert len(together) == len(mixed)
     for number, outcome in together.items():
         expected = (stiff if number % 2 else usual)[number // 2]
@@ -92,11 +96,20 @@ def test_worlds_in_stiffer_contacts_among_others_are_as_they_are_alone(device: s
 
 @pytest.mark.parametrize("options", [{}, {"quiet": {"steps": 40}}, {"physics": {"slip_correction": False}}])
 def test_all_constants_that_stiffer_contacts_change_are_those_of_contacts(options: dict[str, Any]) -> None:
-    sim, timetable = SIM.changed(**options), build_timetable(SIM, 4)
+    sim = SIM.changed(**options)
     stiff = ATTEMPTS[5].apply_to_sim(sim)
-    with wp.ScopedDevice("cpu"):
-        expected, mixed = constants(stiff, timetable), {**constants(sim, timetable), **contact_constants(stiff)}
+    timetable, of_stiff = build_timetable(sim, 4), build_timetable(stiff, 4)
+    assert (timetable.most_boxes, of_stiff.due_steps) == (4, 100)
+    expected, mixed = constants(stiff, of_stiff), {**constants(sim, timetable), **contact_constants(stiff, of_stiff)}
+    assert not np.array_equal(timetable.due, of_stiff.due)
+    del expected["settled_nominally"], mixed["settled_nominally"]  # only the fixed schedule uses it
     assert {name: str(value) for name, value in mixed.items()} == {name: str(value) for name, value in expected.items()}
+
+
+def test_only_the_adaptive_schedule_waits_less_in_stiffer_contacts() -> None:
+    assert stiffened(SIM, 0.5).interval_s == STIFF_INTERVAL_S < SIM.interval_s
+    assert stiffened(SIM.changed(interval_s=0.1), 0.5).interval_s == 0.1
+    assert stiffened(SIM.changed(schedule="fixed"), 0.5).interval_s == SIM.interval_s
 
 
 @pytest.mark.slow

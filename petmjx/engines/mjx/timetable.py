@@ -59,6 +59,11 @@ class Timetable:
     one_by_one_end: Int32[np.ndarray, " n_boxes"]
     static_end: int
 
+    @property
+    def most_boxes(self) -> int:
+        """Largest number of boxes for which the timetable is long enough."""
+        return len(self.one_by_one_end) - 1
+
 
 @functools.lru_cache(KEPT)
 def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:

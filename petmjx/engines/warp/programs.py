@@ -16,7 +16,7 @@ from jaxtyping import Array, Int
 from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.mjx.padded_template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.mjx.rules import Rules
-from petmjx.engines.mjx.timetable import Timetable
+from petmjx.engines.mjx.timetable import Timetable, build_timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State, of_flat
 from petmjx.engines.protocol import Progress
@@ -59,7 +59,7 @@ def friction_damping(physics: Physics) -> float:
     return -damping / high if time_s < 0 else 2.0 / (high * max(time_s, 2 * physics.timestep_s))
 
 
-def contact_constants(sim: Simulation) -> dict[str, Any]:
+def contact_constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
     """The constants of a run that are others for worlds with stiffer contacts (``contact_penetration.stiffened``)."""
     return {
         "solref": wp.vec2(*sim.physics.solref),
@@ -67,6 +67,8 @@ def contact_constants(sim: Simulation) -> dict[str, Any]:
         "friction_damping": friction_damping(sim.physics),
         "slip_slack": slack_m_s2(sim.physics),
         "quiet_steps": sim.quiet.steps,
+        "due_steps": timetable.due_steps,
+        "due": wp.array(timetable.due, dtype=int, device=launch_device()),
     }
 
 
@@ -75,7 +77,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
     physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
     device = launch_device()
     return {
-        **contact_constants(sim),
+        **contact_constants(sim, timetable),
         "timestep": physics.timestep_s,
         "gravity": physics.gravity_m_s2,
         "skin": physics.skin_m,
@@ -95,7 +97,6 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "sample_every": timetable.sample_every,
         "rest_steps": timetable.rest_steps,
         "still_steps": timetable.still_steps,
-        "due_steps": timetable.due_steps,
         "longest_steps": timetable.longest_steps,
         "static_end": timetable.static_end if sim.check is Check.STATIC else NEVER,
         "shift": limits.shift_m,
@@ -119,7 +120,6 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "landing_time": physics.landing_s,
         "landing_lasts": lasts_steps(sim),
         "restitution": physics.restitution,
-        "due": wp.array(timetable.due, dtype=int, device=device),
         "longest": wp.array(timetable.longest, dtype=int, device=device),
         "settled": wp.array(timetable.settled, dtype=int, device=device),
         "settled_nominally": wp.array(timetable.settled_nominally, dtype=int, device=device),
@@ -137,7 +137,11 @@ class Programs:
 
     def __init__(self, sim: Simulation, timetable: Timetable, pools: tuple[BlockPool, ...], slice_ns: int) -> None:
         values = {pool.stiff for pool in pools if pool.stiff is not None}
-        of_stiff: dict[float | None, Any] = {stiff: contact_constants(stiffened(sim, stiff)) for stiff in values}
+        of_stiff: dict[float | None, Any] = {
+            stiff: contact_constants(options, build_timetable(options, timetable.most_boxes))
+            for stiff in values
+            for options in [stiffened(sim, stiff)]
+        }
         self.launcher = KernelLauncher(constants(sim, timetable), pools, slice_ns, of_stiff)
         self._few = next((pool for pool in pools if pool.least), None)
         self._last = next((pool for pool in pools if pool.last), None)
