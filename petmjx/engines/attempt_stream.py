@@ -22,7 +22,7 @@ from petmjx.engines.attempts import ATTEMPTS, BESIDE, AttemptRecipe, Engines, ma
 from petmjx.engines.contact_penetration import may_penetrate
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress
-from petmjx.engines.subprocess.attempt_process import READY, Answer, Task
+from petmjx.engines.subprocess.attempt_process import READY, AttemptAnswer, AttemptTask
 from petmjx.engines.subprocess.check_pool import LARGE, CheckPool
 from petmjx.engines.verdict import Verdict
 from petmjx.engines.world_results import AnyWorld, WorldResult
@@ -124,8 +124,8 @@ def score_worlds(
     )
     most_pending *= engine.devices
     first_runner = AttemptRunner[AnyWorld](attempts[0], attempts[0].apply_to_sim(sim), engines, most=most_pending)
-    side_tasks = _SideTasks[AnyWorld](sim, engines, check_pool)
-    run = _AttemptRun[AnyWorld](sim, engines, attempts, following, most_pending, stream, first_runner, side_tasks)
+    attempt_tasks = _AttemptTasks[AnyWorld](sim, engines, check_pool)
+    run = _AttemptRun[AnyWorld](sim, engines, attempts, following, most_pending, stream, first_runner, attempt_tasks)
     yield from run.results(worlds)
 
 
@@ -135,7 +135,7 @@ class _AttemptRun(Generic[AnyWorld]):
 
     At any time, each unfinished world is in one of four collections. Before its first attempt, a world is in
     ``stream``, or, if the engine of the run cannot simulate the world, in ``for_fallback``. Before each further
-    attempt, a world is in ``retry_queue`` or in ``side_tasks``, or again in ``stream``.
+    attempt, a world is in ``retry_queue`` or in ``attempt_tasks``, or again in ``stream``.
 
     Attributes:
         first_runner: makes the first attempts, and further attempts that join them (``_join``).
@@ -149,7 +149,7 @@ class _AttemptRun(Generic[AnyWorld]):
     most_pending: int
     stream: JobStream[Pending[AnyWorld]]
     first_runner: AttemptRunner[AnyWorld]
-    side_tasks: _SideTasks[AnyWorld]
+    attempt_tasks: _AttemptTasks[AnyWorld]
     retry_queue: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = field(default_factory=list)
     for_fallback: deque[Pending[AnyWorld]] = field(default_factory=deque)
     """Worlds that wait for the fallback engine. The thread that makes worlds fills this queue."""
@@ -169,7 +169,7 @@ class _AttemptRun(Generic[AnyWorld]):
         finally:
             with defer_signals(afterwards=True), ExitStack() as closing:  # a second Ctrl-C skips none of these steps
                 closing.callback(source.close)
-                closing.callback(self.side_tasks.close)
+                closing.callback(self.attempt_tasks.close)
 
     def _rounds(self, source: WorldSource[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """Make first attempts while there are jobs, then further attempts, until no world is left; yield final
@@ -180,14 +180,14 @@ class _AttemptRun(Generic[AnyWorld]):
             closed = self.stream.closed  # read before outcomes are checked: the stream may be closed meanwhile
             n_ready = self.stream.wait_for(LARGE if primary.name in BESIDE else 1)
             if n_ready or self.for_fallback:
-                self.side_tasks.prepare(self.stream.peek(LARGE), self.attempts[1:])
-                self.first_runner.check_pool = self.side_tasks.check_pool
-                self.side_tasks.first = self.first_runner
+                self.attempt_tasks.prepare(self.stream.peek(LARGE), self.attempts[1:])
+                self.first_runner.check_pool = self.attempt_tasks.check_pool
+                self.attempt_tasks.first = self.first_runner
                 yield from self._results_of(self._first_attempts())
-            elif not self.retry_queue and self.side_tasks.unanswered:
-                n_unanswered = self.side_tasks.unanswered
+            elif not self.retry_queue and self.attempt_tasks.unanswered:
+                n_unanswered = self.attempt_tasks.unanswered
                 self.engines.progress.message = f"{count_text(n_unanswered, 'world')} again on CPU threads"
-                yield from self._side_results(wait=True)
+                yield from self._task_results(wait=True)
             elif not self.retry_queue and closed:
                 source.raise_error()
                 return
@@ -238,29 +238,29 @@ class _AttemptRun(Generic[AnyWorld]):
                 yield from self._results_of(runner.run(batch))
 
     def _results_of(self, attempt_results: Iterator[AttemptResult[AnyWorld] | None]) -> Iterator[WorldResult[AnyWorld]]:
-        """Yield the final results among ``attempt_results``. Also yield the final results of side tasks (attempts
+        """Yield the final results among ``attempt_results``. Also yield the final results of tasks (attempts
         and checks in other processes) that have ended in the meantime."""
         for pending in attempt_results:
             if pending is not None:  # None is not an outcome: the engine pauses
                 yield from self._finish_or_retry(pending)
-            yield from self._side_results()
+            yield from self._task_results()
 
-    def _side_results(self, *, wait: bool = False) -> Iterator[WorldResult[AnyWorld]]:
-        for pending in self.side_tasks.ended(wait=wait):
+    def _task_results(self, *, wait: bool = False) -> Iterator[WorldResult[AnyWorld]]:
+        for pending in self.attempt_tasks.ended(wait=wait):
             yield from self._finish_or_retry(pending)
 
     def _arrived_results(self, error: BaseException) -> Iterator[WorldResult[AnyWorld]]:
         """After an error: the final results among the outcomes that have already arrived."""
-        if self.side_tasks.check_pool is not None and not isinstance(error, Exception):
-            self.side_tasks.check_pool.hurry()
-        yield from self._side_results()
-        if self.side_tasks.first is not None:
-            for pending in self.side_tasks.first.checked_results([], self.engines.primary.name):
+        if self.attempt_tasks.check_pool is not None and not isinstance(error, Exception):
+            self.attempt_tasks.check_pool.hurry()
+        yield from self._task_results()
+        if self.attempt_tasks.first is not None:
+            for pending in self.attempt_tasks.first.checked_results([], self.engines.primary.name):
                 yield from self._finish_or_retry(pending)
 
     def _finish_or_retry(self, pending: AttemptResult[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """After an attempt at a world, yield the world's result if it is final. If the result is not final, begin the
-        next attempt as a side task or in the stream, or put the world into ``retry_queue``.
+        next attempt as a task or in the stream, or put the world into ``retry_queue``.
 
         Args:
             pending: the world, with the outcome of the attempt.
@@ -272,7 +272,7 @@ class _AttemptRun(Generic[AnyWorld]):
             next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, self.sim)), None)
         if next_attempt is None:
             yield WorldResult(world, outcome, records)
-        elif not (self.side_tasks.begin(next_attempt, pending) or self._join(next_attempt, pending)):
+        elif not (self.attempt_tasks.begin(next_attempt, pending) or self._join(next_attempt, pending)):
             self.retry_queue.append((next_attempt, pending))
 
     def _join(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
@@ -280,8 +280,8 @@ class _AttemptRun(Generic[AnyWorld]):
         if the attempt must wait for its turn: the engine cannot mix attempts, or thousands of worlds with errors may
         need this attempt, for which the usual blocks are faster, or the world is recorded."""
         world, before, _ = pending
-        runner = self.side_tasks.runner_of(attempt)
-        many = world.job.has_errors and not self.side_tasks.are_few(attempt, pending)
+        runner = self.attempt_tasks.runner_of(attempt)
+        many = world.job.has_errors and not self.attempt_tasks.are_few(attempt, pending)
         if attempt.stiff not in self.stream.stiff or many or world.job.record is not None:
             return False
         if runner.engine_for(world) is not self.engines.primary:
@@ -345,7 +345,7 @@ class WorldSource(Generic[AnyWorld]):
 
 
 @dataclass(eq=False)
-class _SideTasks(Generic[AnyWorld]):
+class _AttemptTasks(Generic[AnyWorld]):
     """Tasks of a run in other processes or threads: further attempts at single worlds, and checks of outcomes."""
 
     sim: Simulation
@@ -361,7 +361,7 @@ class _SideTasks(Generic[AnyWorld]):
 
     @property
     def unanswered(self) -> int:
-        """Number of worlds whose side tasks have not ended."""
+        """Number of worlds whose tasks have not ended."""
         return len(self._in_flight)
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
@@ -378,10 +378,10 @@ class _SideTasks(Generic[AnyWorld]):
         for attempt in retries if self.sim.solver is not Solver.CG else ():
             if attempt.few and scene is not None:
                 job, sim = Job(scene.first(1)), attempt.apply_to_sim(self.sim)
-                self.engines.helper.begin(Task(READY, name, job, sim))
+                self.engines.attempt_simulator.begin(AttemptTask(READY, name, job, sim))
 
     def begin(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
-        """Begin an attempt at a world as a side task. Returns False if the engine of the run must make the attempt."""
+        """Begin an attempt at a world as a task. Returns False if the engine of the run must make the attempt."""
         runner, (world, _, _) = self.runner_of(attempt), pending
         traits = {"doubles": attempt.doubles, "soft": runner.is_soft(world), "few": self.are_few(attempt, pending)}
         name = self.engines.beside(world.job, runner.sim, **traits)
@@ -405,7 +405,9 @@ class _SideTasks(Generic[AnyWorld]):
         (job,) = runner.attempt.apply_to_jobs([ready_for(engine, world.job)])
         task_number = next(self._task_numbers)
         self._in_flight[task_number] = runner, pending, engine
-        self.engines.helper.begin(Task(task_number, engine, runner.attempt.after(before, job), runner.sim))
+        self.engines.attempt_simulator.begin(
+            AttemptTask(task_number, engine, runner.attempt.after(before, job), runner.sim)
+        )
 
     def ended(self, *, wait: bool) -> Iterator[AttemptResult[AnyWorld]]:
         """The worlds of the attempts that have ended, with their outcomes.
@@ -414,7 +416,7 @@ class _SideTasks(Generic[AnyWorld]):
             wait: if True and an attempt is running, wait until at least one attempt has ended.
         """
         if self._in_flight:
-            for answer in self.engines.helper.ended(wait=wait):
+            for answer in self.engines.attempt_simulator.ended(wait=wait):
                 if answer.number not in self._in_flight:  # an answer to the task READY of this or an earlier run
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
@@ -423,9 +425,9 @@ class _SideTasks(Generic[AnyWorld]):
                         yield answered
 
     def _answered(
-        self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
+        self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: AttemptAnswer
     ) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """The world with the outcome of a side task. If the task returned no outcome, a new side task simulates the
+        """The world with the outcome of a task. If the task returned no outcome, a new task simulates the
         world on the fallback engine. If this task returns no outcome either, the fallback engine simulates the world in
         the run's own process."""
         fallback = self.engines.fallback
@@ -439,8 +441,8 @@ class _SideTasks(Generic[AnyWorld]):
             yield from runner.run_fallback([pending])
 
     def close(self) -> None:
-        """End all side tasks and their processes."""
+        """End all tasks and their processes."""
         if self.check_pool is not None and self.check_pool is not self.lent:
             self.check_pool.close()
-        if "helper" in vars(self.engines):
-            self.engines.helper.close()
+        if "attempt_simulator" in vars(self.engines):
+            self.engines.attempt_simulator.close()

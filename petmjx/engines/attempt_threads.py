@@ -7,11 +7,11 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-from petmjx.engines.subprocess.attempt_process import Answer, Task, answer_to
+from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptTask, answer_to
 from petmjx.engines.subprocess.task_pipe import arrived
 
 
-class ThreadSimulator:
+class AttemptThreads:
     """Simulates worlds on threads. Each thread has its own engine, which uses this thread only. During a run, the
     threads share the CPUs with the threads of the run. After the run, these threads have the CPUs for themselves.
 
@@ -21,27 +21,27 @@ class ThreadSimulator:
 
     def __init__(self, threads: int) -> None:
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="petmjx-attempts")
-        self._answers = queue.SimpleQueue[Answer]()
+        self._answers = queue.SimpleQueue[AttemptAnswer]()
         self._unanswered, self._closed = 0, False
         self._of_thread = threading.local()
 
-    def begin(self, task: Task) -> None:
-        """See ``SideSimulator.begin``."""
+    def begin(self, task: AttemptTask) -> None:
+        """See ``AttemptSimulator.begin``."""
         self._unanswered += 1
         self._pool.submit(self._simulate, task)
 
-    def _simulate(self, task: Task) -> None:
+    def _simulate(self, task: AttemptTask) -> None:
         self._answers.put(answer_to(task, vars(self._of_thread), lambda: self._closed))
 
-    def ended(self, *, wait: bool) -> Iterator[Answer]:
-        """See ``SideSimulator.ended``."""
+    def ended(self, *, wait: bool) -> Iterator[AttemptAnswer]:
+        """See ``AttemptSimulator.ended``."""
         if self._unanswered:
             for answer in arrived(self._answers, wait=wait):
                 self._unanswered -= 1
                 yield answer
 
     def close(self) -> None:
-        """See ``SideSimulator.close``. Worlds that are being simulated stop after their current time slice (a short
+        """See ``AttemptSimulator.close``. Worlds that are being simulated stop after their current time slice (a short
         part of the simulation)."""
         self._closed = True
         self._pool.shutdown(wait=False, cancel_futures=True)

@@ -22,11 +22,11 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.common.text import count_text
-from petmjx.engines.attempt_threads import ThreadSimulator
+from petmjx.engines.attempt_threads import AttemptThreads
 from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.protocol import Capability, Engine, Progress
-from petmjx.engines.subprocess.attempt_process import SideSimulator, SubprocessSimulator
+from petmjx.engines.subprocess.attempt_process import AttemptProcess, AttemptSimulator
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Attempts, Simulation, Solver
@@ -254,11 +254,11 @@ class Engines:
         return name
 
     @cached_property
-    def helper(self) -> SideSimulator:
+    def attempt_simulator(self) -> AttemptSimulator:
         """The processes or threads that make attempts at the same time as the engine of the run."""
         if isinstance(threads := getattr(self.primary, "threads", None), int) and self.primary.name == BESIDE_ITSELF:
-            return ThreadSimulator(threads)
-        return SubprocessSimulator()
+            return AttemptThreads(threads)
+        return AttemptProcess()
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
         """Note that an error ended an attempt on an engine, and what happens to the worlds without an outcome."""

@@ -100,5 +100,5 @@ class InputConventions:
         return corner
 
 
-USUAL: Final = InputConventions()
+USUAL_CONVENTIONS: Final = InputConventions()
 """The defaults: millimetres and kilograms, and front-left-bottom corners."""

@@ -25,7 +25,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, is_text, number_in, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.file_formats import point_fault
-from petmjx.plans.input_conventions import USUAL, InputConventions, Limits
+from petmjx.plans.input_conventions import USUAL_CONVENTIONS, InputConventions, Limits
 from petmjx.plans.plan_fields import (
     COM_FIELDS,
     LONGEST_NAME,
@@ -332,7 +332,7 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
 
 
 def table_plans(
-    table: Table, source: str, max_boxes: int, notes: list[str], given: InputConventions = USUAL
+    table: Table, source: str, max_boxes: int, notes: list[str], given: InputConventions = USUAL_CONVENTIONS
 ) -> Generator[PlanFields | RefusedPlan, None, None]:
     """Yield the plans of a table, in order of appearance, and the refused plans and rows.
 

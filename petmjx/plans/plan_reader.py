@@ -37,7 +37,7 @@ from petmjx.plans.file_formats import (
     looks_like_own_json,
     looks_like_table,
 )
-from petmjx.plans.input_conventions import USUAL, InputConventions
+from petmjx.plans.input_conventions import USUAL_CONVENTIONS, InputConventions
 from petmjx.plans.json_reader import MalformedPlans, read_text_bytes, scan_plans, unpacked_bytes
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_decoder import DecoderOptions, ReadEntry, decode_entries, read_entry
@@ -404,7 +404,7 @@ class _PlanLoader:
             for refused in plans.refused:
                 self._skip(source, refused.plan_id, refused.message)
             if plans.table is not None:
-                self._take_table(source, plans.table, USUAL)
+                self._take_table(source, plans.table, USUAL_CONVENTIONS)
         except InputError as error:
             if self.options.strict and str(error).startswith(f"{source}: "):  # the error is about one plan or row
                 raise

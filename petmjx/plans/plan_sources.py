@@ -22,7 +22,7 @@ from petmjx.options.walls import Walls
 from petmjx.plans.bundled import bundled_path
 from petmjx.plans.convention_checks import warn, with_conventions
 from petmjx.plans.file_formats import SupportsArrow
-from petmjx.plans.input_conventions import USUAL, InputConventions
+from petmjx.plans.input_conventions import USUAL_CONVENTIONS, InputConventions
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import vanishing_side
 from petmjx.plans.plan_reader import read_plans
@@ -49,7 +49,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     """
     if isinstance(plans, Mapping):
         raise InputError(f"plans must be {_SOURCES}, got a table (of a plan file? give its path)")
-    usual = InputConventions.checked(options.units, options.anchor) == USUAL
+    usual = InputConventions.checked(options.units, options.anchor) == USUAL_CONVENTIONS
     if not (usual or plans is None or isinstance(plans, str | PathLike | SupportsArrow)):
         given: Any = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", object, _SOURCES)
         if any(isinstance(plan, Plan) for plan in given):

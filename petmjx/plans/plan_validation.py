@@ -9,7 +9,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import is_text, printable_id, printable_name
-from petmjx.plans.input_conventions import USUAL, InputConventions
+from petmjx.plans.input_conventions import USUAL_CONVENTIONS, InputConventions
 from petmjx.plans.json_reader import DuplicateFieldObject
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import (
@@ -63,7 +63,7 @@ def parse_plan(
     max_boxes: int,
     names: dict[str, str],
     unread: UnreadFields | None = None,
-    given: InputConventions = USUAL,
+    given: InputConventions = USUAL_CONVENTIONS,
 ) -> Plan:
     """Validate one decoded plan.
 
@@ -210,7 +210,7 @@ def _value_or_default(item: dict[str, Any], field: str, otherwise: Any) -> Any:
     return otherwise if value is None else value
 
 
-def find_fault(placement: object, given: InputConventions = USUAL) -> str | None:
+def find_fault(placement: object, given: InputConventions = USUAL_CONVENTIONS) -> str | None:
     """The error text for the first bad field of a placement; None if the placement is good."""
     if not isinstance(placement, dict):
         return f"must be an object, got {kind(placement)}"

@@ -18,12 +18,12 @@ from typing import Any, Final, Protocol
 
 from petmjx.engines.subprocess.task_pipe import Child, next_of, own_pipes
 from petmjx.repairs.search import Search
-from petmjx.repairs.trials import Answer, Asked, OutOfTime, Steps, Together
+from petmjx.repairs.trials import Asked, OutOfTime, Steps, Together, TrialAnswer
 
 PLANS_EACH: Final = 4
 """Plans for which a process is worth its start, of two seconds."""
 
-LOOK_S: Final = 0.005
+REQUEST_WAIT_S: Final = 0.005
 """While all processes are busy, and the engine is idle, messages are looked for at intervals of this length, s."""
 
 
@@ -33,7 +33,7 @@ class Simulator(Protocol):
     def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
         """Request the trials of drafts."""
 
-    def answers(self) -> Iterator[Answer | None]:
+    def answers(self) -> Iterator[TrialAnswer | None]:
         """The answers, until no request is left. Raises ``OutOfTime`` if the time is up."""
         ...
 
@@ -70,7 +70,7 @@ class Tasks:
         for steps in searches:
             self._go_on(_Task(steps), None)
 
-    def take(self, answer: Answer) -> None:
+    def take(self, answer: TrialAnswer) -> None:
         """Continue the task whose request is answered."""
         self._go_on(self._waiting.pop(answer.ticket), answer.trials)
 
@@ -162,7 +162,7 @@ class _Server:
                 for answer in self._simulator.answers():
                     if answer is not None:
                         number, ticket = answer.ticket
-                        self._send(number, Answer(ticket, answer.trials))
+                        self._send(number, TrialAnswer(ticket, answer.trials))
                     self._collect()
         except OutOfTime:
             self._end()
@@ -178,7 +178,7 @@ class _Server:
             wait: whether to wait for a message.
         """
         while not self._take_messages() and wait and self._working:
-            time.sleep(LOOK_S)
+            time.sleep(REQUEST_WAIT_S)
 
     def _take_messages(self) -> bool:
         """Take the messages that have arrived; returns whether there was any."""
@@ -204,7 +204,7 @@ class _Server:
             for ticket, drafts in content:
                 self._simulator.put((number, ticket), drafts)
 
-    def _send(self, number: int, message: Answer | None) -> None:
+    def _send(self, number: int, message: TrialAnswer | None) -> None:
         self._children[number].tasks.put(pickle.dumps(message))
 
     def _end(self) -> None:
@@ -233,13 +233,13 @@ class _Pipe:
         self._requests.append((ticket, drafts))
         self._n_open += 1
 
-    def answers(self) -> Iterator[Answer]:
+    def answers(self) -> Iterator[TrialAnswer]:
         """See ``Simulator``."""
         while self._n_open:
             if self._requests:
                 self.send(self._requests, has_ended=False)
                 self._requests = []
-            answer: Answer | None = next_of(self._tasks)
+            answer: TrialAnswer | None = next_of(self._tasks)
             if answer is None:
                 raise OutOfTime
             self._n_open -= 1

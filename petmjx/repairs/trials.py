@@ -417,7 +417,7 @@ class Lane(NamedTuple):
         return waits and pauses and self.engine.name != ON_A_GPU
 
 
-class Answer(NamedTuple):
+class TrialAnswer(NamedTuple):
     """The trials of all drafts of a request."""
 
     ticket: Any
@@ -433,8 +433,8 @@ class _Request:
     trials: dict[int, Trial] = field(default_factory=dict)
 
     @property
-    def answer(self) -> Answer:
-        return Answer(self.ticket, [self.trials[number] for number in range(len(self.drafts))])
+    def answer(self) -> TrialAnswer:
+        return TrialAnswer(self.ticket, [self.trials[number] for number in range(len(self.drafts))])
 
 
 @dataclass(eq=False)
@@ -494,7 +494,7 @@ class TrialStream:
         for kind, jobs in numbered.items():
             self._queues[kind].entries.append((request, jobs))
 
-    def answers(self) -> Iterator[Answer | None]:
+    def answers(self) -> Iterator[TrialAnswer | None]:
         """The answers, until no request is left. None: the engine pauses, so further requests can be put.
 
         Raises:
@@ -509,7 +509,7 @@ class TrialStream:
                 self._last = queue
                 yield from self._scored(queue) if queue.lane is None else self._judged(queue, queue.lane)
 
-    def _scored(self, queue: _Queue) -> Iterator[Answer]:
+    def _scored(self, queue: _Queue) -> Iterator[TrialAnswer]:
         """Score all drafts that wait for it."""
         waiting = [(request, number) for request, jobs in queue.entries for number, _ in jobs]
         queue.entries.clear()
@@ -519,7 +519,7 @@ class TrialStream:
             self._take(request, number, trial)
         yield from self._answered()
 
-    def _judged(self, queue: _Queue, lane: Lane) -> Iterator[Answer | None]:
+    def _judged(self, queue: _Queue, lane: Lane) -> Iterator[TrialAnswer | None]:
         """Judge the drafts of a queue, until none is left or the engine is needed for others."""
         most = max(one.draft.plan.n_boxes for request, _ in queue.entries for one in request.drafts) + SHEETS_MORE
         bounds = JobBounds(self._question.rows, range(1, most + 1), drive_steps=0, excitations=None)
@@ -569,7 +569,7 @@ class TrialStream:
         if len(request.trials) == len(request.drafts):
             self._complete.append(request)
 
-    def _answered(self) -> Iterator[Answer]:
+    def _answered(self) -> Iterator[TrialAnswer]:
         while self._complete:
             self._n_open -= 1
             yield self._complete.popleft().answer

@@ -22,7 +22,7 @@ from petmjx.plans.plan_segments import Segment, joined, segments_of
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, usable_of, usable_plans
 from petmjx.results.plan_records import PlanRecord, records_of
-from petmjx.runs.reading_process import Answer
+from petmjx.runs.reading_process import ReadingAnswer
 
 WORTH_A_PROCESS: Final = 16 << 20
 """Smallest size of plan files, in bytes, for which a process reads the plans: about 1,500 plans. Smaller files are read
@@ -98,16 +98,16 @@ def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOpt
     return PlanInput(plan_set, records)
 
 
-def _answers(tasks: Sequence[bytes]) -> list[Answer] | None:
+def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
     """The answers of processes to one task each. None if a process cannot answer."""
     children: list[Child] = []
-    answers: list[Answer] = []
+    answers: list[ReadingAnswer] = []
     try:
         for task in tasks:
             children.append(Child("petmjx.runs.reading_process"))
             children[-1].tasks.put(task)
         for child in children:
-            answer: Answer | None = child.answers.get()
+            answer: ReadingAnswer | None = child.answers.get()
             if answer is None:
                 return None
             answers.append(answer)

@@ -17,7 +17,7 @@ from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, gather_plan
 from petmjx.results.plan_records import PlanRecord, records_of
 
 
-class Answer(NamedTuple):
+class ReadingAnswer(NamedTuple):
     """What the process has read.
 
     Attributes:
@@ -43,7 +43,7 @@ def main() -> None:
     serve(0, lambda task: answer_to(*task))
 
 
-def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: RunOptions) -> Answer | None:
+def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: RunOptions) -> ReadingAnswer | None:
     """The plans of a source, or of a segment of a file. None after an error or a warning: the process of the run then
     reads the plans itself, so that the error or warning appears there."""
     with warnings.catch_warnings(record=True) as caught:
@@ -59,4 +59,4 @@ def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: Run
         return None
     plan_set, unread = content
     records = records_of(plan_set.plans, plan_set.numbers)
-    return Answer(PlanColumns.of(plan_set.plans), replace(plan_set, plans=[]), unread, records)
+    return ReadingAnswer(PlanColumns.of(plan_set.plans), replace(plan_set, plans=[]), unread, records)

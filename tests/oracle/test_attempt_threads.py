@@ -18,8 +18,8 @@ from support.plans import make_plan, make_world, stack
 
 from petmjx.engines import attempts
 from petmjx.engines.attempt_stream import score_worlds
-from petmjx.engines.attempt_threads import ThreadSimulator
-from petmjx.engines.subprocess.attempt_process import Task
+from petmjx.engines.attempt_threads import AttemptThreads
+from petmjx.engines.subprocess.attempt_process import AttemptTask
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.world_results import World, WorldResult
@@ -32,13 +32,13 @@ PLAIN = make_plan("plain", stack(2))
 @pytest.mark.slow
 def test_a_world_is_simulated_again_beside_the_others_and_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     begun_after = list[int]()
-    begin = ThreadSimulator.begin
+    begin = AttemptThreads.begin
 
-    def watched(self: ThreadSimulator, task: Task) -> None:
+    def watched(self: AttemptThreads, task: AttemptTask) -> None:
         begun_after.append(len(results))
         begin(self, task)
 
-    monkeypatch.setattr(ThreadSimulator, "begin", watched)
+    monkeypatch.setattr(AttemptThreads, "begin", watched)
     engine, results = MjxWarpCpuEngine(2), list[WorldResult[World]]()
     for result in score_worlds([make_world(SINKS), *[make_world(PLAIN)] * 2], Simulation(), engine):
         results.append(result)
@@ -63,14 +63,14 @@ def test_an_error_is_an_answer_and_close_ends_what_runs(monkeypatch: pytest.Monk
                 yield None
                 time.sleep(0.01)
 
-    simulator, job = ThreadSimulator(1), make_world(PLAIN).job
-    simulator.begin(Task(0, "no-such-engine", job, Simulation()))
+    simulator, job = AttemptThreads(1), make_world(PLAIN).job
+    simulator.begin(AttemptTask(0, "no-such-engine", job, Simulation()))
     (answer,) = simulator.ended(wait=True)
     assert (answer.number, answer.outcome) == (0, None)
     assert "no-such-engine" in answer.message
     monkeypatch.setattr("petmjx.engines.subprocess.attempt_process.make_engine", lambda *_, **__: Slow())
-    simulator.begin(Task(1, "slow", job, Simulation()))
-    simulator.begin(Task(2, "slow", job, Simulation()))
+    simulator.begin(AttemptTask(1, "slow", job, Simulation()))
+    simulator.begin(AttemptTask(2, "slow", job, Simulation()))
     assert pauses.wait(10)
     assert [*simulator.ended(wait=False)] == []
     simulator.close()

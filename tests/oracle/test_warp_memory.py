@@ -48,7 +48,7 @@ from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 from petmjx.engines.warp.time_slices import Rollout
 from petmjx.engines.warp.world_arrays import BUFFER_WORDS, axes, buffer_rows
-from petmjx.engines.warp.world_table import Run, WorldTable
+from petmjx.engines.warp.world_table import TableRun, WorldTable
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -138,7 +138,7 @@ class FailingRollout(Rollout):
     failures = 0
     """Number of failures of all rollouts of a class."""
 
-    def __init__(self, run: Run, pools: Sequence[BlockPool], slice_ns: int) -> None:
+    def __init__(self, run: TableRun, pools: Sequence[BlockPool], slice_ns: int) -> None:
         super().__init__(run, pools, CHANGING_NS)
         self.waits, self.launcher.slice_ns = 0, STEP_NS
 
@@ -216,12 +216,12 @@ def test_memory_that_is_short_before_a_table_has_begun_ends_the_run(
     """The run does not try again for ever."""
     tried = itertools.count(1)
 
-    def none_left(*_: object) -> Run:
+    def none_left(*_: object) -> TableRun:
         if next(tried) > 20:
             pytest.fail("tried for ever")
         raise MemoryError("no room for times")
 
-    monkeypatch.setattr(Run, "of", none_left)
+    monkeypatch.setattr(TableRun, "of", none_left)
     with pytest.raises(MemoryError, match="no room for times"):
         run_all(engine(), [Job(tiny("hand-one-box"))] * n_jobs, SHORT)
 

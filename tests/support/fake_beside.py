@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from petmjx.engines.protocol import Engine
-from petmjx.engines.subprocess.attempt_process import Answer, Task
+from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptTask
 
 
 @dataclass
@@ -15,19 +15,19 @@ class AtOnce:
     beside a run."""
 
     engine_named: Callable[[str], Engine]
-    tasks: list[Task] = field(default_factory=list)
-    answers: list[Answer] = field(default_factory=list)
+    tasks: list[AttemptTask] = field(default_factory=list)
+    answers: list[AttemptAnswer] = field(default_factory=list)
 
-    def begin(self, task: Task) -> None:
+    def begin(self, task: AttemptTask) -> None:
         self.tasks.append(task)
         try:
             (outcome,) = self.engine_named(task.engine).run([task.job], task.sim)
         except Exception as error:
-            self.answers.append(Answer(task.number, None, str(error)))
+            self.answers.append(AttemptAnswer(task.number, None, str(error)))
         else:
-            self.answers.append(Answer(task.number, outcome))
+            self.answers.append(AttemptAnswer(task.number, outcome))
 
-    def ended(self, *, wait: bool) -> Iterator[Answer]:
+    def ended(self, *, wait: bool) -> Iterator[AttemptAnswer]:
         while self.answers:
             yield self.answers.pop(0)
 

@@ -18,7 +18,7 @@ from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_features import KernelFeatures
 from petmjx.engines.warp.kernel_launcher import MORE_BOXES, BlockPool
 from petmjx.engines.warp.time_slices import Rollout
-from petmjx.engines.warp.world_table import Run
+from petmjx.engines.warp.world_table import TableRun
 from petmjx.options.physics import Physics
 from petmjx.options.simulation import Check, Simulation
 from petmjx.world.job import Job
@@ -48,7 +48,7 @@ class OneStep:
     def __init__(self, scene: Scene, physics: str | Physics) -> None:
         self.sim = Simulation(physics=physics, check=Check.STATIC)
         needs = KernelFeatures({size_for(scene.n_boxes).most_boxes: scene.n_boxes})
-        run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), needs, Progress())
+        run = TableRun(self.sim, build_timetable(self.sim, scene.n_boxes), needs, Progress())
         self.table = MjxWarpEngine(1, allow_cpu=True)._load(run, [Job(scene)], [0], 1)
         boards = len(scene.carrier.half_size)
         launch = Launch.here(scene.n_boxes)

@@ -19,7 +19,7 @@ from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.time_slices import Rollout, Slice
 from petmjx.engines.warp.world_arrays import most_panels
-from petmjx.engines.warp.world_table import Run, WorldTable
+from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene, build_scene
 from support.fake_stepper import assert_same
@@ -77,7 +77,7 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
     made."""
     made: list[Rollout] = []
 
-    def rollout(run: Run, pools: Sequence[BlockPool], slice_ns: int) -> Rollout:
+    def rollout(run: TableRun, pools: Sequence[BlockPool], slice_ns: int) -> Rollout:
         for pool in pools:
             look(pool.n_boxes, pool.nconmax, pool.blocks)
         made.append(Rollout(run, pools, slice_ns))
@@ -92,7 +92,7 @@ def room_for_one_pool(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     a list of the numbers of sizes that were tried."""
     tried: list[int] = []
 
-    def rollout(run: Run, pools: Sequence[BlockPool], slice_ns: int) -> Rollout:
+    def rollout(run: TableRun, pools: Sequence[BlockPool], slice_ns: int) -> Rollout:
         tried.append(len(pools))
         if len(pools) > 1:
             raise out_of_memory()

@@ -15,7 +15,7 @@ from support.waiting import wait_for
 
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.subprocess import attempt_process
-from petmjx.engines.subprocess.attempt_process import Answer, SubprocessSimulator, Task
+from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptProcess, AttemptTask
 from petmjx.options.simulation import Simulation
 
 SIM = Simulation()
@@ -27,13 +27,13 @@ LONG = make_world(make_plan("long", stack(60, size_mm=(400, 300, 20)))).job
 
 
 @pytest.fixture
-def beside() -> Iterator[SubprocessSimulator]:
-    helper = SubprocessSimulator()
+def beside() -> Iterator[AttemptProcess]:
+    helper = AttemptProcess()
     yield helper
     helper.close()
 
 
-def pid_of(beside: SubprocessSimulator) -> int:
+def pid_of(beside: AttemptProcess) -> int:
     assert beside._process is not None
     assert beside._process._popen is not None
     return beside._process._popen.pid
@@ -47,12 +47,12 @@ def lives(pid: int) -> bool:
     return True
 
 
-def test_its_answers_are_those_of_the_engine_and_it_is_kept_for_the_next_run(beside: SubprocessSimulator) -> None:
+def test_its_answers_are_those_of_the_engine_and_it_is_kept_for_the_next_run(beside: AttemptProcess) -> None:
     [expected] = MujocoEngine(1).run([TOWER], SIM)
     assert list(beside.ended(wait=True)) == []
-    beside.begin(Task(7, "mujoco", TOWER, SIM))
-    beside.begin(Task(8, "no-such", TOWER, SIM))
-    answer_by_number: dict[int, Answer] = {}
+    beside.begin(AttemptTask(7, "mujoco", TOWER, SIM))
+    beside.begin(AttemptTask(8, "no-such", TOWER, SIM))
+    answer_by_number: dict[int, AttemptAnswer] = {}
     while len(answer_by_number) < 2:
         answer_by_number |= {answer.number: answer for answer in beside.ended(wait=True)}
     assert answer_by_number[7].outcome is not None
@@ -63,35 +63,35 @@ def test_its_answers_are_those_of_the_engine_and_it_is_kept_for_the_next_run(bes
     assert "unknown engine 'no-such'" in answer_by_number[8].message
     first = pid_of(beside)
     beside.close()
-    following = SubprocessSimulator()
-    following.begin(Task(0, "mujoco", TOWER, SIM))
+    following = AttemptProcess()
+    following.begin(AttemptTask(0, "mujoco", TOWER, SIM))
     assert pid_of(following) == first
     following.close()  # while one task has no answer
     assert not lives(first)
 
 
-def test_a_process_that_dies_is_told_of_and_replaced(beside: SubprocessSimulator) -> None:
-    beside.begin(Task(1, "mujoco", LONG, SIM))
-    beside.begin(Task(2, "mujoco", LONG, SIM))
+def test_a_process_that_dies_is_told_of_and_replaced(beside: AttemptProcess) -> None:
+    beside.begin(AttemptTask(1, "mujoco", LONG, SIM))
+    beside.begin(AttemptTask(2, "mujoco", LONG, SIM))
     os.kill(pid_of(beside), signal.SIGKILL)
     died = list(beside.ended(wait=True))
     assert [answer.number for answer in died] == [1, 2]
     assert all(answer.outcome is None and "died" in answer.message for answer in died)
-    beside.begin(Task(3, "mujoco", TOWER, SIM))
+    beside.begin(AttemptTask(3, "mujoco", TOWER, SIM))
     (answer,) = beside.ended(wait=True)
     assert answer.outcome is not None
 
 
 def test_what_cannot_be_sent_and_what_cannot_start_is_told_of(
-    beside: SubprocessSimulator, monkeypatch: pytest.MonkeyPatch
+    beside: AttemptProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(attempt_process, "_IDLE", {})
     monkeypatch.setattr(sys, "executable", "no-such-interpreter")
-    beside.begin(Task(1, "mujoco", TOWER, SIM))
+    beside.begin(AttemptTask(1, "mujoco", TOWER, SIM))
     (answer,) = beside.ended(wait=True)
     assert answer.outcome is None
     monkeypatch.undo()
-    beside.begin(Task(2, "mujoco", TOWER, lambda: SIM))  # type: ignore[arg-type]
+    beside.begin(AttemptTask(2, "mujoco", TOWER, lambda: SIM))  # type: ignore[arg-type]
     (answer,) = beside.ended(wait=True)
     assert answer.outcome is None
     assert "pickle" in answer.message.lower()
@@ -101,11 +101,12 @@ RUN = """
 import sys, time
 from support.plans import make_plan, make_world, stack
 from petmjx.options.simulation import Simulation
-from petmjx.engines.subprocess.attempt_process import SubprocessSimulator
-from petmjx.engines.subprocess.attempt_process import Task
+from petmjx.engines.subprocess.attempt_process import AttemptProcess
+from petmjx.engines.subprocess.attempt_process import AttemptTask
 
-beside = SubprocessSimulator()
-beside.begin(Task(1, "mujoco", make_world(make_plan("long", stack(60, size_mm=(400, 300, 20)))).job, Simulation()))
+beside = AttemptProcess()
+job = make_world(make_plan("long", stack(60, size_mm=(400, 300, 20)))).job
+beside.begin(AttemptTask(1, "mujoco", job, Simulation()))
 print(beside._process._popen.pid, flush=True)
 time.sleep(60)
 """

@@ -21,7 +21,7 @@ from petmjx.engines import attempts
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine, Progress, says_at_hand
-from petmjx.engines.subprocess.attempt_process import Answer, Task
+from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptTask
 from petmjx.engines.verdict import Flag, Outcome, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.results.run_reader import load_run
@@ -109,15 +109,15 @@ def test_what_has_ended_is_shown_while_the_engine_is_silent(kind: type[Any]) -> 
 def test_attempts_beside_a_silent_engine_are_shown_in_its_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     """A CPU thread makes a further attempt at one world. The attempt ends while the device simulates another world, and
     is shown before the device has finished."""
-    beside: list[Task] = []
+    beside: list[AttemptTask] = []
 
     class Beside:
-        def begin(self, task: Task) -> None:
+        def begin(self, task: AttemptTask) -> None:
             beside.append(task)
 
-        def ended(self, *, wait: bool) -> Iterator[Answer]:
+        def ended(self, *, wait: bool) -> Iterator[AttemptAnswer]:
             while beside and answered.is_set():
-                yield Answer(beside.pop().number, make_outcome(1), "")
+                yield AttemptAnswer(beside.pop().number, make_outcome(1), "")
 
         def close(self) -> None:
             pass
@@ -141,7 +141,7 @@ def test_attempts_beside_a_silent_engine_are_shown_in_its_pauses(monkeypatch: py
             assert seen == ["p0"], "it was shown in the pause"
             yield outcome_of(1, Verdict.STABLE)
 
-    monkeypatch.setattr(attempts, "SubprocessSimulator", Beside)
+    monkeypatch.setattr(attempts, "AttemptProcess", Beside)
     monkeypatch.setattr("petmjx.engines.attempt_runner.outcome_checks", lambda outcomes, jobs, sim: list(outcomes))
     for result in score_worlds(worlds_failing(0, 0), Simulation(), Device()):
         seen.append(result.world.plan.plan_id)

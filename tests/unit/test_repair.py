@@ -30,7 +30,17 @@ from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import Tasks, run_searches
-from petmjx.repairs.trials import Answer, Asked, OutOfTime, Question, Steps, TimeLimit, Together, Trial, TrialStream
+from petmjx.repairs.trials import (
+    Asked,
+    OutOfTime,
+    Question,
+    Steps,
+    TimeLimit,
+    Together,
+    Trial,
+    TrialAnswer,
+    TrialStream,
+)
 
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
 """Options for repairs without worlds with errors, whose simulation takes the most time."""
@@ -401,7 +411,7 @@ def result_of(steps: Steps[Any], ask: Ask) -> Any:
     while tasks.requests:
         requests, tasks.requests = tasks.requests, []
         for ticket, drafts in requests:
-            tasks.take(Answer(ticket, ask(drafts)))
+            tasks.take(TrialAnswer(ticket, ask(drafts)))
     return results[0]
 
 
@@ -414,11 +424,11 @@ class Simulated:
     def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
         self._requests.append((ticket, drafts))
 
-    def answers(self) -> Iterator[Answer | None]:
+    def answers(self) -> Iterator[TrialAnswer | None]:
         while self._requests:
             requests, self._requests = self._requests, []
             for ticket, drafts in requests:
-                yield Answer(ticket, self._ask([*drafts]))
+                yield TrialAnswer(ticket, self._ask([*drafts]))
             yield None
 
 
@@ -444,11 +454,11 @@ def test_parts_of_a_search_wait_only_for_their_own_trials() -> None:
     tasks = Tasks([noting()])
     (long_part, _), (short_part, _) = tasks.requests
     for number in range(3):
-        tasks.take(Answer(long_part, [("long", number)]))  # type: ignore[list-item]
+        tasks.take(TrialAnswer(long_part, [("long", number)]))  # type: ignore[list-item]
         long_part, (request,) = tasks.requests[-1]
         assert request.world == min(number + 1, 2)
     assert not results
-    tasks.take(Answer(short_part, [("short", 0)]))  # type: ignore[list-item]
+    tasks.take(TrialAnswer(short_part, [("short", 0)]))  # type: ignore[list-item]
     assert results == [["long", "short", "none"]]
 
 
@@ -912,7 +922,7 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     petmjx.save_plans([make_plan("stands", stack(2)), make_plan("falls", COUNTERWEIGHT)], source)
     answers, n_answers = TrialStream.answers, 0
 
-    def stopped(stream: TrialStream) -> Iterator[Answer | None]:
+    def stopped(stream: TrialStream) -> Iterator[TrialAnswer | None]:
         nonlocal n_answers
         for answer in answers(stream):
             if n_answers == n_calls:

@@ -96,7 +96,7 @@ def test_a_second_ctrl_c_skips_no_cleaning(monkeypatch: pytest.MonkeyPatch) -> N
         raise KeyboardInterrupt
 
     monkeypatch.setattr(WorldSource, "close", interrupted)
-    monkeypatch.setattr(attempt_stream._SideTasks, "close", lambda self: closed.append("besides"))
+    monkeypatch.setattr(attempt_stream._AttemptTasks, "close", lambda self: closed.append("besides"))
     with pytest.raises(KeyboardInterrupt):
         list(score_worlds(worlds_failing(0), Simulation(), FailingEngine()))
     assert sorted(closed) == ["besides", "source"]

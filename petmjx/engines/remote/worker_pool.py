@@ -28,11 +28,11 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
-LOOK_S = 0.25
+MESSAGE_WAIT_S = 0.25
 """Longest wait for messages from workers, s. After each wait, signals are handled and progress is updated."""
 
 FEED_S = 0.05
-"""As ``LOOK_S``, if a worker has no jobs while further jobs are made."""
+"""As ``MESSAGE_WAIT_S``, if a worker has no jobs while further jobs are made."""
 
 START_S = 30.0
 """Longest wait for the first worker when the pool is created, s. So an engine that cannot run in a worker is reported
@@ -237,7 +237,7 @@ class WorkerPool(Engine):
     def _reported(self, run: _PoolRun) -> Iterator[Outcome]:
         """Handle what workers have sent. Yields the outcomes."""
         hungry = not run.stream.closed and not all(worker.hand.costs for worker in self._workers)
-        for worker, ref in self._news(FEED_S if hungry else LOOK_S):
+        for worker, ref in self._news(FEED_S if hungry else MESSAGE_WAIT_S):
             if not worker.ready:
                 self._greet(worker, ref)
                 continue
@@ -266,7 +266,7 @@ class WorkerPool(Engine):
         worker.reports = None
         self._ray.kill(worker.actor)
 
-    def _news(self, longest_s: float = LOOK_S) -> list[tuple[_WorkerRecord, Any]]:
+    def _news(self, longest_s: float = MESSAGE_WAIT_S) -> list[tuple[_WorkerRecord, Any]]:
         """Workers that have sent something, each with the source of its message: the first message, or the reports
         about the run. Waits for at most ``longest_s``.
         """

@@ -1,6 +1,6 @@
 """The attempt process simulates single worlds again (further *attempts*) beside a run, on engines with one thread.
 
-``SubprocessSimulator`` sends tasks to the process, and receives the answers. ``main`` is the work of the process. The
+``AttemptProcess`` sends tasks to the process, and receives the answers. ``main`` is the work of the process. The
 process sees no GPU, so its JAX and Warp use the CPU, even if those of the run's process use a GPU. The process ends
 when its pipe of tasks ends, and so also when the process that started it ends.
 """
@@ -44,7 +44,7 @@ READY = -1
 
 
 @dataclass(frozen=True)
-class Task:
+class AttemptTask:
     """A world to simulate, and the name of the engine. ``job`` and ``sim`` are arguments of ``Engine.run``."""
 
     number: int
@@ -54,7 +54,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Answer:
+class AttemptAnswer:
     """The outcome of a task. If there is no outcome, ``outcome`` is None, and ``message`` says why in one line."""
 
     number: int
@@ -62,13 +62,13 @@ class Answer:
     message: str = ""
 
 
-class SideSimulator(Protocol):
+class AttemptSimulator(Protocol):
     """Simulates worlds while the caller continues."""
 
-    def begin(self, task: Task) -> None:
+    def begin(self, task: AttemptTask) -> None:
         """Start to simulate a world. Returns at once."""
 
-    def ended(self, *, wait: bool) -> Iterator[Answer]:
+    def ended(self, *, wait: bool) -> Iterator[AttemptAnswer]:
         """The answers that have arrived since the last call.
 
         Args:
@@ -80,7 +80,7 @@ class SideSimulator(Protocol):
         """End the simulator. Tasks without an answer are dropped."""
 
 
-class SubprocessSimulator:
+class AttemptProcess:
     """Simulates worlds in a separate process, which is started for the first task.
 
     If the process dies, its open tasks get answers without an outcome, and the next task starts a new process. Idle
@@ -91,18 +91,18 @@ class SubprocessSimulator:
         self._process: Child | None = None
         self._unanswered: set[int] = set()
 
-    def begin(self, task: Task) -> None:
-        """See ``SideSimulator.begin``."""
+    def begin(self, task: AttemptTask) -> None:
+        """See ``AttemptSimulator.begin``."""
         if self._process is None:
             self._process = _idle_child()
         self._unanswered.add(task.number)
         try:
             self._process.tasks.put(pickle.dumps(task))
         except Exception as error:
-            self._process.answers.put(Answer(task.number, None, one_line(error)))
+            self._process.answers.put(AttemptAnswer(task.number, None, one_line(error)))
 
-    def ended(self, *, wait: bool) -> Iterator[Answer]:
-        """See ``SideSimulator.ended``."""
+    def ended(self, *, wait: bool) -> Iterator[AttemptAnswer]:
+        """See ``AttemptSimulator.ended``."""
         if not self._unanswered:
             return
         assert self._process is not None
@@ -115,11 +115,11 @@ class SubprocessSimulator:
             self._process.end()
             self._process = None
             for number in died:
-                yield Answer(number, None, "the process beside the run died")
+                yield AttemptAnswer(number, None, "the process beside the run died")
             return
 
     def close(self) -> None:
-        """See ``SideSimulator.close``."""
+        """See ``AttemptSimulator.close``."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -156,12 +156,12 @@ def main() -> None:
     tasks, answers = own_pipes(NICE)
     thread_state, writing = threading.local(), threading.Lock()
 
-    def answer(task: Task) -> None:
+    def answer(task: AttemptTask) -> None:
         reply = answer_to(task, vars(thread_state), granule=GRANULE)
         try:
             data = pickle.dumps(reply)
         except Exception as error:
-            data = pickle.dumps(Answer(task.number, None, one_line(error)))
+            data = pickle.dumps(AttemptAnswer(task.number, None, one_line(error)))
         with writing, suppress(BrokenPipeError):
             answers.write(data)
             answers.flush()
@@ -173,8 +173,8 @@ def main() -> None:
 
 
 def answer_to(
-    task: Task, engines: dict[str, Engine], stops: Callable[[], bool] = lambda: False, granule: int | None = None
-) -> Answer:
+    task: AttemptTask, engines: dict[str, Engine], stops: Callable[[], bool] = lambda: False, granule: int | None = None
+) -> AttemptAnswer:
     """Simulate the world of a task.
 
     Args:
@@ -196,7 +196,7 @@ def answer_to(
                 if outcome is not None or stops():  # None is not an outcome: the engine pauses
                     break
     except EngineUnavailable as error:
-        return Answer(task.number, None, str(error))
+        return AttemptAnswer(task.number, None, str(error))
     except Exception as error:
-        return Answer(task.number, None, one_line(error))
-    return Answer(task.number, outcome, "" if outcome is not None else "no outcome")
+        return AttemptAnswer(task.number, None, one_line(error))
+    return AttemptAnswer(task.number, outcome, "" if outcome is not None else "no outcome")

@@ -127,14 +127,14 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
             future.result()
 
 
-MOST_THREADS: Final = 1024
+MOST_BLOCK_THREADS: Final = 1024
 
 
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
     """Threads for the thread blocks of all engines on the CPU. Threads are started when they are needed at the same
     time, and are kept, since every time slice needs them."""
-    return ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="petmjx-mjx-warp-cpu")
+    return ThreadPoolExecutor(MOST_BLOCK_THREADS, thread_name_prefix="petmjx-mjx-warp-cpu")
 
 
 def load_kernels(launches: Sequence[Launch]) -> None:

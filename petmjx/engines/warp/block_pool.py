@@ -10,7 +10,7 @@ from petmjx.engines.warp.block_launch import FEW_BOXES, Features, Launch
 from petmjx.engines.warp.kernel_launcher import MORE_BOXES, BlockPool
 from petmjx.engines.warp.small_world_blocks import small_world_pool
 from petmjx.engines.warp.tail_blocks import stiff_pool, tail_pool
-from petmjx.engines.warp.world_table import MAX_GROWTH, Run, WorldTable
+from petmjx.engines.warp.world_table import MAX_GROWTH, TableRun, WorldTable
 from petmjx.options.physics import Cone
 from petmjx.world.contact_laws import is_stiff
 
@@ -59,7 +59,7 @@ class BlockPools:
         last = tail_pool(pools[-1], self._lanes)
         return (last, *pools) if last else pools
 
-    def grow(self, run: Run, size: int) -> int | None:
+    def grow(self, run: TableRun, size: int) -> int | None:
         """Double the buffers for worlds of a size. Returns the factor by which the buffers are now larger than the
         default, or None if they already have their largest size."""
         if self._boxes_of_room(run, size) == most_room(size):
@@ -68,14 +68,14 @@ class BlockPools:
         self._growth[run.sim.physics.cone, size] = growth
         return growth
 
-    def _growth_of(self, run: Run, size: int) -> int:
+    def _growth_of(self, run: TableRun, size: int) -> int:
         return self._growth.get((run.sim.physics.cone, size), 1)
 
-    def _boxes_of_room(self, run: Run, size: int) -> int:
+    def _boxes_of_room(self, run: TableRun, size: int) -> int:
         """Number of boxes for whose contacts and pairs the current buffers of a world of this size have room."""
         return min(self._growth_of(run, size) * (run.needs.widths[size] + MORE_BOXES), most_room(size))
 
-    def _of_size(self, run: Run, size: int, boards: int) -> BlockPool:
+    def _of_size(self, run: TableRun, size: int, boards: int) -> BlockPool:
         """The block pool for worlds of a size, with the largest number of blocks. ``boards``: number of shapes of the
         carriers.
         """

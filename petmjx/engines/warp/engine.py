@@ -29,7 +29,7 @@ from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.slice_result import SliceResult, outcomes_of
 from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.time_slices import Rollout, TableSlices
-from petmjx.engines.warp.world_table import Run, WorldTable
+from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
@@ -172,7 +172,7 @@ class MjxWarpEngine(Engine):
         lost = source.lose()
         if source.alone and lost:
             needs = KernelFeatures.of([*lost.values()], self.granule)
-            table = self._load(Run.of(needs, sim, progress), [*lost.values()], [*lost], 1)
+            table = self._load(TableRun.of(needs, sim, progress), [*lost.values()], [*lost], 1)
             yield from outcomes_of(
                 self._slices_of(table, source, waits=True, simulate=False), sim, progress, waits=True
             )
@@ -197,7 +197,7 @@ class MjxWarpEngine(Engine):
             jobs, stream_numbers, rows = source.begin()
             running, source.running = source.running, None
             room = source.profile_room(jobs, rows)
-            table = self._load(Run.of(source.needs, sim, progress), jobs, stream_numbers, rows, room)
+            table = self._load(TableRun.of(source.needs, sim, progress), jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
                 running = None  # deleting these arrays frees their memory for the simulation
@@ -205,7 +205,12 @@ class MjxWarpEngine(Engine):
             del table  # the next table needs this memory
 
     def _load(
-        self, run: Run, jobs: list[Job], stream_numbers: list[int], rows: int, profile_room: tuple[int, int] = (0, 0)
+        self,
+        run: TableRun,
+        jobs: list[Job],
+        stream_numbers: list[int],
+        rows: int,
+        profile_room: tuple[int, int] = (0, 0),
     ) -> WorldTable:
         """A table of worlds on the device.
 

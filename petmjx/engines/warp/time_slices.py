@@ -25,7 +25,7 @@ from petmjx.engines.warp.kernel_launcher import SLICE_NS, BlockPool
 from petmjx.engines.warp.programs import READ_COUNTS, programs
 from petmjx.engines.warp.slice_result import SliceResult
 from petmjx.engines.warp.table_jobs import TableJobs
-from petmjx.engines.warp.world_table import Run, WorldTable
+from petmjx.engines.warp.world_table import TableRun, WorldTable
 
 UNDER_WAY = 2
 """Number of slices that have been started and not yet read, so that the device is never idle. While a slice runs, the
@@ -56,7 +56,7 @@ class Rollout:
         slice_ns: length of a time slice, ns.
     """
 
-    def __init__(self, run: Run, pools: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
+    def __init__(self, run: TableRun, pools: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
         self.programs = programs(run.sim, run.timetable, tuple(pools), slice_ns)
         self.launcher = self.programs.launcher
         self.workspace = self.launcher.workspace().block_until_ready()

@@ -54,7 +54,7 @@ def _put_into(table: Table, rows: NDArray[np.intp], values: Table, put: Callable
 
 
 @dataclass
-class Run:
+class TableRun:
     """Options that all worlds of a table have in common.
 
     Attributes:
@@ -69,7 +69,7 @@ class Run:
     message: str = ""
 
     @classmethod
-    def of(cls, needs: KernelFeatures, sim: Simulation, progress: Progress) -> Run:
+    def of(cls, needs: KernelFeatures, sim: Simulation, progress: Progress) -> TableRun:
         """The options of a run whose kernels need the features and sizes ``needs``."""
         return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress, progress.message)
 
@@ -100,7 +100,7 @@ class WorldTable(Batch):
         since: (row,) number of the first slice of the world in each row. In earlier slices, the row had another world.
     """
 
-    run: Run
+    run: TableRun
     stream_numbers: list[int]
     frames: dict[str, jax.Array] | None = None
     slices: int = 0
