@@ -15,11 +15,12 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 from petmjx.engines.contact_penetration import stiffened_physics
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.warp import block_pool
+from petmjx.engines.warp import block_pools
 from petmjx.engines.warp.block_launch import SIZES
-from petmjx.engines.warp.block_pool import BlockPools, most_room
+from petmjx.engines.warp.block_pool import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX
+from petmjx.engines.warp.block_pools import BlockPools, most_room
 from petmjx.engines.warp.kernel_features import KernelFeatures
-from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, KernelLauncher
+from petmjx.engines.warp.kernel_launcher import KernelLauncher
 from petmjx.engines.warp.programs import constants
 from petmjx.engines.warp.world_table import MAX_GROWTH
 from petmjx.options.simulation import Simulation
@@ -46,8 +47,8 @@ def few_worlds(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         counts.append(worlds)
         return replace(pool, least=1)
 
-    monkeypatch.setattr(block_pool, "small_world_pool", pool_for_few)
-    monkeypatch.setattr(block_pool, "tail_pool", lambda pool, lanes: replace(pool, last=True))
+    monkeypatch.setattr(block_pools, "small_world_pool", pool_for_few)
+    monkeypatch.setattr(block_pools, "tail_pool", lambda pool, lanes: replace(pool, last=True))
     return counts
 
 

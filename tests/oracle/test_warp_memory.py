@@ -44,8 +44,9 @@ from support.worlds import simulate
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp import kernel_launcher
 from petmjx.engines.warp.block_launch import Launch
+from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
+from petmjx.engines.warp.kernel_launcher import KernelLauncher
 from petmjx.engines.warp.time_slices import Rollout
 from petmjx.engines.warp.world_arrays import BUFFER_WORDS, axes, buffer_rows
 from petmjx.engines.warp.world_table import TableRun, WorldTable

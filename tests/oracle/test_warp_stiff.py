@@ -28,7 +28,7 @@ from petmjx.engines.verdict import Verdict
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.programs import constants, contact_constants
-from petmjx.engines.warp.world_table import Run, WorldTable
+from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.engines.world_results import WorldResult
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
@@ -121,7 +121,7 @@ def test_drives_after_an_attempt_in_stiffer_contacts_do_not_depend_on_when_it_ra
     tables: list[list[Job]] = []
     load = MjxWarpEngine._load
 
-    def noted_load(self: MjxWarpEngine, run: Run, jobs: list[Job], *others: Any) -> WorldTable:
+    def noted_load(self: MjxWarpEngine, run: TableRun, jobs: list[Job], *others: Any) -> WorldTable:
         tables.append(jobs.copy())
         return load(self, run, jobs, *others)
 

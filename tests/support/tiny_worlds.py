@@ -15,8 +15,8 @@ from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp import block_launch
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.block_launch import Features, Launch, size_for
+from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.time_slices import Rollout, Slice
 from petmjx.engines.warp.world_arrays import most_panels
 from petmjx.engines.warp.world_table import TableRun, WorldTable

@@ -14,7 +14,8 @@ import warp as wp
 from petmjx.common.warp_cpp import with_cpp
 from petmjx.engines.warp import block_launch
 from petmjx.engines.warp.block_launch import Launch, own_kernels
-from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
+from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.kernel_launcher import KernelLauncher
 
 LONG_S = 60
 """Time limit for all threads to begin, s."""

@@ -12,12 +12,13 @@ from support.failing_engine import FailingEngine, worlds_failing
 import petmjx
 from petmjx.common.errors import InputError
 from petmjx.engines import attempt_stream
-from petmjx.engines.attempt_stream import WorldSource, score_worlds
+from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.cost_model import Work
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.protocol import Capability, Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.run_engine import engine_for
 from petmjx.engines.verdict import Outcome
+from petmjx.engines.world_source import WorldSource
 from petmjx.loop import candidate_trials
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation

@@ -1,85 +1,74 @@
-"""Block pools: the thread blocks for the worlds of a table, and the sizes of their buffers."""
+"""A block pool: the thread blocks for worlds of one size, and the number of pairs and contacts for which each world has
+memory."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
-import numpy as np
+from petmjx.engines.mjx.world_constants import NEVER
+from petmjx.engines.warp import world_arrays
+from petmjx.engines.warp.block_launch import Launch
 
-from petmjx.engines.warp.block_launch import FEW_BOXES, Features, Launch
-from petmjx.engines.warp.kernel_launcher import MORE_BOXES, BlockPool
-from petmjx.engines.warp.small_world_blocks import small_world_pool
-from petmjx.engines.warp.tail_blocks import stiff_pool, tail_pool
-from petmjx.engines.warp.world_table import MAX_GROWTH, TableRun, WorldTable
-from petmjx.options.physics import Cone
-from petmjx.world.contact_laws import is_stiff
+PAIRS_PER_BOX = 10
+"""Number of pairs of near geoms for which memory is reserved, per box and per board of a carrier."""
 
+CONTACTS_PER_BOX = 8
+"""Number of contacts for which memory is reserved, per box. Full real pallets have 4.5 contacts per box. The largest
+number in 2,000 sample plans was 6.4 per box, in a collapse."""
 
-def most_room(size: int) -> int:
-    """Upper limit for the growth of buffers: the buffers of a world of this size get room for the contacts and pairs of
-    at most this number of boxes.
-
-    The limit is the same in all runs, so the largest plan of a run has no influence on whether a world is given up."""
-    return MAX_GROWTH * (size + MORE_BOXES)
+MORE_BOXES = 2
+"""Number of additional boxes for which buffers have room: one for the carrier, and one that small plans need."""
 
 
-class BlockPools:
-    """Makes the block pools for an engine's tables, and enlarges buffers that overflow. Enlarged buffers stay large.
+@dataclass(frozen=True)
+class BlockPool:
+    """The thread blocks for worlds of one size.
 
-    Args:
-        lanes: largest number of worlds of one size that are simulated at the same time. If ``lanes`` is None, the limit
-            is the number for which the device has room.
-        blocks: function that returns the number of blocks of a launch.
+    Attributes:
+        launch: configuration with which the device runs the blocks.
+        blocks: number of blocks.
+        n_boxes: largest number of placed boxes of a world.
+        boards: largest number of shapes of a carrier.
+        npairmax: largest number of pairs of near geoms of a world.
+        nconmax: largest number of contacts of a world.
+        least: smallest number of worlds with which the pool is used (small_world_blocks.py). If 0, the pool is always
+            used.
+        last: whether the pool is for the last worlds of a run (tail_blocks.py).
+        stiff: stiffness of the contacts of the pool's worlds (``Job.stiff``).
     """
 
-    def __init__(self, lanes: int | None, blocks: Callable[[Launch], int]) -> None:
-        self._lanes, self._blocks = lanes, blocks
-        self._growth: dict[tuple[Cone, int], int] = {}
-        """(Friction cone, size of worlds) → factor by which buffers are larger than the default."""
+    launch: Launch
+    blocks: int
+    n_boxes: int
+    boards: int
+    npairmax: int
+    nconmax: int
+    least: int = 0
+    last: bool = False
+    stiff: float | None = None
 
-    def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
-        """The block pools of a table. Pools for the last worlds and for small worlds, if there are any, come first.
-        Then comes one pool for each queue of ``KernelFeatures.queues``. ``Programs._advance`` makes the queues in the
-        order of the pools."""
-        run = table.run
-        of_size = {size: self._of_size(run, size, table.boards) for size in run.needs.sizes}
-        pools = tuple(
-            of_size[size] if stiff is None else stiff_pool(of_size[size], stiff, self._lanes)
-            for stiff, size in run.needs.queues
-        )
-        usual = self._growth_of(run, run.needs.sizes[-1]) == 1
-        # There is no pool for small worlds if buffers are enlarged: each of the pool's many lanes would need an
-        # enlarged buffer. There is no pool for small worlds with stiff contacts either. With stiff contacts, a step
-        # takes five times as many iterations, and in some worlds many more, for which the other worlds of the block
-        # would wait.
-        if usual and not is_stiff(run.sim.physics):
-            worlds = int((np.asarray(table.table.placed)[: len(table.jobs)] <= FEW_BOXES.most_boxes).sum())
-            few = small_world_pool(pools[-1], worlds, self._lanes)
-            pools = (few, *pools) if few else pools
-        last = tail_pool(pools[-1], self._lanes)
-        return (last, *pools) if last else pools
+    @classmethod
+    def of(cls, launch: Launch, blocks: int, n_boxes: int, boards: int, room: int) -> BlockPool:
+        """A pool whose buffers have room for the contacts and pairs of ``room`` boxes in each world."""
+        shapes = room + boards - 1
+        return cls(launch, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
 
-    def grow(self, run: TableRun, size: int) -> int | None:
-        """Double the buffers for worlds of a size. Returns the factor by which the buffers are now larger than the
-        default, or None if they already have their largest size."""
-        if self._boxes_of_room(run, size) == most_room(size):
-            return None
-        growth = 2 * self._growth_of(run, size)
-        self._growth[run.sim.physics.cone, size] = growth
-        return growth
+    @property
+    def is_extra(self) -> bool:
+        """Whether another pool also has room for the worlds of this pool."""
+        return self.last or self.least > 0
 
-    def _growth_of(self, run: TableRun, size: int) -> int:
-        return self._growth.get((run.sim.physics.cone, size), 1)
+    @property
+    def most_idle(self) -> int:
+        """Largest number of lanes (places for a world) that may be empty while the pool is used."""
+        return self.lanes - self.least if self.least else NEVER
 
-    def _boxes_of_room(self, run: TableRun, size: int) -> int:
-        """Number of boxes for whose contacts and pairs the current buffers of a world of this size have room."""
-        return min(self._growth_of(run, size) * (run.needs.widths[size] + MORE_BOXES), most_room(size))
+    @property
+    def lanes(self) -> int:
+        """Number of worlds that run at the same time."""
+        return self.blocks * self.launch.worlds
 
-    def _of_size(self, run: TableRun, size: int, boards: int) -> BlockPool:
-        """The block pool for worlds of a size, with the largest number of blocks. ``boards``: number of shapes of the
-        carriers.
-        """
-        needs = run.needs
-        n_boxes = needs.widths[size]
-        launch = Launch.here(n_boxes, Features(needs.hands, needs.gives, needs.wraps, run.sim.physics.has_landings))
-        return BlockPool.of(launch, self._blocks(launch), n_boxes, boards, self._boxes_of_room(run, size))
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Sizes of the axes of the pool's workspace."""
+        return world_arrays.axes(self.lanes, self.n_boxes, self.boards, self.npairmax, self.nconmax)

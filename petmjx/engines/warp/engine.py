@@ -20,11 +20,11 @@ from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress, 
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.beginnings import beginnings
 from petmjx.engines.warp.block_launch import Launch
-from petmjx.engines.warp.block_pool import BlockPools
+from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_pools import BlockPools
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of, size_of
-from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.slice_result import SliceResult, outcomes_of
 from petmjx.engines.warp.table_jobs import TableJobs

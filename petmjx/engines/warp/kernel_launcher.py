@@ -12,7 +12,6 @@ import inspect
 import itertools
 import weakref
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -22,7 +21,8 @@ import warp as wp
 
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.warp import world_arrays
-from petmjx.engines.warp.block_launch import Call, Launch, kernel, launch_all, load_kernels
+from petmjx.engines.warp.block_launch import Call, kernel, launch_all, load_kernels
+from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.world_arrays import (
     Counts,
     FrameBuffer,
@@ -37,70 +37,6 @@ from petmjx.engines.warp.world_arrays import (
 SLICE_NS = 250_000_000
 """Length of a time slice (one call of the kernels), ns, if an engine sets no other length: short enough for a progress
 bar and for an interruption."""
-
-PAIRS_PER_BOX = 10
-"""Number of pairs of near geoms for which memory is reserved, per box and per board of a carrier."""
-
-CONTACTS_PER_BOX = 8
-"""Number of contacts for which memory is reserved, per box. Full real pallets have 4.5 contacts per box. The largest
-number in 2,000 sample plans was 6.4 per box, in a collapse."""
-
-MORE_BOXES = 2
-"""Number of additional boxes for which buffers have room: one for the carrier, and one that small plans need."""
-
-
-@dataclass(frozen=True)
-class BlockPool:
-    """The thread blocks for worlds of one size.
-
-    Attributes:
-        launch: configuration with which the device runs the blocks.
-        blocks: number of blocks.
-        n_boxes: largest number of placed boxes of a world.
-        boards: largest number of shapes of a carrier.
-        npairmax: largest number of pairs of near geoms of a world.
-        nconmax: largest number of contacts of a world.
-        least: smallest number of worlds with which the pool is used (small_world_blocks.py). If 0, the pool is always
-            used.
-        last: whether the pool is for the last worlds of a run (tail_blocks.py).
-        stiff: stiffness of the contacts of the pool's worlds (``Job.stiff``).
-    """
-
-    launch: Launch
-    blocks: int
-    n_boxes: int
-    boards: int
-    npairmax: int
-    nconmax: int
-    least: int = 0
-    last: bool = False
-    stiff: float | None = None
-
-    @classmethod
-    def of(cls, launch: Launch, blocks: int, n_boxes: int, boards: int, room: int) -> BlockPool:
-        """A pool whose buffers have room for the contacts and pairs of ``room`` boxes in each world."""
-        shapes = room + boards - 1
-        return cls(launch, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
-
-    @property
-    def is_extra(self) -> bool:
-        """Whether another pool also has room for the worlds of this pool."""
-        return self.last or self.least > 0
-
-    @property
-    def most_idle(self) -> int:
-        """Largest number of lanes (places for a world) that may be empty while the pool is used."""
-        return self.lanes - self.least if self.least else NEVER
-
-    @property
-    def lanes(self) -> int:
-        """Number of worlds that run at the same time."""
-        return self.blocks * self.launch.worlds
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Sizes of the axes of the pool's workspace."""
-        return world_arrays.axes(self.lanes, self.n_boxes, self.boards, self.npairmax, self.nconmax)
 
 
 class KernelLauncher:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from petmjx.engines.warp.block_launch import FEW_BOXES, Launch, size_for
-from petmjx.engines.warp.kernel_launcher import BlockPool
+from petmjx.engines.warp.block_pool import BlockPool
 
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
 """Limits for the use of blocks for small worlds, as shares of their lanes (places for a world). The blocks come into

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from petmjx.engines.warp.block_launch import LAST, Launch
-from petmjx.engines.warp.kernel_launcher import BlockPool
+from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.small_world_blocks import with_first_queue
 
 MOST_EXPECTED: Final = 16

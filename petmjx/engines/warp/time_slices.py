@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from petmjx.engines.mjx.readback import prepare_readback, readbacks_of
 from petmjx.engines.mjx.world_state import Status
 from petmjx.engines.verdict import Flag
-from petmjx.engines.warp.block_pool import BlockPools
+from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_pools import BlockPools
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.frame_buffers import PickedFrames, hand_over, pick_frames, room_for
 from petmjx.engines.warp.kernel_features import size_of
-from petmjx.engines.warp.kernel_launcher import SLICE_NS, BlockPool
+from petmjx.engines.warp.kernel_launcher import SLICE_NS
 from petmjx.engines.warp.programs import READ_COUNTS, programs
 from petmjx.engines.warp.slice_result import SliceResult
 from petmjx.engines.warp.table_jobs import TableJobs
