@@ -46,7 +46,8 @@ MASS_TOLERANCE: Final = 0.001
 """Masses that differ by at most this share of the ordered mass count as equal."""
 
 MASS_TOLERANCE_KG: Final = 0.0005
-"""Masses that differ by at most this mass count as equal, too: half a gram, since small masses are rounded."""
+"""Masses that differ by at most half a gram also count as equal, even if the difference exceeds the share
+``MASS_TOLERANCE``, since small masses are rounded."""
 
 _ROUNDING: Final = 1e-9
 """Allowance for rounding in float64: a difference that equals a tolerance exactly may be computed as slightly

@@ -29,7 +29,7 @@ class Plan:
         corner_mm: (n, 3) front-left-bottom corners; z = 0 is the top of the carrier.
         mass_kg: (n,) masses, kg.
         item_ids, articles: n names each.
-        sequence: (n,) number of each item in the customer's order.
+        sequence: (n,) running number of each item within the customer's order.
         orientation: (n,) 0 if the item's length lies along x, 1 if it lies along y. None: unknown, so the extents along
             x and y are assumed to be the item's length and width.
         product_groups: n names, "" for an item without a group; empty if no item has a group.

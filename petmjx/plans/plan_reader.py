@@ -192,7 +192,7 @@ def read_json_plans(
         The plans, and the counts of the fields that petmjx ignores, of which ``PlanSet.notes`` does not tell.
 
     Raises:
-        InputError: with ``strict``, a plan would be skipped.
+        InputError: a plan is unusable, and ``strict`` does not allow it to be skipped.
     """
     given = InputConventions.checked(options.units, options.anchor)
     loading = _PlanLoader(options, given, DEFAULT_MAX_BOXES, extent_mm, None)

@@ -104,7 +104,7 @@ def read_segment(segment: Segment, options: RunOptions, extent_mm: tuple[float, 
         extent_mm: extent of the carrier along x and y; None: the extent of the plan's boxes.
 
     Raises:
-        InputError: with the option ``strict``, a plan would be skipped.
+        InputError: a plan is unusable, and the option ``strict`` does not allow it to be skipped.
         OSError, ValueError: the file cannot be read.
     """
     plan_set, unread = read_json_plans(printable(str(segment.file)), segment.text(), options, extent_mm)

@@ -405,7 +405,7 @@ def _unit_text(best: _Judged, places: str) -> str:
 
 
 def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes, units: _Units | None = None) -> Reading:
-    """The reading of a candidate in some units; None: in its most plausible units."""
+    """The ``Reading`` that a possible reading and a choice of units give. None: the most plausible units."""
     candidate = judged.candidate
     units = units or judged.units[0]
     return Reading(

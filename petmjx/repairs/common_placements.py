@@ -44,7 +44,7 @@ class World(NamedTuple, Generic[Tag]):
 
 @dataclass(frozen=True, eq=False)
 class Placement(Generic[Tag]):
-    """A job of the engine, and the worlds whose beginning it is.
+    """A job that simulates the common beginning of several worlds, or one world to its end; and these worlds.
 
     Attributes:
         job: the job; it pauses if there are several worlds.

@@ -102,7 +102,8 @@ class Draft:
         return _closure(self.on_top.T, box)
 
     def with_places(self, boxes: Sequence[int], corner_mm: FloatArray, *, anew: bool = True) -> Draft:
-        """The draft with other corners of some boxes. ``anew``: whether a robot needs another approach to them."""
+        """The draft with other corners of some boxes. ``anew``: whether the plan's directions of
+        approach no longer hold for these boxes, so that they count as ``moved``."""
         corners = self.corner_mm.copy()
         corners[list(boxes)] = corner_mm
         return replace(self, corner_mm=corners, moved=self.moved | frozenset(boxes) if anew else self.moved)

@@ -129,7 +129,7 @@ class Search(Candidates):
 
     @property
     def _scale(self) -> int:
-        """How many times as many plans as usual are judged at once."""
+        """Factor by which more plans are judged at once, if the engine judges many plans as fast as a few."""
         return WIDE if self.is_wide else 1
 
     def begin(self, before: Trial) -> None:

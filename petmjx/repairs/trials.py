@@ -55,9 +55,9 @@ LONGEST_WAIT_S: Final = 2.0
 """Longest wait for a pallet to come to rest for a draft that is only judged."""
 
 JUDGED_TILT_DEG: Final = 5.0
-"""A box that tilts by more than this counts as fallen if a draft is only judged. Most boxes that shift too far also
-tilt by more, so the world ends then. Of 133 generated plans that stand, one has a box that tilts by more than 3° (by
-5.4°)."""
+"""A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the
+world, but most boxes that shift too far also tilt by more than this. Of 133 generated plans that stand, one has a box
+that tilts by more than 3° (by 5.4°)."""
 
 ON_A_GPU: Final = "mjx-warp"
 ROWS: Final = 256
@@ -284,9 +284,9 @@ class Question:
         """The worlds in which drafts are judged; None: the draft is scored. If pallets must survive a profile, all
         drafts are scored, except in worlds with errors, which are not shaken.
 
-        Most drafts fall, and falling boxes are the costliest part of a simulation. So a world ends when a box is lost,
-        like a world with errors. It then takes a quarter of the time. No draft is simulated again with other settings,
-        as a score would do (docs/rules.md, section 9).
+        Most drafts fall, and falling boxes are the costliest part of a simulation. So each of these worlds ends as soon
+        as a box is lost (has tilted too far), as worlds with errors do in a score. It then takes a quarter of the time.
+        No draft is simulated again with other settings, as a score would do (docs/rules.md, section 9).
         """
         of_draft: dict[tuple[bool, int], list[int]] = {}
         for number, one in enumerate(asked):

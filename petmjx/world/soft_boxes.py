@@ -298,8 +298,8 @@ class SoftFriction:
     of_carrier: float | None
 
     def of_geom(self, body: str) -> float | None:
-        """Coefficient for the geoms of a body, given the body's name. The result is None if the geoms keep their own
-        coefficients."""
+        """Coefficient of sliding friction of the geoms of the body with this name. None: each geom keeps its own
+        coefficient."""
         if body == "carrier":
             return self.of_carrier
         return float(self.of_boxes[int(body.removeprefix("box_"))]) if body.startswith("box_") else None

@@ -32,8 +32,8 @@ def stay_mask(
 
 
 def _most_away(path: Float[Array, "world box"], sim: Simulation) -> Float[Array, "world box"]:
-    """Distances by which boxes that have travelled paths of these lengths may have been away from their places, if they
-    stay, m."""
+    """Limits of distances, m: a box that has travelled its path since the beginning of the measured period trembles or
+    stays only if it was always nearer than the limit to its pose at that beginning."""
     rule = sim.quiet
     still = rule.still_m_s * rule.tremble_looks * rule.poll_steps * sim.physics.timestep_s
     return rule.tremble_share * jnp.maximum(path, still)

@@ -43,7 +43,8 @@ class SettledState:
     the value is None."""
 
     def ended_as(self, stream_number: int) -> Outcome | None:
-        """The outcome of a fork, if the world ended before it settled; otherwise None."""
+        """The outcome of a fork of this state if the world that made the state ended before it settled: the same
+        outcome, but with 0 steps. None: that world settled, so the fork must be simulated."""
         if self.ended is None:
             return None
         return replace(self.ended, job=stream_number, flags=self.ended.flags | Flag.FORKED, n_steps=0, state=None)

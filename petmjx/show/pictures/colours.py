@@ -47,10 +47,10 @@ class Scale:
 
 @dataclass(frozen=True, eq=False)
 class Colouring:
-    """The colours of a story's boxes.
+    """The colours of the boxes in pictures of one simulated world.
 
     Attributes:
-        story: the story.
+        story: the world (``petmjx.analysis.story.Story``).
         colour: what the colours represent.
         scale: the meaning of the colours if they represent values, else None.
         names: (name, colour) pairs if the colours represent names.

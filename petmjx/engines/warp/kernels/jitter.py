@@ -32,8 +32,8 @@ def distance_since(worlds: Ref[Worlds], state: Ref[State], home: wp.array3d[floa
 
 @wp.func
 def _most_away(model: Ref[Model], path: float) -> float:
-    """Distance by which a box that has travelled a path of this length may have been away from its place, if it stays,
-    m."""
+    """Limit of distance, m: a box that has travelled this path since the beginning of the measured period trembles or
+    stays only if it was always nearer than the limit to its pose at that beginning."""
     still = model.still_speed * float(model.tremble_looks * model.poll_steps) * model.timestep
     return model.tremble_share * wp.max(path, still)
 
@@ -49,7 +49,8 @@ def find_jitter(
     # Data out:
     state: Ref[State],
 ) -> None:
-    """Update, at a look, which boxes tremble or stay. The first period after a placement is not measured.
+    """Update, at a look, for each box whether it trembles (moves to and fro), stays (keeps its place), or does neither
+    (docs/rules.md, section 5). The first period after a placement is not measured.
 
     Args:
         look: number of the look since the last placement, from 0.
