@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import threading
+from collections.abc import Callable
 from contextlib import suppress
 
 from petmjx.common.processes import no_collection
@@ -13,15 +15,23 @@ from petmjx.options.simulation import Simulation
 
 def start_gpu() -> None:
     """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two. It would take a quarter
-    longer if the garbage collector scanned the many new objects. Errors are ignored here: the engine that needs these
-    libraries reports them."""
+    longer if the garbage collector scanned the many new objects. While JAX starts its devices, which is mostly waiting
+    for the driver, modules are loaded. Errors are ignored here: the engine that needs these libraries reports them."""
     with suppress(Exception), no_collection():
-        importlib.import_module("petmjx.engines.mjx.jax_setup").set_up_jax()
+        jax_setup = importlib.import_module("petmjx.engines.mjx.jax_setup")
+        devices = threading.Thread(target=_without_errors, args=(jax_setup.set_up_jax,), name="petmjx-devices")
+        devices.start()
         set_up_warp()
         importlib.import_module("petmjx.engines.warp.engine")
+        devices.join()
         importlib.import_module("warp").init()
         jax = importlib.import_module("jax")
         jax.jit(lambda x: x + 1).lower(0.0).compile()  # this import loads the modules that lower and compile a program
+
+
+def _without_errors(start: Callable[[], None]) -> None:
+    with suppress(Exception):
+        start()
 
 
 def begin_builds(sim: Simulation) -> KernelBuilds | None:

@@ -69,6 +69,14 @@ def test_auto_starts_none_for_few_plans_or_without_one(
     assert not started.is_set()
 
 
+def _join_starts() -> None:
+    """Wait until no thread starts a GPU any more: such a thread would use what the next test replaces."""
+    for name in ("petmjx-start", "petmjx-kernels"):  # the first thread starts the second
+        for thread in threading.enumerate():
+            if thread.name == name:
+                thread.join()
+
+
 def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
     released = threading.Event()
     monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
@@ -76,6 +84,7 @@ def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(InputError, match="no such"), engine_warmup(RunOptions(engine="mjx-warp"), None, Simulation()):
         raise InputError("no such file")
     released.set()
+    _join_starts()
 
 
 def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,6 +92,7 @@ def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(gpu_start.importlib, "import_module", lambda name: 1 / 0)
     with engine_warmup(RunOptions(engine="mjx-warp"), None, Simulation()):
         pass
+    _join_starts()
 
 
 def _launch_on(device: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
