@@ -61,7 +61,7 @@ OBJECT: Final = "python"
 """Names of a data frame, and of any other object, in messages."""
 _MOSTLY_OWN: Final = 4
 """A table that has more of petmjx's own column names than this is read as a table in petmjx's own form."""
-_OF_OTHERS: Final = (
+OPTIONS_OF_OTHERS: Final = (
     ("up", "--up"), ("sizes", "--sizes"), ("columns", "--columns"), ("density", "--density"), ("items", "--items"),
     ("reading", "--as"),
 )  # fmt: skip
@@ -304,7 +304,9 @@ class _PlanLoader:
 
     def _idle_options(self) -> Iterator[str]:
         """A note about options for files of other tools, if files in petmjx's own form were read."""
-        names = [option(flag, python=name) for name, flag in _OF_OTHERS if getattr(self.options, name) is not None]
+        names = [
+            option(flag, python=name) for name, flag in OPTIONS_OF_OTHERS if getattr(self.options, name) is not None
+        ]
         if names and self.own_files:
             verb = "has" if len(names) == 1 else "have"
             forms = "it is" if len(self.own_files) == 1 else "they are"

@@ -18,6 +18,7 @@ from petmjx.engines.run_engine import bytes_of_plans, may_use_gpu
 from petmjx.engines.subprocess.task_pipe import Child
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.plans.plan_reader import OPTIONS_OF_OTHERS
 from petmjx.plans.plan_segments import Segment, joined, segments_of
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, usable_of, usable_plans
@@ -120,15 +121,20 @@ def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
 
 def _segments(plans: PlanSource | None, options: RunOptions) -> list[Segment]:
     """Segments of the plans' file that processes can read at the same time; empty if one process should read all
-    plans."""
+    plans. Only files that are JSON by their names have segments, and only without options that are about all plans of
+    a file, or about files of other tools."""
     count = min(MOST_PROCESSES, cpu_threads() // THREADS_EACH, bytes_of_plans(plans) // WORTH_A_PROCESS)
-    if count < 2 or options.limit is not None or options.articles is not None:
+    names = ["limit", "articles", *(name for name, _ in OPTIONS_OF_OTHERS)]
+    if count < 2 or any(getattr(options, name) is not None for name in names):
         return []
     (file,) = plans if isinstance(plans, list | tuple) and len(plans) == 1 else (plans,)
     if not isinstance(file, str | PathLike):
         return []
+    path = Path(file)
+    if path.suffix.lower() != ".json" or path.name == "run.json":
+        return []
     with suppress(OSError, ValueError):
-        return segments_of(Path(file), count)
+        return segments_of(path, count)
     return []
 
 
@@ -139,6 +145,7 @@ def _suits_processes(plans: PlanSource | None, options: RunOptions) -> bool:
     paths = [Path(source) for source in sources if isinstance(source, str | PathLike)]
     if len(paths) < len(sources) or not may_use_gpu(options, plans):
         return False
-    if any(path.is_symlink() for path in paths):  # "/dev/stdin" is a link to the input of this process
+    # another process cannot read the pipes of this one; "/dev/stdin" is a link to one
+    if any(path.is_symlink() or not (path.is_file() or path.is_dir()) for path in paths):
         return False
     return WORTH_A_PROCESS <= bytes_of_plans(plans) <= MOST_IN_A_PROCESS and cpu_threads() > 1 and bool(cuda_devices())

@@ -44,8 +44,9 @@ def main() -> None:
 
 
 def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: RunOptions) -> ReadingAnswer | None:
-    """The plans of a source, or of a segment of a file. None after an error or a warning: the process of the run then
-    reads the plans itself, so that the error or warning appears there."""
+    """The plans of a source, or of a segment of a file. None after an error or a warning, or if a file cannot be read:
+    the process of the run then reads the plans itself. There, the error or warning appears, the user can be asked how
+    to read a file, and pipes can be read."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -58,5 +59,7 @@ def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: Run
     if content is None or caught:
         return None
     plan_set, unread = content
+    if any(skipped.number is None for skipped in plan_set.skipped):
+        return None
     records = records_of(plan_set.plans, plan_set.numbers)
     return ReadingAnswer(PlanColumns.of(plan_set.plans), replace(plan_set, plans=[]), unread, records)

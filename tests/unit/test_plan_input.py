@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 import warnings
 from pathlib import Path
@@ -13,6 +14,7 @@ from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.common.errors import InputError, PlanWarning
+from petmjx.common.safe_read import named_pipes
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
@@ -77,6 +79,38 @@ def test_processes_read_segments_of_a_large_file(
     assert result.plan_set.numbers["last"] == 10
 
 
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("plans.json", {"up": "y"}),
+        ("plans.json", {"items": Path("items.csv")}),
+        ("plans.json", {"reading": Path("missing.toml")}),
+        ("plans.csv", {}),
+        ("plans.parquet", {}),
+    ],
+)
+def test_segments_are_read_as_the_whole_file_is(
+    name: str,
+    options: dict[str, Any],
+    tmp_path: Path,
+    in_process: list[PlanInput | None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Options for files of other tools have a note, and the name of a file says what it is."""
+    monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2 * plan_input.THREADS_EACH)
+    file = plan_file(tmp_path, [make_plan(f"plan {n}", stack(2)) for n in range(6)]).rename(tmp_path / name)
+    both: list[Any] = []
+    for read in (read_here, read_input):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                result: Any = facts(read(file, SIM, OPTIONS.model_copy(update=options)))
+            except InputError as error:
+                result = str(error)
+        both.append((result, [str(warning.message) for warning in caught]))
+    assert both[0] == both[1]
+
+
 def test_an_id_in_two_segments_is_found(
     tmp_path: Path, in_process: list[PlanInput | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -129,6 +163,28 @@ def test_what_a_process_cannot_read_is_read_here(tmp_path: Path, in_process: lis
     assert in_process == []
     assert len(read_input(OwnPath(file), SIM, OPTIONS).plan_set.plans) == 1
     assert in_process == [None]
+
+
+def test_a_pipe_beside_a_file_is_read_here(tmp_path: Path, in_process: list[PlanInput | None]) -> None:
+    file, text = plan_file(tmp_path, [make_plan("plan", stack(2))]), tmp_path / "pipe.json"
+    os.mkfifo(text)
+    more = plan_file(tmp_path, [make_plan("other", stack(2))], "other.json").read_bytes()
+    writer = threading.Thread(target=text.write_bytes, args=(more,))
+    with named_pipes([str(text)]):
+        writer.start()
+        result = read_input([file, text], SIM, OPTIONS)
+    writer.join()
+    assert [plan.plan_id for plan in result.plan_set.plans] == ["plan", "other"]
+    assert in_process == []
+
+
+def test_a_file_that_a_process_cannot_read_is_read_here(tmp_path: Path, in_process: list[PlanInput | None]) -> None:
+    """For example, the user can be asked here how to read the file."""
+    file = plan_file(tmp_path, [make_plan("plan", stack(2))])
+    (tmp_path / "empty.json").write_text("")
+    result = read_input([file, tmp_path / "empty.json"], SIM, OPTIONS)
+    assert in_process == [None]
+    assert len(result.plan_set.skipped) == 1
 
 
 def test_small_files_and_plan_objects_need_no_process(
