@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 from petmjx.common.errors import InputError
@@ -21,12 +22,15 @@ from petmjx.plans.raw_tables import BoxList, RawTable, united, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
 from petmjx.plans.text_tables import decoded_text
 from petmjx.plans.workbooks import read_raw_tables, tables_of_page, value_of_xml
-from petmjx.plans.yaml_text import is_toml, is_yaml, value_of_toml, value_of_yaml
+from petmjx.plans.yaml_text import nested_format, value_of_toml, value_of_yaml
 
 
-def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
+def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[BoxSource]:
     """The lists of boxes in a file's bytes. The list that most likely describes a plan comes first. The boxes of a list
     may lack places or sizes.
+
+    Args:
+        path: the file, whose name may tell its format; None: it has no name.
 
     Raises:
         InputError: the file has none of the known forms, or is damaged. The error does not name the file.
@@ -42,7 +46,7 @@ def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
         if (kind := foreign_kind(data)) is not None and "ZIP" in kind:
             raise InputError(kind)
         return sources_of_tables(*read_raw_tables(data))
-    text, _ = decoded_text(data)
+    text = decoded_text(data)[0].lstrip("\ufeff")
     if (fault := nul_fault(text)) is not None:
         raise InputError(fault)
     start = text.lstrip("\ufeff \t\r\n")
@@ -55,7 +59,9 @@ def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
             value = decoded_json(text)
         except InputError:
             if (printed_values := python_values(start)) is None:
-                raise
+                if (sources := _sources_of_document(text, path)) is None:
+                    raise
+                return sources
             value = printed_values
         if is_three_js(value):
             return [source_of_three_js(value)]
@@ -79,13 +85,22 @@ def sources_of_bytes(data: bytes | bytearray) -> list[BoxSource]:
         return [printed]
     if (kind := program_kind(start)) is not None:
         raise NoGeometry(kind)
-    for is_kind, value_of, name in ((is_toml, value_of_toml, "TOML"), (is_yaml, value_of_yaml, "YAML")):
-        if is_kind(start):
-            sources = [with_named_units(with_known_form(boxes, name)) for boxes in box_lists(value_of(start))]
-            if sources:
-                return sources
-            raise NoGeometry(f"is {name} without a list of boxes: petmjx looks for objects with places and sizes")
-    return sources_of_tables(*read_raw_tables(data))
+    return _sources_of_document(text, path) or sources_of_tables(*read_raw_tables(data))
+
+
+def _sources_of_document(text: str, path: Path | None) -> list[BoxSource] | None:
+    """The lists of boxes in YAML or TOML; None if a text is neither.
+
+    Raises:
+        InputError: the text is damaged, or has no lists of boxes.
+    """
+    if (name := nested_format(text, path)) is None:
+        return None
+    value = value_of_toml(text) if name == "TOML" else value_of_yaml(text)
+    sources = [with_named_units(with_known_form(boxes, name)) for boxes in box_lists(value)]
+    if not sources:
+        raise NoGeometry(f"is {name} without a list of boxes: petmjx looks for objects with places and sizes")
+    return sources
 
 
 def _sources_of_markup(text: str) -> list[BoxSource]:

@@ -48,7 +48,7 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
     if numbers is not None:
         return _orders_of(numbers, source, reading)
     try:
-        sources = sources_of_bytes(data)
+        sources = sources_of_bytes(data, path)
     except InputError:
         if (sheet := _sheet_of_deli(data)) is not None:
             return _orders_of(sheet, source, reading)
@@ -101,7 +101,7 @@ def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSourc
     if items is not None:
         name = printable(str(items))
         try:
-            tables = sources_of_bytes(bytes_of(items))
+            tables = sources_of_bytes(bytes_of(items), items)
         except InputError as error:
             line = str(error)
             raise InputError(line if line.startswith(name) else f"{name}: {line}") from None

@@ -36,7 +36,7 @@ def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | No
     """The list of boxes that have places. Missing sizes and weights are added from a table of items."""
     best = sources[0]
     if items is not None:
-        tables = sources_of_bytes(bytes_of(items))
+        tables = sources_of_bytes(bytes_of(items), items)
         joined = with_items_of(best, tables[0], printable(str(items)))
         if joined is None:
             raise InputError(f"{printable(str(items))}: its items do not match the boxes")
@@ -62,7 +62,7 @@ def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
     joined = []
     for file in beside[:_MOST_BESIDE]:
         try:
-            source = sources_of_bytes(bytes_of(file))[0]
+            source = sources_of_bytes(bytes_of(file), file)[0]
         except InputError:
             continue  # this file has no items for the boxes
         if source.boxes.has_sizes and (completed := with_items_of(best, source, file.name)) is not None:
@@ -83,7 +83,7 @@ def bytes_of(path: Path) -> bytearray:
 def has_named_places(path: Path) -> bool:
     """Whether a file has columns with the sizes of boxes and with at least two of their coordinates."""
     try:
-        boxes = sources_of_bytes(bytes_of(path))[0].boxes
+        boxes = sources_of_bytes(bytes_of(path), path)[0].boxes
     except InputError:
         return False
     axes = {
@@ -102,7 +102,7 @@ def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
         beside = path.with_name(name)
         if beside == path or not beside.is_file():
             continue
-        joined = with_items_of(best, sources_of_bytes(bytes_of(beside))[0], name, by_number=True)
+        joined = with_items_of(best, sources_of_bytes(bytes_of(beside), beside)[0], name, by_number=True)
         if joined is not None:
             return joined
         return replace(best, notes=(*best.notes, f"{name} beside it has other items, and is not read"))

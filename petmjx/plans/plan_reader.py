@@ -375,7 +375,7 @@ class _PlanLoader:
         """Read a file of another tool. Returns an error if the file cannot be read, else None."""
         from petmjx.plans.foreign_formats import sources_of_bytes
 
-        return self._read_foreign(source, partial(sources_of_bytes, data), path)
+        return self._read_foreign(source, partial(sources_of_bytes, data, path), path)
 
     def _read_foreign(
         self, source: str, find_boxes: Callable[[], Sequence[BoxSource]], path: Path | None = None

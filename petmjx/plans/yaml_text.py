@@ -9,23 +9,33 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from petmjx.common.errors import InputError
+from petmjx.plans.column_names import column_meanings
 
-_KEY: Final = re.compile(r"""^((?:"[^"]*"|'[^']*'|[^\W_][\w .$/°-]*?|_\w+))\s*:(?:\s+(.*))?$""")
+_QUOTED: Final = r"""(?:"(?:\\.|[^"\\])*"|'(?:''|[^'])*')"""
+_KEY: Final = re.compile(rf"""^((?:{_QUOTED}|[^\W_][\w .$/°-]*?|_\w+))\s*:(?:\s+(.*))?$""")
 """A line with the key of a mapping, and its value if the value is in the same line."""
+_FLOW_KEY: Final = re.compile(rf"({_QUOTED}|[^:,{{}}\[\]]+?)\s*:\s*")
+_FLOW_SCALAR: Final = re.compile(rf"\s*({_QUOTED}|[^,\]}}]*)")
 _ITEM: Final = re.compile(r"^-(?:\s+(.*))?$")
 _TOML_TABLE: Final = re.compile(r"^\s*\[\[?\s*[\w\"'.-]+\s*\]?\]\s*(?:#.*)?$", re.MULTILINE)
 _TOML_PAIR: Final = re.compile(r"^\s*[\w\"'.-]+\s*=\s*\S")
-_COMMENT: Final = re.compile(r"""^((?:"[^"]*"|'[^']*'|[^"'#]|(?<!\s)#)*?)(?:(?:^|\s)#.*)?$""")
-_NUMBER: Final = re.compile(r"^[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?$")
+_QUOTED_OR_COMMENT: Final = re.compile(rf"((?:^|[\[{{,:]|-\s)\s*{_QUOTED})|(?:^|\s)#.*")
+"""A text in quotes (group 1) or a comment. Within a plain text, quotes are characters: "Bob's", "5\" box"."""
+_NUMBER: Final = re.compile(r"^[+-]?(?:(?:0|[1-9]\d*)\.?\d*|\.\d+)(?:[eE][+-]?\d+)?$")
+"""A number. Digits that begin with a needless 0, such as 00123, are an id."""
 _WORDS: Final = {
     "": None, "~": None, "null": None, "true": True, "false": False, "yes": True, "no": False,
     ".nan": float("nan"), ".inf": float("inf"), "-.inf": float("-inf"),
 }  # fmt: skip
 _DEEPEST: Final = 50
 """Largest depth of values that are read."""
+_FORMATS: Final = {".toml": "TOML", ".yaml": "YAML", ".yml": "YAML"}
+_NAMES: Final = ("article", "item_id", "plan", "group", "material")
+"""Kinds of fields with names and ids, whose values stay text: no, 1e5, 1.10."""
 
 
 class _Line(NamedTuple):
@@ -36,7 +46,18 @@ class _Line(NamedTuple):
     text: str
 
 
-def is_yaml(text: str) -> bool:
+def nested_format(text: str, path: Path | None) -> str | None:
+    """The format of a text: "TOML", "YAML", or None for others. The first lines decide, then the name of the file."""
+    if _is_toml(text):
+        return "TOML"
+    if _is_yaml(text):
+        return "YAML"
+    if path is None or not text.strip():
+        return None
+    return _FORMATS.get(Path(path.name.lower().removesuffix(".gz")).suffix)
+
+
+def _is_yaml(text: str) -> bool:
     """Whether most of the first lines are keys or items of YAML."""
     lines = [line.strip() for line in text[:20_000].splitlines()]
     used = [line for line in lines if line and not line.startswith("#") and line not in ("---", "...")]
@@ -44,7 +65,7 @@ def is_yaml(text: str) -> bool:
     return len(used) > 2 and fitting > 0.9 * len(used) and ";" not in used[0] and "," not in used[0].partition(":")[0]
 
 
-def is_toml(text: str) -> bool:
+def _is_toml(text: str) -> bool:
     """Whether a text has a table of TOML, and its other lines are pairs."""
     lines = [line for line in text[:20_000].splitlines() if line.strip() and not line.lstrip().startswith("#")]
     fitting = sum(_TOML_TABLE.match(line) is not None or _TOML_PAIR.match(line) is not None for line in lines)
@@ -59,8 +80,11 @@ def value_of_toml(text: str) -> Any:
     """
     try:
         return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"not TOML: {error}") from None
+    except RecursionError:
+        raise InputError("not TOML: lists or tables are nested too deeply") from None
+    except ValueError as error:  # tomllib also raises ValueError for a whole number with too many digits
+        end = f"at line {len(text.rstrip().splitlines())}, the end of the file"
+        raise InputError(f"not TOML: {str(error).replace('at end of document', end)}") from None
 
 
 def value_of_yaml(text: str) -> Any:
@@ -75,8 +99,7 @@ def value_of_yaml(text: str) -> Any:
         if line.rstrip() in ("---", "..."):
             documents.append([])
             continue
-        match = _COMMENT.match(line)
-        content = (line if match is None else match[1]).rstrip()
+        content = _QUOTED_OR_COMMENT.sub(lambda match: match[1] or "", line).rstrip()
         if "\t" in content[: len(content) - len(content.lstrip())]:
             raise InputError(f"not YAML at line {number} (a tab before the text)")
         if content.strip():
@@ -95,7 +118,7 @@ class _Reader:
     def document(self) -> Any:
         value = self._block(self.lines[0].indent, 0)
         if self.next < len(self.lines):
-            raise self._fault(self.lines[self.next], "its indent fits no line above")
+            raise self._fault(self.lines[self.next], "it fits no line above")
         return value
 
     def _fault(self, line: _Line, why: str) -> InputError:
@@ -144,7 +167,7 @@ class _Reader:
             if key in values:
                 raise self._fault(line, f"{key} occurs twice")
             self.next += 1
-            values[key] = self._scalar(line, rest) if rest else self._inner(indent, depth, of_key=True)
+            values[key] = self._scalar(line, rest, key) if rest else self._inner(indent, depth, of_key=True)
         return values
 
     def _inner(self, indent: int, depth: int, *, of_key: bool = False) -> Any:
@@ -157,8 +180,12 @@ class _Reader:
             return self._block(line.indent, depth + 1)
         return None
 
-    def _scalar(self, line: _Line, text: str) -> Any:
-        """A value in one line, or a flow mapping or sequence, which may go on in the next lines."""
+    def _scalar(self, line: _Line, text: str, key: str = "") -> Any:
+        """A value in one line, or a flow mapping or sequence, which may go on in the next lines.
+
+        Args:
+            key: the key of the value; "": the value is an item of a sequence.
+        """
         if text[0] in "[{":
             while text.count("[") + text.count("{") > text.count("]") + text.count("}"):
                 if self.next == len(self.lines):
@@ -171,26 +198,29 @@ class _Reader:
             return value
         if text[0] in "&*!|>%@`":
             raise self._fault(line, f"petmjx does not read values that begin with {text[0]}")
-        return _plain(text)
+        return _plain(text, key)
 
-    def _flow(self, line: _Line, text: str, depth: int) -> tuple[Any, str]:
-        """The value at the beginning of a text, and the rest of the text."""
+    def _flow(self, line: _Line, text: str, depth: int, key: str = "") -> tuple[Any, str]:
+        """The value at the beginning of a text, and the rest of the text. The key is that of :meth:`_scalar`."""
         text = text.lstrip()
         if depth > _DEEPEST or not text:
             raise self._fault(line, "nested too deeply" if text else "a bracket is not closed")
         if text[0] not in "[{":
-            match = re.match(r"""\s*("[^"]*"|'[^']*'|[^,\]}]*)""", text)
+            match = _FLOW_SCALAR.match(text)
             assert match is not None
-            return _plain(match[1].strip()), text[match.end() :]
+            return _plain(match[1].strip(), key), text[match.end() :]
         end, items = {"[": "]", "{": "}"}[text[0]], []
         pairs: dict[str, Any] = {}
         rest = text[1:].lstrip()
         while not rest.startswith(end):
             if end == "}":
-                match = re.match(r"""("[^"]*"|'[^']*'|[^:,{}\[\]]+?)\s*:\s*""", rest)
+                match = _FLOW_KEY.match(rest)
                 if match is None:
                     raise self._fault(line, "is no key and value")
-                pairs[match[1].strip("\"'")], rest = self._flow(line, rest[match.end() :], depth + 1)
+                name = match[1].strip("\"'")
+                if name in pairs:
+                    raise self._fault(line, f"{name} occurs twice")
+                pairs[name], rest = self._flow(line, rest[match.end() :], depth + 1, name)
             else:
                 value, rest = self._flow(line, rest, depth + 1)
                 items.append(value)
@@ -202,12 +232,16 @@ class _Reader:
         return (pairs if end == "}" else items), rest[1:]
 
 
-def _plain(text: str) -> Any:
-    """The value of a scalar."""
+def _plain(text: str, key: str) -> Any:
+    """The value of a scalar. The key is that of ``_Reader._scalar``."""
     if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
-        return text[1:-1]
-    if text.lower() in _WORDS:
-        return _WORDS[text.lower()]
+        return text[1:-1].replace("''", "'") if text[0] == "'" else text[1:-1]
+    value = _WORDS.get(text.lower(), text)
+    (meaning,) = column_meanings((key,))
+    if value is not None and meaning is not None and meaning.kind in _NAMES:
+        return text
+    if value is not text:
+        return value
     if _NUMBER.match(text):
         return float(text) if re.search(r"[.eE]", text) else int(text) if len(text) < 20 else float(text)
     return text

@@ -682,7 +682,7 @@ def test_fractions_of_inches(cell: str, value: float, unit: str) -> None:
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("boxes:\n- x: 1\n  y: 2\n - z: 3\n", "not YAML at line 4 (its indent fits no line above)"),
+        ("boxes:\n- x: 1\n  y: 2\n - z: 3\n", "not YAML at line 4 (it fits no line above)"),
         ("a: 1\nb: [1, {c: 2\nd: 3\n", "not YAML at line 2 (a bracket is not closed)"),
         ("a: 1\nb: 2\nb: 3\n", "not YAML at line 3 (b occurs twice)"),
         ("a: &b 1\nc: 2\nd: 3\n", "not YAML at line 1 (petmjx does not read values that begin with &)"),
@@ -694,6 +694,70 @@ def test_damaged_yaml_and_toml_are_one_line(text: str, fault: str, tmp_path: Pat
     (skipped,) = load(tmp_path, "pile.yaml", text).skipped
     assert fault in skipped.message
     assert "\n" not in skipped.message
+
+
+FLOW = "x: 0, y: 0, length: 400, width: 300, height: 200, weight: 5"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("pile.yaml", f"boxes: [{{z: 0, {FLOW}}}, {{z: 200, {FLOW}}}]\n"),
+        ("pile.yml", f"boxes:\n- {{z: 0, {FLOW}}}\n- {{z: 200, {FLOW}}}\n"),
+        ("pile.YAML", f"- {{z: 0, {FLOW}}}\n- {{z: 200, {FLOW}}}\n"),
+        ("pile.yaml", f"{{boxes: [{{z: 0, {FLOW}}},\n  {{z: 200, {FLOW}}}]}}\n"),
+        ("pile.yaml", f"\n  boxes:\n    - {{z: 0, {FLOW}}}\n    - {{z: 200, {FLOW}}}\n"),
+        ("pile.toml", f"boxes = [\n  {{z: 0, {FLOW}}},\n  {{z: 200, {FLOW}}},\n]\n".replace(":", " =")),
+        ("pile.toml", f"[plans.p1]\nboxes = [\n  {{z: 0, {FLOW}}},\n  {{z: 200, {FLOW}}},\n]\n".replace(":", " =")),
+    ],
+)
+def test_short_yaml_and_toml_are_recognised_by_the_name_of_the_file(name: str, text: str, tmp_path: Path) -> None:
+    plan_set = load(tmp_path, name, text)
+    (plan,) = plan_set.plans
+    assert plan.corner_mm.tolist() == [[0, 0, 0], [0, 0, 200]]
+    assert notes_of(plan_set).startswith(f"read as {'TOML' if name == 'pile.toml' else 'YAML'};")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "fault"),
+    [
+        ("pile.yaml", f"boxes:\n- {{z: 0, {FLOW}, weight: 7}}\n", "not YAML at line 2 (weight occurs twice)"),
+        ("pile.yaml", f"boxes: [{{z: 0, {FLOW}}}\n", "not YAML at line 1 (a bracket is not closed)"),
+        ("pile.yml", "x,y,z\n0,0,0\n", "not YAML at line 2 (it fits no line above)"),
+        ("pile.toml", "boxes = [\n  {x = 0},\n", "not TOML: Invalid value (at line 2, the end of the file)"),
+        ("pile.toml", "boxes = [\n  {x = 0, y},\n]\n", "(at line 2, column "),
+        ("pile.toml", f"boxes = {'[' * 20_000}", "not TOML: lists or tables are nested too deeply"),
+        ("pile.yaml", "\n", "the file is empty"),
+    ],
+)
+def test_a_file_named_yaml_or_toml_gets_the_fault_of_its_format(
+    name: str, text: str, fault: str, tmp_path: Path
+) -> None:
+    (skipped,) = load(tmp_path, name, text).skipped
+    assert fault in skipped.message
+
+
+@pytest.mark.parametrize(
+    ("written", "read"),
+    [
+        ("Bob's", "Bob's"),
+        ('5" box', '5" box'),
+        ("a#1", "a#1"),
+        ('"a # b"', "a # b"),
+        ("'Bob''s # 1'", "Bob's # 1"),
+        ("00123", "00123"),
+        ("1e5", "1e5"),
+        ("1.10", "1.10"),
+        ("no", "no"),
+        ("off", "off"),
+        ("Yes", "Yes"),
+    ],
+)
+def test_names_and_ids_of_yaml_are_read_as_written(written: str, read: str, tmp_path: Path) -> None:
+    block = f"boxes:\n- sku: {written} # it's\n  z: 0\n  " + FLOW.replace(", ", "\n  ")
+    for text in (block, f"boxes:\n- {{sku: {written}, z: 0, {FLOW}}} # it's 5\"\n"):
+        (plan,) = load(tmp_path, "pile.yaml", text).plans
+        assert plan.articles == (read,)
 
 
 @pytest.mark.parametrize(
