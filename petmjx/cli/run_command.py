@@ -126,11 +126,12 @@ def run_watched(run: Callable[..., RunResults], options: Mapping[str, Any]) -> R
 
     watcher = BarWatcher()
     with folder_of_run(options) as out:
+        earlier = None if options.get("resume") else _version_of_run(out)
         try:
             with watcher:
                 return run(watcher=watcher, **{**options, "out": out})
         except KeyboardInterrupt:
-            raise RunInterrupted(_how_far(out, watcher)) from None
+            raise RunInterrupted(_how_far(out, watcher, earlier)) from None
 
 
 @contextmanager
@@ -165,14 +166,33 @@ def folder_of_run(options: Mapping[str, Any]) -> Iterator[Path]:
             parent.rmdir()
 
 
-def _how_far(folder: Path, watcher: Any) -> str:
-    """A text that tells how far an interrupted run has come."""
+def _version_of_run(folder: Path) -> tuple[int, int] | None:
+    """The inode and the time of the last change of the ``run.json`` in a folder; None if the folder has none. Both
+    change whenever a run writes the file."""
+    from petmjx.results.run_folder import RUN_FILE
+
+    with suppress(OSError):
+        status = (folder / RUN_FILE).stat()
+        return status.st_ino, status.st_mtime_ns
+    return None
+
+
+def _how_far(folder: Path, watcher: Any, earlier: tuple[int, int] | None) -> str:
+    """A text that tells how far an interrupted run has come.
+
+    Args:
+        earlier: the version of the run that was to be overwritten (``_version_of_run``); None: there was none.
+    """
     from petmjx.results.run_reader import load_run
 
+    nothing = f"before the first {watcher.what} was finished"
+    if earlier is not None and _version_of_run(folder) == earlier:
+        return f"{nothing}; {folder} still has the earlier run"
     try:
         n_done = load_run(folder).info["counts"]["worlds"]
     except InputError:
-        return f"before the first {watcher.what} was finished; nothing was written"
+        end = "nothing was written" if earlier is None else f"the earlier run in {folder} is deleted"
+        return f"{nothing}; {end}"
     of = (
         count_text(n_done, watcher.what)
         if watcher.total is None

@@ -36,7 +36,7 @@ _KINDS: Final = (
 
 
 _WRITER_S: Final = 5.0
-"""Time for which a pipe without a writer is waited for."""
+"""Time for which petmjx waits for a program to open a FIFO for writing."""
 _WAIT_MS: Final = 250
 
 
@@ -111,6 +111,8 @@ def _content_of_pipe(path: Path) -> int:
         poll.register(pipe, select.POLLIN | select.POLLHUP)
         deadline, has_writer, n_bytes = time.monotonic() + _WRITER_S, False, 0
         while True:
+            # The kernel reports a hang-up only if a program had opened the pipe for writing, and has closed it.
+            has_writer |= any(event & select.POLLHUP for _, event in poll.poll(0))
             try:
                 block = os.read(pipe, _BLOCK)
             except BlockingIOError:  # a program has opened the pipe, and has not written yet

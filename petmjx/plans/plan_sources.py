@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from petmjx.common.argument_checks import list_of, path_of
-from petmjx.common.checked_records import similar
+from petmjx.common.checked_records import option, similar
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name
 from petmjx.common.units import MM_PER_M
@@ -72,7 +72,11 @@ def usable_of(gathered: PlanSet, sim: Simulation, options: RunOptions, earlier_l
     """
     warn([line for line in gathered.conventions if line not in earlier_lines])
     plan_set = without_vanishing_boxes(gathered, sim.size_reduction_mm, options.strict)
-    plan_set = without_narrow_walls(plan_set, sim.carrier, sim.walls, options.strict)
+    return with_some_plan(without_narrow_walls(plan_set, sim.carrier, sim.walls, options.strict))
+
+
+def with_some_plan(plan_set: PlanSet) -> PlanSet:
+    """The same plans. Raises InputError if there are none."""
     if not plan_set.plans:
         first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""
         raise InputError(f"no usable plan ({len(plan_set.skipped)} skipped){first}")
@@ -229,6 +233,22 @@ def without_narrow_walls(
         return None if room_fault is None else f": {room_fault}"
 
     return _without_faults(plan_set, fault, strict) if walls.sides else plan_set
+
+
+def without_built_plans(plan_set: PlanSet, built: int, strict: bool = False) -> PlanSet:
+    """Skip plans of which no box is left to place if the first ``built`` boxes stand already.
+
+    Raises:
+        InputError: no plan is left; or, with ``strict``, a plan would be skipped.
+    """
+
+    def fault(plan: Plan) -> str | None:
+        if built < plan.n_boxes:
+            return None
+        n_boxes = count_text(plan.n_boxes, "box", "boxes")
+        return f": {option('--built')} must be less than its {n_boxes}, got {built}"
+
+    return with_some_plan(_without_faults(plan_set, fault, strict))
 
 
 def _without_faults(plan_set: PlanSet, fault_of: Callable[[Plan], str | None], strict: bool) -> PlanSet:

@@ -10,13 +10,13 @@ from typing import Any, Final
 
 import pandas as pd
 
-from petmjx.common.checked_records import option, shown_value
+from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.options.run_options import READING, Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans
+from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans, without_built_plans
 from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.candidates import State
 from petmjx.repairs.changes import Change, Kind, applied, cost_of
@@ -65,6 +65,7 @@ class Repaired:
         n_trials: plans that were simulated.
         complete: whether the search came to its end; else its seconds were spent, and smaller changes may be known to a
             longer one.
+        built_falls: whether boxes that stand already fall before others are placed: no repair was sought.
     """
 
     before: Plan
@@ -76,6 +77,7 @@ class Repaired:
     share_after: Share | None
     n_trials: int
     complete: bool = True
+    built_falls: bool = False
 
     @property
     def stands(self) -> bool:
@@ -123,6 +125,8 @@ class Repaired:
         first = "" if trial.culprit is None else f", first box {trial.culprit}"
         fails = f"{name}: {trial.verdict} ({trial.reason}{first})"
         spent = "" if self.complete else ", then the seconds for the search were spent"
+        if self.built_falls:
+            return f"{fails}; no repair was sought: the boxes that are built already fall by themselves"
         if not self.stands:
             return f"{fails}; no repair is known ({count_text(self.n_trials, 'plan')} simulated{spent})"
         text = f"{fails}; stands after {count_text(len(self.changes), 'change')}"
@@ -268,12 +272,7 @@ def repair(
     score_options = {**of_simulation, **sure, **{name: value for name, value in of_run.items() if name in OF_RUN}}
     question = Question(score_options, repair_options)
     plan_set = usable_plans(plans_in_place(plans, reading.strict), question.sim, reading)
-    for plan in plan_set:
-        if repair_options.built >= plan.n_boxes:
-            raise InputError(
-                f"{plan.source}: plan {printable_name(plan.plan_id)}: {option('--built')} must be less than its "
-                f"{count_text(plan.n_boxes, 'box', 'boxes')}, got {repair_options.built}"
-            )
+    plan_set = without_built_plans(plan_set, repair_options.built, reading.strict)
     driven, errors = repair_options.profile is not None, repair_options.worlds > 0
     about = notes_about(question.sim, plan_set.plans, errors=errors, driven=driven)
     shown = {name: value for name, value in score_options.items() if name in Simulation.model_fields or name in OF_RUN}
@@ -355,4 +354,5 @@ def _repaired_by(search: Search, state: State | None, before: Share | None, afte
         share_after=after,
         n_trials=search.n_trials,
         complete=search.complete,
+        built_falls=search.built_falls,
     )

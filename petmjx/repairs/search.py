@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from petmjx.engines.verdict import Verdict
 from petmjx.repairs.candidates import (
     AT_ONCE,
     Candidate,
@@ -116,16 +117,18 @@ class Search(Candidates):
             repair is needed: without it, the plan falls, is not allowed, or stands in too few worlds with errors.
         n_trials: number of plans that were simulated.
         complete: whether the search has ended. Before its end, repairs may have needless changes.
+        built_falls: whether boxes that stand already fall before others are placed: no repair is sought.
     """
 
     before: Trial | None = None
     repairs: tuple[State, ...] = ()
     complete: bool = False
+    built_falls: bool = False
 
     def take(self, other: Search) -> None:
         """Take over the results that the same search has reached in another process."""
         self.before, self.repairs, self.n_trials = other.before, other.repairs, other.n_trials
-        self.complete = other.complete
+        self.complete, self.built_falls = other.complete, other.built_falls
 
     @property
     def _scale(self) -> int:
@@ -146,7 +149,9 @@ class Search(Candidates):
             self.begin(trial)
         elif trial.stands:
             yield from self._begun(trial)
-        if self.before is None or not self.before.stands:
+        elif trial.culprit is not None and max(trial.culprit + 1, trial.n_placed) <= self.rules.built:
+            yield from self._begun_with_built(trial)
+        if self.before is None or not (self.before.stands or self.built_falls):
             yield from self._mended(State(self._start, (), self.before or trial))
             if self.before is None:
                 yield from self._begun(trial)
@@ -160,6 +165,14 @@ class Search(Candidates):
         """Score the plan as it is, and note its score at once: the time may be up before the search ends."""
         (scored,) = yield from self._scored([State(self._start, (), judged)])
         self.begin(scored.trial)
+
+    def _begun_with_built(self, judged: Trial) -> Steps[None]:
+        """Score the plan as it is, and its built boxes alone, after a built box fell when no other boxes were placed.
+        Every changed plan begins with the same placements, so no change helps if the built boxes fall alone."""
+        alone = replace(self._start, order=self._start.order[: self.rules.built])
+        _, (trial,) = yield Together([self._begun(judged), self._simulated([alone])])
+        assert self.before is not None
+        self.built_falls = not self.before.stands and trial.verdict == Verdict.UNSTABLE.value
 
     def _mended(self, start: State) -> Steps[None]:
         """Search for repairs of a plan that falls."""

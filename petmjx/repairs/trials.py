@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
@@ -16,7 +17,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 import pandas as pd
 
-from petmjx.common.errors import InputError
+from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.machine import cpu_threads, why_no_warp, why_no_warp_on_cpu
 from petmjx.common.text import printable_name
 from petmjx.engines.attempt_runner import outcomes_of_stream
@@ -342,14 +343,14 @@ class Question:
         study = partial(SweepStudy, sweep, confidence=self._options.worlds)
         ends = _WorldEnds(limit or TimeLimit())
         with suppress(OutOfTime):
-            simulate(study, sweep.simulation, list(plans), self._run, ends)
+            _simulated(study, sweep.simulation, list(plans), self._run, ends)
         return [ends.share_of(plan, self._options.worlds) for plan in plans]
 
     def _simulate(self, plans: list[Plan], film_turns: float, run: RunOptions, watcher: Watcher | None) -> RunResults:
         sweep = self._drive_sweep(film_turns)
         if sweep is None:
-            return simulate(partial(Nominal, self.sim), self.sim, plans, run, watcher)
-        return simulate(partial(SweepStudy, sweep), sweep.simulation, plans, run, watcher)
+            return _simulated(partial(Nominal, self.sim), self.sim, plans, run, watcher)
+        return _simulated(partial(SweepStudy, sweep), sweep.simulation, plans, run, watcher)
 
     def _drive_sweep(self, film_turns: float) -> Sweep | None:
         """The sweep with the one drive of the requirement; None: pallets must stand at rest."""
@@ -365,6 +366,14 @@ class Question:
             axes[str(profiles[0].strength)] = options.level
         simulation = {**self._of_simulation, "wrap": self.sim.wrap.changed(turns=film_turns)}
         return sweep_of_tables({"name": "repair", "axes": axes}, Path("repair"), True, simulation)
+
+
+def _simulated(*arguments: Any) -> RunResults:
+    """Call ``simulate`` without warnings about plans: the user has already been warned of the plans as they were given,
+    and drafts have numbers instead of ids."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PlanWarning)
+        return simulate(*arguments)
 
 
 @dataclass(eq=False)

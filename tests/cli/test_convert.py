@@ -118,6 +118,31 @@ def test_a_fifo_without_a_writer_is_refused(
         petmjx.score("plans.json")
 
 
+@pytest.mark.parametrize("is_fifo", [False, True])
+def test_an_empty_pipe_is_an_empty_file(
+    is_fifo: bool, pipe: Callable[[bytes], str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(safe_read, "_WRITER_S", 60.0)
+    name = "plans.json"
+    if is_fifo:
+        os.mkfifo(name)
+        writer = threading.Thread(target=Path(name).write_bytes, args=(b"",))
+        writer.start()
+    else:
+        reader, writing_end = os.pipe()
+        os.close(writing_end)
+        name = f"/dev/fd/{reader}"
+    start_s = time.monotonic()
+    assert run("convert", name, "-o", "again.json") == 2
+    assert time.monotonic() - start_s < 30
+    if is_fifo:
+        writer.join()
+    else:
+        os.close(reader)
+    skipped, _ = capsys.readouterr().err.splitlines()
+    assert skipped == f"skipped: {name}: the file is empty"
+
+
 def test_a_dash_is_no_file(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("convert", "-", "-o", "again.json") == 2
     line = only_line(capsys.readouterr().err)

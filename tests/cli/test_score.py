@@ -188,6 +188,34 @@ def test_an_interrupted_run_says_how_far_it_came(
     assert len(results.worlds) == 2
 
 
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        ("petmjx.runs.simulate.read_input", "{out} still has the earlier run"),
+        ("petmjx.results.run_writer.RunWriter._write_plans", "the earlier run in {out} is deleted"),
+    ],
+)
+def test_an_interrupt_before_the_first_world_says_what_the_folder_has(
+    function: str,
+    message: str,
+    three_plans: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "out"
+    assert run("score", three_plans, "--engine", "mujoco", "--out", out) == 0
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(function, interrupted)
+    assert run("score", three_plans, "--engine", "mujoco", "--out", out, "--overwrite") == 130
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == f"petmjx: interrupted: before the first plan was finished; {message.format(out=out)}"
+    assert (out / "run.json").exists() == ("still" in message)
+
+
 def test_ctrl_c_leaves_whole_parts(tmp_path: Path) -> None:
     path = write(tmp_path / "plans.json", {f"p{k}": TOWER for k in range(500)})
     out = tmp_path / "out"

@@ -157,6 +157,42 @@ def test_what_is_built_stays() -> None:
     assert (result.plan.corner_mm[:2] == result.before.corner_mm[:2]).all()
 
 
+STAIR: Sequence[Box] = tuple(((400, 300, 200), (300 * k, 0, 200 * k), 5) for k in range(3))
+"""A stair whose second box falls without any further box."""
+
+
+def test_built_boxes_that_fall_are_told_without_a_search() -> None:
+    result = repaired(STAIR, built=2)
+    assert result.headline.endswith("no repair was sought: the boxes that are built already fall by themselves")
+    assert (result.built_falls, result.complete, result.n_trials) == (True, True, 3)
+    assert result.plan is result.before
+
+
+@pytest.mark.parametrize(("boxes", "built"), [(STAIR, 1), (COUNTERWEIGHT, 2)])
+def test_a_search_begins_where_boxes_fall_that_are_not_built(boxes: Sequence[Box], built: int) -> None:
+    result = repaired(boxes, built=built)
+    assert (result.built_falls, result.stands) == (False, True)
+
+
+def test_plans_with_too_few_boxes_are_skipped() -> None:
+    plans = [make_plan("one", stack(1)), make_plan("two", stack(2))]
+    result = petmjx.repair(plans, built=1, **FAST)
+    assert [each.plan.plan_id for each in result.each] == ["two"]
+    assert [line.partition("plan ")[2] for line in result.skipped] == ["one: built must be less than its 1 box, got 1"]
+    with pytest.raises(InputError, match="plan one: built must be less than its 1 box, got 1"):
+        petmjx.repair(plans, built=1, strict=True, **FAST)
+
+
+def test_odd_plans_are_noted_once_under_their_ids() -> None:
+    high = make_plan("high", [((400, 300, 200), (0, 0, 900), 5)])
+    with warnings.catch_warnings(record=True) as issued:
+        warnings.simplefilter("always")
+        petmjx.repair(high, **{**FAST, "worlds": 4})
+    (text,) = {str(one.message) for one in issued}
+    assert "in plan high the lowest box" in text
+    assert len(issued) == 1
+
+
 def test_nothing_helps_where_all_is_forbidden_that_would() -> None:
     result = repaired(COUNTERWEIGHT, forbid=[kind for kind in Kind if kind is not Kind.SHEET], trials=4)
     assert not result.stands
