@@ -56,7 +56,7 @@ class _Pipes:
 
     def file_of(self, path: Path) -> Path:
         """The file in memory with the content of a pipe; any other path is returned unchanged. Raises OSError."""
-        if str(path) not in self.words:
+        if str(path) not in self.words or not hasattr(os, "memfd_create"):  # files in memory: only on Linux
             return path
         status = os.stat(path)
         if not stat.S_ISFIFO(status.st_mode):
@@ -87,7 +87,8 @@ _pipes: _Pipes | None = None
 @contextmanager
 def named_pipes(words: Iterable[str]) -> Iterator[None]:
     """Context of the command line, in which pipes that its words name are read like files: ``<(…)`` of a shell, FIFOs,
-    and ``/dev/stdin``. A pipe is read once, to its end; its content stays in memory until the context ends."""
+    and ``/dev/stdin``. A pipe is read once, to its end; its content stays in memory until the context ends. Only on
+    Linux: elsewhere pipes are refused."""
     global _pipes
     parts = {part for word in words for part in (word, *re.split(r"[=,]", word))}
     before, _pipes = _pipes, _Pipes(frozenset(parts - {""}))
