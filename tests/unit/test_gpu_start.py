@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import os
 import queue
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -14,6 +16,7 @@ from types import SimpleNamespace
 import pytest
 
 from petmjx.common.errors import InputError
+from petmjx.common.machine import own_environment
 from petmjx.engines import gpu_start, run_engine
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.engines.remote import ray_cluster as of_clusters
@@ -85,6 +88,17 @@ def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch
         raise InputError("no such file")
     released.set()
     _join_starts()
+
+
+def test_importing_the_engine_starts_no_device_of_jax() -> None:
+    """While the engine is imported, another thread starts JAX's devices, in such a way that JAX leaves memory for Warp.
+    If the import came first, JAX would take three quarters of the GPU's memory. Here, JAX has no device to start."""
+    pytest.importorskip("warp")
+    environment = own_environment() | {"JAX_PLATFORMS": "none"}
+    code = "import petmjx.engines.warp.engine, jax; print('imported'); jax.devices()"
+    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout) == (1, "imported\n"), ended.stderr
+    assert "Unable to initialize backend" in ended.stderr
 
 
 def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
