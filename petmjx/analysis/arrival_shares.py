@@ -8,7 +8,7 @@ from typing import Final
 
 import pandas as pd
 
-from petmjx.analysis.crushing import NOT, SURELY
+from petmjx.analysis.crushing import NOT, SURELY, WORLD_KEY
 from petmjx.engines.verdict import Verdict
 
 WAY_UNITS: Final = {
@@ -23,9 +23,6 @@ WAY_UNITS: Final = {
     "share_possibly_whole": ("1", "n_possibly_whole / n_worlds"),
 }
 
-_WORLD: Final = ["plan_id", "variant"]
-"""The columns that identify a world."""
-
 
 def ways_of(worlds: pd.DataFrame, plans: pd.DataFrame) -> pd.DataFrame:
     """For each plan and remedy (a change to a transport chain), the share of pallets that arrive at the end of the
@@ -35,8 +32,10 @@ def ways_of(worlds: pd.DataFrame, plans: pd.DataFrame) -> pd.DataFrame:
         worlds: the worlds of the run of a chain.
         plans: one row for each of these worlds, with the column ``crushed``.
     """
-    drawn = worlds.loc[worlds["variant"] > 0, [*_WORLD, "verdict", "remedy"]]
-    drawn = drawn[drawn["verdict"].astype(str) != Verdict.INVALID.value].merge(plans[[*_WORLD, "crushed"]], on=_WORLD)
+    drawn = worlds.loc[worlds["variant"] > 0, [*WORLD_KEY, "verdict", "remedy"]]
+    drawn = drawn[drawn["verdict"].astype(str) != Verdict.INVALID.value].merge(
+        plans[[*WORLD_KEY, "crushed"]], on=WORLD_KEY
+    )
     arrives = drawn["verdict"].astype(str) == Verdict.STABLE.value
     counted: Mapping[str, pd.Series] = {
         "n_worlds": pd.Series(True, index=drawn.index),

@@ -34,7 +34,8 @@ SUSTAINED: Final = "sustained_top_force_n"
 """Column of the table ``boxes`` in the run of a transport chain: the largest force at rest on top of the box after any
 leg (stage of the transport)."""
 
-_KEY: Final = ["plan_id", "variant"]
+WORLD_KEY: Final = ["plan_id", "variant"]
+"""The columns that identify a world."""
 
 
 def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) -> pd.DataFrame:
@@ -66,16 +67,18 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
 def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
     """A table with one row per world (one simulation of one plan): whether a box of the world is crushed, and which box
     is most overloaded. ``PLAN_UNITS`` describes the columns."""
-    marked = boxes[_KEY].assign(
+    marked = boxes[WORLD_KEY].assign(
         surely=boxes["crush_share_low"] > 1,
         possibly=boxes["crush_share_high"] > 1,
         unknown=boxes["crush_share_high"].isna(),
     )
-    worlds = marked.groupby(_KEY, sort=False, as_index=False).any()
+    worlds = marked.groupby(WORLD_KEY, sort=False, as_index=False).any()
     answers = [worlds["surely"], worlds["possibly"], ~worlds["unknown"]]
     worlds["crushed"] = np.select(answers, [SURELY, POSSIBLY, NOT], "")
     worlds["crushed"] = worlds["crushed"].astype(object).where(worlds["crushed"] != "", None)
     rated_boxes = boxes.dropna(subset="crush_share_high")
-    largest = rated_boxes.loc[rated_boxes.groupby(_KEY, sort=False)["crush_share_high"].idxmax(), [*_KEY, "box"]]
-    worlds = worlds.merge(largest.rename(columns={"box": "crush_box"}), on=_KEY, how="left")
-    return worlds[[*_KEY, *PLAN_UNITS]].astype({"crush_box": "Int32"})
+    largest = rated_boxes.loc[
+        rated_boxes.groupby(WORLD_KEY, sort=False)["crush_share_high"].idxmax(), [*WORLD_KEY, "box"]
+    ]
+    worlds = worlds.merge(largest.rename(columns={"box": "crush_box"}), on=WORLD_KEY, how="left")
+    return worlds[[*WORLD_KEY, *PLAN_UNITS]].astype({"crush_box": "Int32"})

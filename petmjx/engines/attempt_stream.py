@@ -20,7 +20,7 @@ from petmjx.engines.attempt_runner import AttemptResult, AttemptRunner, Pending
 from petmjx.engines.attempts import ATTEMPTS, BESIDE, AttemptRecipe, Engines, may_go_on, ready_for
 from petmjx.engines.contact_penetration import may_penetrate
 from petmjx.engines.job_stream import JobBounds, JobStream
-from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress
+from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress
 from petmjx.engines.subprocess.attempt_process import READY, AttemptAnswer, AttemptTask
 from petmjx.engines.subprocess.check_pool import LARGE, CheckPool
 from petmjx.engines.verdict import Verdict
@@ -30,7 +30,7 @@ from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.job import Job
 
-MOST_PENDING: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
+MOST_PENDING: Final = 13 * GPU_WORLDS // 8
 """Largest number of worlds in a list, for an engine that cannot read a stream of jobs. The thread that makes worlds
 also pauses when this number of worlds waits for a further attempt."""
 
@@ -269,10 +269,11 @@ class _AttemptRun(Generic[AnyWorld]):
         if the attempt must wait for its turn: the engine cannot mix attempts, or thousands of worlds with errors may
         need this attempt, for which the usual blocks are faster, or the world is recorded."""
         world, before, _ = pending
-        runner = self.attempt_tasks.runner_of(attempt)
-        many = world.job.has_errors and not self.attempt_tasks.are_few(attempt, pending)
-        if attempt.stiff not in self.stream.stiff or many or world.job.record is not None:
+        if attempt.stiff not in self.stream.stiff or world.job.record is not None:
             return False
+        if world.job.has_errors and not self.attempt_tasks.are_few(attempt, pending):
+            return False
+        runner = self.attempt_tasks.runner_of(attempt)
         if runner.engine_for(world) is not self.engines.primary:
             return False
         (job,) = runner.jobs_of([world], self.engines.primary)

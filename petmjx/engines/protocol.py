@@ -19,9 +19,9 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
-GROUP_WORLDS = {"mjx-warp": 32_768}
-"""Name of an engine → default number of worlds whose states the engine keeps on its device at the same time. On
-mjx-warp, a world of 80 boxes takes 16 kB."""
+GPU_WORLDS: Final = 32_768
+"""Default number of worlds whose states ``mjx-warp`` keeps on its device at the same time. A world of 80 boxes takes 16
+kB."""
 
 
 @dataclass

@@ -96,9 +96,9 @@ class SegmentContent(NamedTuple):
     unread: UnreadFields
 
 
-def read_segment(segment: Segment, options: RunOptions, extent_mm: tuple[float, float] | None) -> SegmentContent | None:
-    """Read the plans of a segment. None if the segment has an error that is not about one plan, or is not in BED-BPP's
-    form.
+def read_segment(segment: Segment, options: RunOptions, extent_mm: tuple[float, float] | None) -> SegmentContent:
+    """Read the plans of a segment. If the segment has an error that is not about one plan, or is not in BED-BPP's form,
+    one of the skipped entries has no number.
 
     Args:
         extent_mm: extent of the carrier along x and y; None: the extent of the plan's boxes.
@@ -107,10 +107,7 @@ def read_segment(segment: Segment, options: RunOptions, extent_mm: tuple[float, 
         InputError: a plan is unusable, and the option ``strict`` does not allow it to be skipped.
         OSError, ValueError: the file cannot be read.
     """
-    plan_set, unread = read_json_plans(printable(str(segment.file)), segment.text(), options, extent_mm)
-    if any(skipped.number is None for skipped in plan_set.skipped):
-        return None
-    return SegmentContent(plan_set, unread)
+    return SegmentContent(*read_json_plans(printable(str(segment.file)), segment.text(), options, extent_mm))
 
 
 def joined(contents: Sequence[SegmentContent], extent_mm: tuple[float, float] | None) -> PlanSet | None:

@@ -23,6 +23,10 @@ from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.trials import Asked, Steps, Trial
 
+PILE: Final = 4.0
+"""A box that falls is taken off together with all boxes that need it. This many of these boxes count as one fault,
+because there is no other place for a large pile, and it hides further faults."""
+
 AT_ONCE: Final = 24
 """Number of changed plans that are judged at once. If one of them stands, as many again are judged, so that worlds with
 errors can choose from more plans."""
@@ -78,7 +82,6 @@ class Candidate:
     draft: Draft
     changes: tuple[Change, ...]
     proposal: Proposal
-    trouble: float
     key: float
     parent: Node
     risk: tuple[int, int] = (0, 0)
@@ -94,6 +97,11 @@ class Fault(NamedTuple):
 
     box: int
     weight: float
+
+    @classmethod
+    def of(cls, box: int, n_boxes: int) -> Fault:
+        """The fault of a box that falls, if ``n_boxes`` boxes fall or must be taken off with it."""
+        return cls(box, max(1.0, n_boxes / PILE))
 
 
 @dataclass(eq=False)
@@ -268,9 +276,7 @@ class Candidates:
             unsolved = first is not None and after.depth_of(first.box) > 0
             risk = after.trouble + PER_WEAKNESS * after.weakness
             rank = risk + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
-            ranked.append(
-                Candidate(draft, changes, proposal, after.trouble, rank, node, _risk(after, cost_of(changes)))
-            )
+            ranked.append(Candidate(draft, changes, proposal, rank, node, _risk(after, cost_of(changes))))
         ranked.sort(key=lambda candidate: candidate.key)
         self._seen.difference_update(key_of(candidate.draft) for candidate in ranked[MOST_RANKED:])
         return ranked[:MOST_RANKED]

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from petmjx.options.simulation import Simulation
-from petmjx.repairs.balance import Balance, balances
+from petmjx.repairs.balance import balances
 from petmjx.repairs.changes import Change, LeaveOut, Place
 from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
 from petmjx.repairs.proposals import Proposal, Target, resting_corners
@@ -84,7 +84,7 @@ class _Pile:
         self._distrusted, self._way, self._leaves_out = distrusted, way, leaves_out
         self._held = set(draft.order[:n_held])
         self._pile = replace(draft, order=())
-        self._known_trouble: float | None = None
+        self._known_trouble: float | None = 0.0
 
     def built(self) -> Proposal | None:
         """The changes that turn the draft into the new plan; None: there is no place for a box."""
@@ -113,17 +113,16 @@ class _Pile:
 
     def _keeps(self, box: int) -> bool:
         """Put a box at its place, if it can keep this place. Returns whether it can."""
-        pile = replace(self._pile, order=(*self._pile.order, box))
+        pile, trouble = replace(self._pile, order=(*self._pile.order, box)), None
         if box >= self._rules.built:
             if not self._rules.allow([pile])[0]:
                 return False
             if self._way.strict and box not in self._held and self._pile.order:
                 (after,) = balances([pile], self._sim)
-                if after.trouble > self._trouble + SAME_TROUBLE:
+                trouble = after.trouble
+                if trouble > self._trouble + SAME_TROUBLE:
                     return False
-                self._pile, self._known_trouble = pile, after.trouble
-                return True
-        self._pile, self._known_trouble = pile, None
+        self._pile, self._known_trouble = pile, trouble
         return True
 
     def _placed(self, box: int, later: Collection[int]) -> Place | None:
@@ -140,29 +139,29 @@ class _Pile:
         tried = [(place, draft) for place in places if (draft := place.applied(waiting)) is not None]
         in_the_way = [self._in_the_way(draft, box, later) for _, draft in tried]
         queue = sorted(range(len(tried)), key=lambda k: (in_the_way[k], tried[k][0].corner_mm[2]))
-        best: tuple[tuple[float, ...], Balance] | None = None
+        best: tuple[float, ...] | None = None
         for begin in range(0, len(queue), TRIED_AT_ONCE):
             numbers = queue[begin : begin + TRIED_AT_ONCE]
             allowed = self._rules.allow([tried[k][1] for k in numbers])
             numbers = [k for k, is_allowed in zip(numbers, allowed, strict=True) if is_allowed]
             for k, balance in zip(numbers, balances([tried[k][1] for k in numbers], self._sim), strict=True):
                 rank = balance.trouble, in_the_way[k], balance.weakness, tried[k][0].corner_mm[2], k
-                if best is None or rank < best[0]:
-                    best = rank, balance
-            if best is not None and best[1].trouble <= self._trouble + SAME_TROUBLE:
+                if best is None or rank < best:
+                    best = rank
+            if best is not None and best[0] <= self._trouble + SAME_TROUBLE:
                 break  # no box makes the trouble of the boxes below less
         if best is None:
             return None
-        chosen = int(best[0][-1])
-        self._pile, self._known_trouble = tried[chosen][1], best[1].trouble
+        chosen = int(best[-1])
+        self._pile, self._known_trouble = tried[chosen][1], best[0]
         return tried[chosen][0]
 
     @property
     def _trouble(self) -> float:
-        """``Balance.trouble`` of the pile."""
+        """``Balance.trouble`` of the pile; 0 without boxes."""
         if self._known_trouble is None:
-            (balance,) = balances([self._pile], self._sim) if self._pile.order else (None,)
-            self._known_trouble = 0.0 if balance is None else balance.trouble
+            (balance,) = balances([self._pile], self._sim)
+            self._known_trouble = balance.trouble
         return self._known_trouble
 
     def _in_the_way(self, pile: Draft, box: int, later: Collection[int]) -> int:

@@ -45,10 +45,6 @@ BEAM: Final = 4
 FIRST_AT_ONCE: Final = 12
 """Number of changed plans that are judged first. If one change is enough, statics usually ranks it among the best."""
 
-PILE: Final = 4.0
-"""A box that falls is taken off together with all boxes that need it. This many of these boxes count as one fault,
-because there is no other place for a large pile, and it hides further faults."""
-
 MOST_LIFTED: Final = 3
 """The boxes of at most this many faults are taken off one after the other. Each time, the search waits for a
 simulation. Further faults come to light when these are mended."""
@@ -151,11 +147,12 @@ class Search(Candidates):
             yield from self._begun(trial)
         elif trial.culprit is not None and max(trial.culprit + 1, trial.n_placed) <= self.rules.built:
             yield from self._begun_with_built(trial)
-        if self.before is None or not (self.before.stands or self.built_falls):
+        if not (self._stands or self.built_falls):
             yield from self._mended(State(self._start, (), self.before or trial))
             if self.before is None:
                 yield from self._begun(trial)
-            if self.before is not None and self.before.stands:
+            assert self.before is not None
+            if self.before.stands:
                 self.begin(self.before)
         self._seen.clear()
         self._known.clear()
@@ -363,11 +360,11 @@ class Search(Candidates):
         stands. With a drive, this would be too expensive, so only the boxes that fell are counted."""
         draft, trial, faults = state.draft, state.trial, list[Fault]()
         if self.options.profile is not None and not trial.stands:
-            return (Fault(_lost(draft, trial), max(1.0, len(trial.fallen) / PILE)),)
+            return (Fault.of(_lost(draft, trial), len(trial.fallen)),)
         while not trial.stands:
             box = _lost(draft, trial)
             lifted = lifted_with(draft, box)
-            faults.append(Fault(box, max(1.0, len(lifted) / PILE)))
+            faults.append(Fault.of(box, len(lifted)))
             if len(faults) > MOST_LIFTED or min(lifted) < self.rules.built or len(lifted) == len(draft.order):
                 break
             draft = replace(draft, order=tuple(box for box in draft.order if box not in lifted))
@@ -388,7 +385,7 @@ class Search(Candidates):
             return before[boxes.index(box) :]
         lifted = lifted_with(draft, box)
         later = [fault for fault in before if fault.box not in lifted and draft.rank[fault.box] > draft.rank[box]]
-        return (Fault(box, max(1.0, len(lifted) / PILE)), *later)
+        return (Fault.of(box, len(lifted)), *later)
 
     def _stripped(self, state: State) -> Steps[list[State]]:
         """The state without the boxes that fall. They are left out one by one, with all boxes on them, until the

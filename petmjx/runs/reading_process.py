@@ -56,10 +56,8 @@ def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: Run
                 content = SegmentContent(gather_plans(source, sim, options), UnreadFields())
         except Exception:
             return None
-    if content is None or caught:
-        return None
     plan_set, unread = content
-    if any(skipped.number is None for skipped in plan_set.skipped):
+    if caught or any(skipped.number is None for skipped in plan_set.skipped):
         return None
     records = records_of(plan_set.plans, plan_set.numbers)
     return ReadingAnswer(PlanColumns.of(plan_set.plans), replace(plan_set, plans=[]), unread, records)

@@ -59,8 +59,8 @@ def facts(plan_set: PlanSet) -> list[Any]:
 def in_segments(file: Path, count: int) -> PlanSet | None:
     """The plans of a file, read in segments. None if it cannot be read so."""
     contents = [read_segment(segment, OPTIONS, EXTENT_MM) for segment in segments_of(file, count)]
-    read = [content for content in contents if content is not None]
-    return joined(read, EXTENT_MM) if read and len(read) == len(contents) else None
+    numbered = [skipped.number is not None for content in contents for skipped in content.plan_set.skipped]
+    return joined(contents, EXTENT_MM) if contents and all(numbered) else None
 
 
 @pytest.mark.parametrize("style", [{}, {"indent": 1}, {"separators": (",", ":")}], ids=["usual", "indented", "compact"])

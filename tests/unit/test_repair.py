@@ -620,7 +620,7 @@ def test_few_worlds_with_errors_are_simulated_for_changes_that_do_not_help(is_wi
     weak = State(start, (), stands, errors={world: falls.get(world, stands) for world in range(1, 9)})
     moves = [Move(1, float(length), 0.0) for length in (5, 10, 15, 20, 25, 30)]
     drafts = {move: draft for move in moves if (draft := move.applied(start)) is not None}
-    batch = [Candidate(draft, (move,), (move,), 0.0, 0.0, Node(weak)) for move, draft in drafts.items()]
+    batch = [Candidate(draft, (move,), (move,), 0.0, Node(weak)) for move, draft in drafts.items()]
     sizes = []
 
     def ask(requests: list[Asked]) -> list[Trial]:
@@ -743,7 +743,7 @@ def test_only_safer_plans_are_judged_beside_one_that_stands() -> None:
         search = Search(draft.plan, Simulation(), RepairOptions(worlds=worlds))
         (risk,) = search._risks([standing])
         ways = zip(made[1:], moves[1:], (risk, (risk[0] - 1, 0)), strict=True)
-        queue = [Candidate(one, (move,), (move,), 0.0, 0.0, start, its) for one, move, its in ways]
+        queue = [Candidate(one, (move,), (move,), 0.0, start, its) for one, move, its in ways]
         assert [c.changes[0] for c in search._rivals([queue], [standing], 1)] == expected
         assert len(queue) == 1, "what is taken is in the queue no longer"
 
@@ -772,7 +772,7 @@ def test_each_way_to_change_a_box_is_judged_before_other_amounts() -> None:
     draft = Draft.of(make_plan(boxes=stack(2)))
     proposals = [Move(0, 5.0, 0.0), Move(0, 9.0, 0.0), Move(0, 0.0, 7.0), Move(1, 5.0, 0.0), Order(1, 0)]
     start = Node(State(draft, (), Trial("unstable", "tilt", 1, (1,), 2, 2, 0.0)))
-    queue = [Candidate(draft, (change,), (change,), 0.0, float(k), start) for k, change in enumerate(proposals)]
+    queue = [Candidate(draft, (change,), (change,), float(k), start) for k, change in enumerate(proposals)]
     assert [c.changes[0] for c in batch_of([queue], 3)] == [proposals[0], proposals[3], proposals[4]]
     assert [c.changes[0] for c in queue] == [proposals[1], proposals[2]]
 

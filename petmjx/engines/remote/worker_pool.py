@@ -18,7 +18,7 @@ from petmjx.common.text import count_text, one_line
 from petmjx.engines.cost_model import MEASURED
 from petmjx.engines.failed_world import failed_outcome
 from petmjx.engines.job_stream import JobStream
-from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
+from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
 from petmjx.engines.remote.job_dealer import MOST_ON_DEVICE, Hand, JobDealer
 from petmjx.engines.remote.ray_actor import Packet, Recipe, Report, Worker, WorkerReady, WorkerRun
 from petmjx.engines.remote.ray_cluster import Cluster
@@ -47,7 +47,7 @@ LEAST = {"mjx-warp": 512, "mjx-jax": 16}
 worker with this engine gets all jobs, since a device takes as long for a few worlds as for many. An engine without an
 entry simulates job after job."""
 
-MOST_TAKEN = GROUP_WORLDS["mjx-warp"]
+MOST_TAKEN = GPU_WORLDS
 """Largest number of jobs per device that are taken from the stream and have no outcome. The longest of them go to
 workers first."""
 
@@ -79,7 +79,7 @@ class _WorkerRecord:
 
     @property
     def ready(self) -> bool:
-        return self.hello is None
+        return self.hand.ready
 
 
 @dataclass(eq=False)
@@ -88,8 +88,7 @@ class _PoolRun:
 
     Attributes:
         compiled_s: time that earlier runs spent on compiling programs, s.
-        jobs: number → job, for the jobs that have been taken from the stream and have no outcome.
-        taken: number of jobs that have been taken.
+        jobs: stream number → job, for the jobs that have been taken from the stream and have no outcome.
     """
 
     stream: JobStream[Any]
@@ -98,7 +97,6 @@ class _PoolRun:
     dealer: JobDealer
     compiled_s: float
     jobs: dict[int, Job] = field(default_factory=dict)
-    taken: int = 0
 
 
 class WorkerPool(Engine):
@@ -345,13 +343,13 @@ class WorkerPool(Engine):
         were any."""
         on_devices = self.name in LEAST
         most = MOST_TAKEN * self.devices - len(run.jobs)
-        least = run.stream.begin_with if on_devices and not run.taken else 1
+        least = run.stream.begin_with if on_devices and not run.stream.taken else 1
         jobs = run.stream.take(most, least=least, wait=not run.jobs)
         costs = MEASURED.of_jobs_on_device if on_devices else MEASURED.of_jobs
-        for job, cost in zip(jobs, costs(jobs, run.sim).tolist() if jobs else (), strict=True):
-            run.jobs[run.taken] = job
-            run.dealer.add(run.taken, cost, starts=job.start is not None, deadly=id(job.scene) in self._deadly)
-            run.taken += 1
+        priced = zip(jobs, costs(jobs, run.sim).tolist() if jobs else (), strict=True)
+        for number, (job, cost) in enumerate(priced, start=run.stream.taken - len(jobs)):
+            run.jobs[number] = job
+            run.dealer.add(number, cost, starts=job.start is not None, deadly=id(job.scene) in self._deadly)
         return bool(jobs)
 
     def _hand_out(self, run: _PoolRun) -> None:

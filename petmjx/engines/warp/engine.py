@@ -16,7 +16,7 @@ from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.host_to_device import GRANULE, is_out_of_memory, load
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.open_worlds import MOST_BOXES
-from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
+from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.beginnings import beginnings
 from petmjx.engines.warp.block_launch import Launch
@@ -87,7 +87,7 @@ class MjxWarpEngine(Engine):
         lanes: int | None = None,
         *,
         allow_cpu: bool = False,
-        most_rows: int = GROUP_WORLDS["mjx-warp"],
+        most_rows: int = GPU_WORLDS,
         slice_ns: int = GPU_SLICE_NS,
     ) -> None:
         problem = None if allow_cpu else why_no_warp()
