@@ -20,6 +20,7 @@ _KEY: Final = re.compile(rf"""^((?:{_QUOTED}|[^\W_][\w .$/°-]*?|_\w+))\s*:(?:\s
 """A line with the key of a mapping, and its value if the value is in the same line."""
 _FLOW_KEY: Final = re.compile(rf"({_QUOTED}|[^:,{{}}\[\]]+?)\s*:\s*")
 _FLOW_SCALAR: Final = re.compile(rf"\s*({_QUOTED}|[^,\]}}]*)")
+_SPACE: Final = re.compile(r"\s*")
 _ITEM: Final = re.compile(r"^-(?:\s+(.*))?$")
 _TOML_TABLE: Final = re.compile(r"^\s*\[\[?\s*[\w\"'.-]+\s*\]?\]\s*(?:#.*)?$", re.MULTILINE)
 _TOML_PAIR: Final = re.compile(r"^\s*[\w\"'.-]+\s*=\s*\S")
@@ -187,49 +188,64 @@ class _Reader:
             key: the key of the value; "": the value is an item of a sequence.
         """
         if text[0] in "[{":
-            while text.count("[") + text.count("{") > text.count("]") + text.count("}"):
+            texts, unclosed = [text], _unclosed(text)
+            while unclosed > 0:
                 if self.next == len(self.lines):
                     raise self._fault(line, "a bracket is not closed")
-                text += f" {self.lines[self.next].text}"
+                texts.append(self.lines[self.next].text)
+                unclosed += _unclosed(texts[-1])
                 self.next += 1
-            value, rest = self._flow(line, text, 0)
-            if rest.strip():
+            text = " ".join(texts)
+            value, end = self._flow(line, text, 0, 0)
+            if text[end:].strip():
                 raise self._fault(line, "there is text behind a bracket")
             return value
         if text[0] in "&*!|>%@`":
             raise self._fault(line, f"petmjx does not read values that begin with {text[0]}")
         return _plain(text, key)
 
-    def _flow(self, line: _Line, text: str, depth: int, key: str = "") -> tuple[Any, str]:
-        """The value at the beginning of a text, and the rest of the text. The key is that of :meth:`_scalar`."""
-        text = text.lstrip()
-        if depth > _DEEPEST or not text:
-            raise self._fault(line, "nested too deeply" if text else "a bracket is not closed")
-        if text[0] not in "[{":
-            match = _FLOW_SCALAR.match(text)
+    def _flow(self, line: _Line, text: str, start: int, depth: int, key: str = "") -> tuple[Any, int]:
+        """The value at a position of a text, and the position behind it. The key is that of :meth:`_scalar`."""
+        at = _behind_space(text, start)
+        if depth > _DEEPEST or at == len(text):
+            raise self._fault(line, "nested too deeply" if at < len(text) else "a bracket is not closed")
+        if text[at] not in "[{":
+            match = _FLOW_SCALAR.match(text, at)
             assert match is not None
-            return _plain(match[1].strip(), key), text[match.end() :]
-        end, items = {"[": "]", "{": "}"}[text[0]], []
+            return _plain(match[1].strip(), key), match.end()
+        end, items = {"[": "]", "{": "}"}[text[at]], []
         pairs: dict[str, Any] = {}
-        rest = text[1:].lstrip()
-        while not rest.startswith(end):
+        at = _behind_space(text, at + 1)
+        while not text.startswith(end, at):
             if end == "}":
-                match = _FLOW_KEY.match(rest)
+                match = _FLOW_KEY.match(text, at)
                 if match is None:
                     raise self._fault(line, "is no key and value")
                 name = match[1].strip("\"'")
                 if name in pairs:
                     raise self._fault(line, f"{name} occurs twice")
-                pairs[name], rest = self._flow(line, rest[match.end() :], depth + 1, name)
+                pairs[name], at = self._flow(line, text, match.end(), depth + 1, name)
             else:
-                value, rest = self._flow(line, rest, depth + 1)
+                value, at = self._flow(line, text, at, depth + 1)
                 items.append(value)
-            rest = rest.lstrip()
-            if rest.startswith(","):
-                rest = rest[1:].lstrip()
-            elif not rest.startswith(end):
+            at = _behind_space(text, at)
+            if text.startswith(",", at):
+                at = _behind_space(text, at + 1)
+            elif not text.startswith(end, at):
                 raise self._fault(line, "a bracket is not closed")
-        return (pairs if end == "}" else items), rest[1:]
+        return (pairs if end == "}" else items), at + 1
+
+
+def _unclosed(text: str) -> int:
+    """How many more brackets a text opens than it closes. Brackets in quotes count too."""
+    return text.count("[") + text.count("{") - text.count("]") - text.count("}")
+
+
+def _behind_space(text: str, start: int) -> int:
+    """The position of the first character from ``start`` on that is no white space."""
+    match = _SPACE.match(text, start)
+    assert match is not None
+    return match.end()
 
 
 def _plain(text: str, key: str) -> Any:
