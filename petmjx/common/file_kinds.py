@@ -51,23 +51,22 @@ def foreign_kind(data: bytes | bytearray) -> str | None:
     return None
 
 
+_OWN_FORMS: Final = "plans are JSON, or tables of boxes with sizes and places"
+
 _PROGRAMS: Final = (
     (r"#usda\b", "is a scene in USD: save it as glTF"),
-    (r"(?:%%%.*\n)?\s*(?:&ACCESS|DEFDAT|MODULE)\s", "is a program of a robot"),
-    (r"(?:#.*\n|\s)*def \w+\(\):\s[^=]*?\b(?:movej|movel|movep|set_tcp)\(", "is a program of a robot"),
-    (r"(?:UNA|UNB\+|ISA\*)", "is an EDI message"),
+    (r"(?:%%%.*\n)?\s*(?:&ACCESS|DEFDAT|MODULE)\s", f"is a program of a robot: {_OWN_FORMS}"),
+    (r"(?:#.*\n|\s)*def \w+\(\):\s[^=]*?\b(?:movej|movel|movep|set_tcp)\(", f"is a program of a robot: {_OWN_FORMS}"),
+    (r"(?:UNA|UNB\+|ISA\*)", f"is an EDI message: {_OWN_FORMS}"),
 )
-"""Beginning of a text, as a pattern → the kind of the text."""
+"""Beginning of a text, as a pattern → the error text."""
 
 
 def program_kind(text: str) -> str | None:
     """An error text for programs, scenes and messages as text, which have no table or list of boxes; None for other
     texts."""
-    for pattern, kind in _PROGRAMS:
-        if re.match(pattern, text[:_SNIFFED_BYTES]):
-            advice = "" if ": " in kind else ": plans are JSON, or tables of boxes with sizes and places"
-            return f"{kind}{advice}"
-    return None
+    begin = text[:_SNIFFED_BYTES]
+    return next((error for pattern, error in _PROGRAMS if re.match(pattern, begin)), None)
 
 
 def _zip_kind(begin: bytes) -> str:

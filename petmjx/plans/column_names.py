@@ -454,12 +454,11 @@ def _meaning(name: str) -> ColumnMeaning | None:
     if len(words) == 1 and words[0] in _WEIGHTS_BY_UNIT:
         return ColumnMeaning("weight", unit=words[0])
     kind = _kind_of(tail, path)
-    if kind in (None, "weight", "density") and _quotient(name) and (of_density := density_unit(name)):
-        return ColumnMeaning("density", unit=of_density)  # "Raumgewicht [kg/m³]"
+    by_unit = kind in (None, "weight") and _quotient(name) and density_unit(name)  # "Raumgewicht [kg/m³]"
+    if kind == "density" or by_unit:
+        return ColumnMeaning("density", unit=density_unit(name))
     if kind is None or (kind == "quantity" and is_content(name)):
         return None
-    if kind == "density":
-        return ColumnMeaning(kind, unit=density_unit(name))
     if kind == "weight" or (kind in ("article", "item_id") and unit in MASS_UNITS and len(unit) > 1):  # "item.kg"
         return ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "", of_container=contained)
     return ColumnMeaning(kind, unit=unit, axis=index, of_container=contained and kind in ("quantity", "volume"))

@@ -60,6 +60,11 @@ class Layout:
     container: FloatArray
 
 
+def _tolerance_of(layout: Layout) -> float:
+    """The distance that counts as none: a share of the smallest side of a typical box."""
+    return _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+
+
 def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]]:
     """Three results: how implausible a layout is; where its origin is; and the counts (overlapping boxes, floating
     boxes, boxes outside, sum of supported shares).
@@ -67,7 +72,7 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     Heights are measured from the lowest box. If the lowest box is not at 0, the cost is higher.
     """
     low, size = layout.low, layout.size
-    tolerance = _TOLERANCE * float(np.median(size.min(axis=1)))
+    tolerance = _tolerance_of(layout)
     bottom = _floor_of(low, low + size, tolerance)
     heights = low[:, 2] - bottom
     offset = 0.0
@@ -202,7 +207,7 @@ def are_centres(layout: Layout, mm: float, *, far: bool = False) -> bool:
         mm: millimetres of a unit of the layout.
         far: whether the question is about the far corners and the centres of tops instead.
     """
-    tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+    tolerance = _tolerance_of(layout)
     decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_PALLETS]]
     decks += [(0.0, 0.0), *((short, long) for long, short in decks)]
     if not np.isnan(layout.container[:2]).any():
@@ -226,14 +231,14 @@ def are_centres(layout: Layout, mm: float, *, far: bool = False) -> bool:
 def begins_half_a_box_along_y(layout: Layout) -> bool:
     """Whether a load begins half a box away from the origin along y. If the coordinates were read as those of centres,
     they are perhaps those of tops, with y upwards."""
-    tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+    tolerance = _tolerance_of(layout)
     low, size = layout.low[:, 1], layout.size[:, 1]
     return bool(abs(float((low - size / 2).min())) <= tolerance < abs(float(low.min())))
 
 
 def rises_along_y_alone(layout: Layout) -> bool:
     """Whether the boxes, in packing order, never go back along y, but go down along z."""
-    tolerance = _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+    tolerance = _tolerance_of(layout)
     y, z = (np.diff(layout.low[:, axis]) >= -tolerance for axis in (1, 2))
     return bool(y.all() and not z.all())
 
