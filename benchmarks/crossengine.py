@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 import petmjx
-from benchmarks.referees.base import Referee
-from benchmarks.referees.stand import stand
+from benchmarks.referees.box_by_box import stand
+from benchmarks.referees.referee import Referee
 from petmjx.common.units import MM_PER_M
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.simulation import Check, Simulation

@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 import petmjx
-from benchmarks.referees.base import Referee
-from benchmarks.referees.stand import stand
+from benchmarks.referees.box_by_box import stand
+from benchmarks.referees.referee import Referee
 from petmjx.common.units import FloatArray
 from petmjx.options.simulation import Check, Simulation
 from petmjx.plans.plan import Plan

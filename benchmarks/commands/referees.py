@@ -34,7 +34,7 @@ def crossengine(
     """Plans in other simulators: does any of petmjx's verdicts stand alone? Needs the extra "referees"."""
     from benchmarks.crossengine import Court, by_softness, summaries
     from benchmarks.record import append_line, environment
-    from benchmarks.referees.base import REFEREES, referee
+    from benchmarks.referees.referee import REFEREES, referee
     from petmjx.options.run_options import RunOptions
     from petmjx.options.simulation import Simulation
     from petmjx.plans.bundled import bundled_path
@@ -72,7 +72,7 @@ def cross_forces(
 ) -> None:
     """Forces on boxes of small piles, in other simulators and by statics. Needs the extra "referees"."""
     from benchmarks.record import append_line, environment
-    from benchmarks.referees.base import REFEREES, referee
+    from benchmarks.referees.referee import REFEREES, referee
     from benchmarks.stack_forces import differences
 
     for line in differences({word: referee(word) for word in words(referees) or REFEREES}):

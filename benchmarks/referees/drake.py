@@ -20,7 +20,7 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, slab, top_forces
+from benchmarks.referees.referee import CARRIER, FIRST_BOX, FLOOR, slab, top_forces
 from petmjx.common.units import FloatArray
 from petmjx.options.physics import Physics
 from petmjx.world.scene import Scene

@@ -9,7 +9,7 @@ import numpy as np
 import sapien
 from sapien import physx
 
-from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, box_inertia, slab, top_forces
+from benchmarks.referees.referee import CARRIER, FIRST_BOX, FLOOR, box_inertia, slab, top_forces
 from petmjx.common.units import FloatArray
 from petmjx.options.physics import Physics
 from petmjx.world.scene import Scene

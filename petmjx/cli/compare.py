@@ -86,7 +86,7 @@ def _compare_packers(
     as_json: bool,
 ) -> None:
     from petmjx.analysis.packer_comparison import check_comparison_free, compare_packers, write_comparison
-    from petmjx.results.read_files import source_files
+    from petmjx.results.source_files import source_files
     from petmjx.show.packer_tables import packer_tables
     from petmjx.show.table_layout import line, print_renderables
 

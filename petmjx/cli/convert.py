@@ -48,7 +48,7 @@ def convert(
     from petmjx.plans.plan_sources import gather_plans
     from petmjx.plans.plan_writer import save_plans
     from petmjx.results.plan_lookup import plans_in_place
-    from petmjx.results.read_files import source_files
+    from petmjx.results.source_files import source_files
 
     check_outputs([out], overwrite=overwrite, inputs=source_files(plans))
     if orders:

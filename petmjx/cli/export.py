@@ -36,7 +36,7 @@ def export(
     If DIR, the folder of a run, is given, the model is the one that the run simulated. Without DIR, the options
     determine the model.
     """
-    from petmjx.results.read_files import source_files
+    from petmjx.results.source_files import source_files
     from petmjx.world.mujoco_model import to_mjcf
 
     if out is not None:

@@ -29,7 +29,7 @@ def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite
     Raises:
         InputError: a name does not have the suffix of its option, or a file already exists or cannot be written.
     """
-    from petmjx.results.read_files import source_files
+    from petmjx.results.source_files import source_files
     from petmjx.show.figures.figure_files import check_figures
 
     paths = list(opt.files_by_kind(overwrite, source_files(*read), pdf=pdf, svg=svg, png=png).values())

@@ -49,7 +49,7 @@ def info(
     --orders reads the file.
     """
     from petmjx.plans.readings import reading_toml
-    from petmjx.results.read_files import source_files
+    from petmjx.results.source_files import source_files
     from petmjx.show.file_info import file_infos, info_lines
 
     outputs = [path for path in (write_as, html) if path is not None]

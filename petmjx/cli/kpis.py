@@ -63,7 +63,7 @@ def kpis(
     from petmjx.analysis.kpi_submission import parse_name, write_submission
     from petmjx.analysis.kpis import kpis as rate
     from petmjx.common.errors import InputError
-    from petmjx.results.read_files import source_files
+    from petmjx.results.source_files import source_files
     from petmjx.show.kpi_tables import kpi_tables
     from petmjx.show.table_layout import print_renderables
 

@@ -44,7 +44,7 @@ def loads(
     """
     from petmjx.analysis.box_strength import check_loads_free
     from petmjx.analysis.box_strength import loads as compare
-    from petmjx.results.read_files import source_files
+    from petmjx.results.source_files import source_files
     from petmjx.results.to_json import to_json
     from petmjx.show.load_tables import load_tables
     from petmjx.show.table_layout import print_renderables

@@ -59,7 +59,7 @@ def repair(
     from petmjx.repairs.repair import RepairInterrupted
     from petmjx.repairs.repair import repair as repaired
     from petmjx.results.plan_lookup import plans_in_place
-    from petmjx.results.read_files import source_files
+    from petmjx.results.source_files import source_files
     from petmjx.results.to_json import to_json
     from petmjx.show.progress import progress
     from petmjx.show.repair_tables import repair_tables

@@ -62,7 +62,7 @@ def show(
     If DIR, the folder of a run, is given, the plan is simulated exactly as in that run. Without DIR, the options
     determine the simulation. If you request no drawing, the command prints a text about the simulation in the terminal.
     """
-    from petmjx.results.read_files import source_files
+    from petmjx.results.source_files import source_files
     from petmjx.show.pictures.picture_files import check_drawing
 
     files = opt.files_by_kind(

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from petmjx.common.processes import no_collection
 from petmjx.common.units import FloatArray
 from petmjx.plans.input_conventions import InputConventions
+from petmjx.plans.joined_plans import plan_of_rows
 from petmjx.plans.json_reader import LONGEST_VALUE, Entry, MalformedPlans, scan_plans
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_columns import plan_of_rows
 from petmjx.plans.plan_fields import (
     FARTHEST_MM,
     LARGEST_KG,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from petmjx.engines.subprocess.task_pipe import serve
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
-from petmjx.plans.plan_columns import PlanColumns
+from petmjx.plans.joined_plans import JoinedPlans
 from petmjx.plans.plan_fields import UnreadFields
 from petmjx.plans.plan_segments import Segment, SegmentContent, read_segment
 from petmjx.plans.plan_set import PlanSet
@@ -27,7 +27,7 @@ class ReadingAnswer(NamedTuple):
         records: plan id → record of the plan.
     """
 
-    columns: PlanColumns
+    columns: JoinedPlans
     rest: PlanSet
     unread: UnreadFields
     records: dict[str, PlanRecord]
@@ -60,4 +60,4 @@ def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: Run
     if caught or any(skipped.number is None for skipped in plan_set.skipped):
         return None
     records = records_of(plan_set.plans, plan_set.numbers)
-    return ReadingAnswer(PlanColumns.of(plan_set.plans), replace(plan_set, plans=[]), unread, records)
+    return ReadingAnswer(JoinedPlans.of(plan_set.plans), replace(plan_set, plans=[]), unread, records)

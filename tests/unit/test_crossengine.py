@@ -11,8 +11,8 @@ from support.plans import make_plan, make_scene, stack
 
 from benchmarks.__main__ import main
 from benchmarks.crossengine import sieve
-from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, top_forces
-from benchmarks.referees.stand import stand
+from benchmarks.referees.box_by_box import stand
+from benchmarks.referees.referee import CARRIER, FIRST_BOX, FLOOR, top_forces
 from benchmarks.stack_forces import PILES, by_statics
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Reason, Verdict

@@ -14,7 +14,7 @@ from support.plans import make_plan, stack
 import petmjx
 from petmjx.common.errors import InputError
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.plan_columns import PlanColumns
+from petmjx.plans.joined_plans import JoinedPlans
 from petmjx.plans.plan_reader import read_plans
 from petmjx.plans.plan_segments import Segment, joined, read_segment, segments_of
 from petmjx.plans.plan_set import PlanSet
@@ -143,7 +143,7 @@ def test_columns_keep_every_field() -> None:
         petmjx.Plan.from_boxes("orientations", **boxes, orientation=[0, 1], product_group=["a", ""]),
         make_plan("last", stack(3)),
     ]
-    again = PlanColumns.of(plans).plans
+    again = JoinedPlans.of(plans).plans
     assert [plan.plan_id for plan in again] == [plan.plan_id for plan in plans]
     for plan, before in zip(again, plans, strict=True):
         for name in petmjx.Plan.__dataclass_fields__:
@@ -153,4 +153,4 @@ def test_columns_keep_every_field() -> None:
                 assert value.tobytes() == expected.tobytes()
             else:
                 assert value == expected
-    assert PlanColumns.of([]).plans == []
+    assert JoinedPlans.of([]).plans == []

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.transport_limits import hopeless_profiles
+from petmjx.show.report.chart_frame import Frame, Scale
 from petmjx.show.report.charts import histogram
-from petmjx.show.report.svg_charts import Frame, Scale
 from petmjx.show.sweep_tables import answers_table, laboratory_table, levels_table, turns_table
 from petmjx.show.table_layout import FittedTable, print_renderables
 

@@ -27,8 +27,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.packers.packer_registry import PACKERS
 from petmjx.plans.convention_checks import warn
 from petmjx.plans.order_reader import keep_orders, read_orders
-from petmjx.results.read_files import source_files
 from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
+from petmjx.results.source_files import source_files
 from petmjx.show.leaderboard.entries import (
     Entry,
     Watch,

@@ -17,6 +17,7 @@ from petmjx.common.units import MM_PER_M
 from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import Thresholds
 from petmjx.results.share_intervals import wilson_interval
+from petmjx.show.report.chart_frame import WIDTH, Frame, Scale, figure
 from petmjx.show.report.charts import (
     MOST_POINTS,
     Bar,
@@ -29,7 +30,6 @@ from petmjx.show.report.charts import (
 )
 from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup
 from petmjx.show.report.report_runs import ReportRun
-from petmjx.show.report.svg_charts import WIDTH, Frame, Scale, figure
 from petmjx.show.report.verdict_shares import ORDER, link
 
 

@@ -13,8 +13,8 @@ from petmjx.common.atomic_write import atomic_write, check_writable
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
 from petmjx.common.units import MM_PER_M
-from petmjx.results.read_files import source_files
 from petmjx.results.run_reader import RunResults
+from petmjx.results.source_files import source_files
 from petmjx.show.pages.page import page
 from petmjx.show.pages.page_arrays import block, integer_column
 from petmjx.show.pages.palette import category, ramp

@@ -14,6 +14,7 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.share_intervals import ALL_PLANS, share_standing
 from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
+from petmjx.show.report.chart_frame import MOST_TICKS, Frame, Scale, figure, round_step
 from petmjx.show.report.charts import (
     ROSE_RINGS,
     Bar,
@@ -27,7 +28,6 @@ from petmjx.show.report.charts import (
 )
 from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup, table
 from petmjx.show.report.report_runs import Kind, ReportRun
-from petmjx.show.report.svg_charts import MOST_TICKS, Frame, Scale, figure, round_step
 from petmjx.show.report.verdict_shares import ORDER, link, plan_link
 
 DIRECTION: Final = "direction_deg"

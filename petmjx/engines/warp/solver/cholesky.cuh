@@ -6,9 +6,9 @@
 #ifndef PETMJX_CHOLESKY_CUH
 #define PETMJX_CHOLESKY_CUH
 
-#include "by_one.cuh"
+#include "single_panels.cuh"
 #include "by_thread.cuh"
-#include "by_two.cuh"
+#include "panel_pairs.cuh"
 
 namespace petmjx {
 
@@ -16,9 +16,9 @@ namespace petmjx {
 
 // Shared memory of the threads of a world. MOST: panels of the largest system.
 template <int MOST, bool FEW = (MOST <= PETMJX_FEW_PANELS)>
-struct Factoring : ByTwo<MOST> {};
+struct Factoring : PanelPairs<MOST> {};
 template <int MOST>
-struct Factoring<MOST, true> : ByOne<MOST> {};
+struct Factoring<MOST, true> : SinglePanels<MOST> {};
 
 // Forward: H = UᵀU in place and y = U⁻ᵀ·g at the same time. Then backward.
 template <int MOST>

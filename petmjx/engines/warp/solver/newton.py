@@ -50,8 +50,8 @@ room for this system.
 """
 
 FEW_PANELS = 40
-"""A kernel whose largest system has at most this many panels factors one panel at a time (by_one.cuh); all other
-kernels factor two panels at a time (by_two.cuh)."""
+"""A kernel whose largest system has at most this many panels factors one panel at a time (single_panels.cuh); all other
+kernels factor two panels at a time (panel_pairs.cuh)."""
 
 SLIP_ROUNDS = 12
 """Number of iterations after the first that may change the excess of sliding contacts (petmjx/world/contact_laws.py).

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.referees.base import RefereeWorld
+from benchmarks.referees.referee import RefereeWorld
 from petmjx.common.units import FloatArray, seconds_to_steps
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mujoco.rest import QuietRule

@@ -4,8 +4,8 @@
 // For each panel all warps find its row of U. Then the first warp finds the next panel's diagonal tile, for which
 // everything waits. Meanwhile the other warps subtract the row's products from the rows below.
 
-#ifndef PETMJX_BY_ONE_CUH
-#define PETMJX_BY_ONE_CUH
+#ifndef PETMJX_SINGLE_PANELS_CUH
+#define PETMJX_SINGLE_PANELS_CUH
 
 #include "panels.cuh"
 
@@ -21,7 +21,7 @@ const int ONE_SPREAD = 2;
 
 // Shared memory of the threads of a world. MOST: panels of the largest system.
 template <int MOST>
-struct ByOne {
+struct SinglePanels {
     static const int AT_ONCE = 1;  // panels
     static const int SPREAD = ONE_SPREAD;  // copies of the code of back substitution
     Diagonal diagonal;
@@ -64,7 +64,7 @@ inline CUDA_CALLABLE void update_below(const System& system, const unsigned char
 // Subtracts panel K's part of y, times its row, from the right-hand sides of the reached panels.
 template <int MOST>
 inline CUDA_CALLABLE void update_rhs(
-    const System& system, const ByOne<MOST>& shared, int K, int first, int stride
+    const System& system, const SinglePanels<MOST>& shared, int K, int first, int stride
 ) {
     const unsigned char* reached = shared.reached[K];
     #pragma unroll 1
@@ -75,7 +75,7 @@ inline CUDA_CALLABLE void update_rhs(
 }
 
 template <int MOST>
-inline CUDA_CALLABLE void forward(const System& system, ByOne<MOST>& shared, int thread, int threads) {
+inline CUDA_CALLABLE void forward(const System& system, SinglePanels<MOST>& shared, int thread, int threads) {
     const int lane = thread % WARP, warp = thread / WARP, warps = threads / WARP;  // at most MOST_WARPS
     const int others = warps > 1 ? warps - 1 : 1, other = warps > 1 ? warp - 1 : 0;
     #pragma unroll 1

@@ -4,8 +4,8 @@
 // Everything waits for the diagonal tiles, one after another. So the first warp does little else than find the next
 // diagonal tile. The other warps find the rows of U and subtract their products from the rows below.
 
-#ifndef PETMJX_BY_TWO_CUH
-#define PETMJX_BY_TWO_CUH
+#ifndef PETMJX_PANEL_PAIRS_CUH
+#define PETMJX_PANEL_PAIRS_CUH
 
 #include "panels.cuh"
 
@@ -13,7 +13,7 @@ namespace petmjx {
 
 // Shared memory of the threads of a world. MOST: panels of the largest system.
 template <int MOST>
-struct ByTwo {
+struct PanelPairs {
     static const int AT_ONCE = 2;  // panels
     static const int SPREAD = 2;  // copies of the code of back substitution
     Diagonal diagonal;
@@ -24,7 +24,7 @@ struct ByTwo {
     int reached[2][MOST];  // panels whose columns reach up to the current two panels, and up to the next two
     int reached_count[2];
 
-    // As in ByOne, but nothing is kept: lists for all panels of a large system would take much of the shared memory.
+    // As in SinglePanels, but nothing is kept: lists for all panels of a large system would take much of the shared memory.
     inline CUDA_CALLABLE void know(const int*, int, int, int) {}
 };
 
@@ -150,13 +150,13 @@ inline CUDA_CALLABLE void update_rhs(
 }
 
 template <int MOST>
-inline CUDA_CALLABLE void list_next(const System& system, ByTwo<MOST>& shared, int K, int lane) {
+inline CUDA_CALLABLE void list_next(const System& system, PanelPairs<MOST>& shared, int K, int lane) {
     const int found = list_reaching(system.top, system.panels, K + 1, shared.reached[K / 2 & 1], lane);
     if (lane == 0) shared.reached_count[K / 2 & 1] = found;
 }
 
 template <int MOST>
-inline CUDA_CALLABLE void forward(const System& system, ByTwo<MOST>& shared, int thread, int threads) {
+inline CUDA_CALLABLE void forward(const System& system, PanelPairs<MOST>& shared, int thread, int threads) {
     const int lane = thread % WARP, warp = thread / WARP, warps = threads / WARP;  // at most MOST_WARPS
     const int others = warps > 1 ? warps - 1 : 1, other = warps > 1 ? warp - 1 : 0;
     const bool is_first = warp == 0, is_other = warp > 0 || warps == 1, is_last = warp == warps - 1;

@@ -1,4 +1,4 @@
-"""Plans as whole columns (``PlanColumns``): one array for the boxes of many plans.
+"""Many plans joined into a few long arrays (``JoinedPlans``), one for each field of all their boxes.
 
 Plans that were read together share their arrays. Another process gets a few columns several times as fast as thousands
 of plans with an array for each field.
@@ -53,7 +53,7 @@ def plan_of_rows(
     return plan
 
 
-class PlanColumns(NamedTuple):
+class JoinedPlans(NamedTuple):
     """Plans as columns.
 
     Attributes:
