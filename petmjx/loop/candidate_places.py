@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.common.machine import why_no_warp_on_cpu
 from petmjx.common.processes import DEFAULT_THREADS, on_threads
 from petmjx.common.units import FloatArray
 from petmjx.loop.box_tables import BoxTable
@@ -27,6 +28,10 @@ cache of a CPU core."""
 
 _WORTH_A_THREAD: Final = 50_000
 """Smallest number of pairs of a point and a box for which another thread is started."""
+
+_WORTH_COMPILING: Final = 256
+"""Smallest number of requested boxes for which compiled code is used, if Warp is installed. Compiling takes a second,
+once per machine."""
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
@@ -73,6 +78,22 @@ def free_places(
     if grid is None:
         points = stock.find_points(placements.pallet, gap_mm)
         of_each = points.count(placements.pallet)
+        if len(placements) >= _WORTH_COMPILING and not hulls and why_no_warp_on_cpu() is None:
+            from petmjx.loop.compiled_places import lowered_boxes  # this import loads Warp
+
+            row, corner, support = lowered_boxes(
+                placements.pallet,
+                placements.size_mm,
+                *points.tables,
+                stock.corner_mm,
+                stock.size_mm,
+                stock.count,
+                (extent_mm[0] + gap_mm, extent_mm[1] + gap_mm),
+                max_height_mm,
+                least_support,
+                gap_mm,
+            )
+            return Places(row, placements.pallet[row], corner, support, None)
     else:
         of_each = np.full(len(placements), len(grid))
     # pallets with similar numbers of boxes are computed together, which saves time

@@ -44,6 +44,11 @@ class Points:
         counts: NDArray[np.int64] = self._count[pallets, self.boxes[pallets]]
         return counts
 
+    @property
+    def tables(self) -> tuple[NDArray[np.complex128], NDArray[np.int64]]:
+        """(n, p) the points of all pallets as x + iy, mm, and (n,) their numbers. Later values are meaningless."""
+        return self._at, self.count(np.arange(len(self.boxes)))
+
     def of(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
         """(m, p) the points of these pallets as x + iy, mm. Values after the last point of a pallet are NaN."""
         count = self.count(pallets)

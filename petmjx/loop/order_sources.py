@@ -4,6 +4,7 @@ form, and tables of boxes with strengths."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from os import PathLike
 from typing import Any, Final
 
@@ -26,6 +27,11 @@ from petmjx.plans.plan_fields import vanishing_side
 ENDLESS: Final = "endless"
 """Value of the option ``orders`` for random orders, which are generated as by ``petmjx samples``. Each episode draws a
 new order."""
+
+STRENGTH: Final = 4
+"""Index of the column of ``Boxes.rows`` that has the strength of a box."""
+
+_HEIGHT_IS_UPRIGHT: Final = (False, False, True)
 
 _MOST_DRAWN: Final = 200_000
 
@@ -65,12 +71,26 @@ class Boxes:
     upright: NDArray[np.bool_] | None = None
     name: str = ""
 
-    @property
+    @cached_property
     def rows(self) -> FloatArray:
         """(k, 8) one row for each box: its three sizes, mass and strength, and then, for each size, 1 if the size may
         be vertical, else 0."""
-        upright = np.tile([False, False, True], (len(self), 1)) if self.upright is None else self.upright
-        return np.column_stack([self.size_mm, self.mass_kg, self.strength_n, upright])
+        rows: FloatArray = np.zeros((len(self), 8))
+        rows[:, :3], rows[:, 3], rows[:, STRENGTH] = self.size_mm, self.mass_kg, self.strength_n
+        rows[:, 5:] = _HEIGHT_IS_UPRIGHT if self.upright is None else self.upright
+        return rows
+
+    @cached_property
+    def equal_before(self) -> NDArray[np.int64]:
+        """(k,) for each box, the index of the last earlier box that is equal to it, apart from the strength; −1 if
+        there is none."""
+        last: dict[bytes, int] = {}
+        before = np.full(len(self), -1, np.int64)
+        for index, box in enumerate(np.delete(self.rows, STRENGTH, axis=1)):
+            key = box.tobytes()
+            before[index] = last.get(key, -1)
+            last[key] = index
+        return before
 
     def take(self, rows: Any) -> Boxes:
         """The boxes in these rows."""

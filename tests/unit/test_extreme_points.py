@@ -91,6 +91,28 @@ def test_places_with_less_support_are_left_out() -> None:
     assert_same(some, Places(*(values[borne] for values in spots)))
 
 
+@pytest.mark.parametrize("gap_mm", [0.0, 6.0])
+@pytest.mark.parametrize("worth_threads", [10_000, 1])
+def test_machine_code_finds_the_same_places_as_numpy(
+    gap_mm: float, worth_threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled = pytest.importorskip("petmjx.loop.compiled_places", reason="warp-lang is not installed (extra: warp)")
+    monkeypatch.setattr(compiled, "_WORTH_THREADS", worth_threads)
+    rng, n = np.random.default_rng(33401), 40
+    stock = lively_stock(rng, n)
+    pallet = np.repeat(rng.permutation(n), 2)
+    for size_mm in (rng.uniform(100, 600, (len(pallet), 3)), rng.choice([200.0, 300.0], (len(pallet), 3))):
+        spots = []
+        for worth in (len(pallet) + 1, len(pallet)):
+            monkeypatch.setattr(candidate_places, "_WORTH_COMPILING", worth)
+            request = boxes(size_mm, pallet)
+            spots.append(free_places(stock, request, EXTENT_MM, 1800.0, least_support=0.6, gap_mm=gap_mm, hulls=False))
+        by_numpy, by_code = spots
+        assert len(by_numpy.row) > n
+        for numpy_values, values in zip(by_numpy[:4], by_code[:4], strict=True):
+            np.testing.assert_array_equal(values, numpy_values)
+
+
 def part(spots: Places, row: int) -> Places:
     which = spots.row == row
     assert which.any()
