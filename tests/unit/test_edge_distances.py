@@ -25,7 +25,7 @@ from petmjx.engines.outcome_checks import edges_again, note_edges, outcome_check
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.show.run_tables import worlds_table
-from petmjx.world.edge_distances import has_loads_beyond_edges
+from petmjx.world.edge_distances import has_loads_beyond_edges, has_loads_near_edges
 from petmjx.world.job import Job
 
 MM = 1e-3
@@ -61,6 +61,22 @@ def test_a_quick_look_finds_the_scenes_with_a_load_beyond_an_edge() -> None:
     slow = np.array([np.nanmin(edges.least) < 0 for edges in plan_edges(heaps, [12] * 40)])
     assert quick[slow].all(), "it may find more, since it looks for no other shares"
     assert 0 < quick.sum() < 40
+
+
+def test_a_load_that_comes_near_an_edge_while_the_plan_is_built_is_found() -> None:
+    """A box of 400 mm overhangs another one by 199.5 or 198 mm, so its own weight acts 0.5 or 2 mm inside the edge. A
+    third box on its inner end moves the load 80 mm inward."""
+    base: Box = ((400, 300, 200), (0, 0, 0), 5.0)
+    scenes = [
+        make_scene(
+            [base, ((400, 300, 200), (over, 0, 200), 5.0), ((100, 300, 200), (over, 0, 400), 5.0)],
+            Simulation(size_reduction_mm=0.0),
+        )
+        for over in (199.5, 198.0)
+    ]
+    assert has_loads_near_edges(scenes).tolist() == [True, False]
+    assert has_loads_near_edges(scenes[::-1]).tolist() == [False, True]
+    assert not has_loads_near_edges([]).size
 
 
 def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:
