@@ -290,11 +290,10 @@ def test_worlds_in_which_a_box_tips_over_come_before_longer_worlds() -> None:
 def test_worlds_that_may_be_simulated_again_come_first_and_the_longest_are_examined_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """In both plans a box tips over. In one of them, the load of another box acts 0.5 mm inside an edge."""
-    beyond: list[Any] = [((100, 100, 50), (0, 0, 0), 1.0), ((100, 100, 50), (60, 0, 50), 1.0)]
-    near: list[Any] = [((100, 100, 50), (0, 300, 0), 1.0), ((100, 100, 50), (49.5, 300, 50), 1.0)]
-    inside: list[Any] = [near[0], ((100, 100, 50), (40, 300, 50), 1.0), ((100, 100, 50), (0, 600, 0), 1.0)]
-    jobs = [Job(make_scene(9)), Job(make_scene([*beyond, *inside])), Job(make_scene([*beyond, *near]))]
+    """In one plan a load acts beyond an edge, in another one 0.4 mm inside an edge."""
+    beyond = make_scene([((100, 100, 50), (0, 0, 0), 1.0), ((100, 100, 50), (60, 0, 50), 1.0)])
+    near = make_scene([((100, 100, 50), (0, 0, 0), 1.0), ((100, 100, 50), (49.6, 0, 50), 1.0)])
+    jobs = [Job(make_scene(9)), Job(beyond), Job(near)]
     queues = Queues(["12"], lambda job: "12", rows=3)
     live = np.ones(3, bool)
     queues.add(jobs, np.arange(3), live, SHORT)
