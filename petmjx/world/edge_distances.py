@@ -31,9 +31,9 @@ ROUNDING_M: Final = 1e-9
 errors."""
 
 
-NEARLY_BEYOND_M: Final = 0.0005
-"""Distance inside an edge, m, below which ``has_loads_beyond_edges`` counts a load as beyond the edge. Soft contacts
-may let such a load tip over."""
+NEAR_EDGE_M: Final = 0.0005
+"""Distance inside an edge, m, below which ``beyond_and_near_edges`` counts a load as near the edge. Of 44 worlds that
+were simulated again in stiffer contacts, 33 have such a load; of all worlds, one in nine has one."""
 
 
 class Edges(NamedTuple):
@@ -84,20 +84,22 @@ def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray
     return load, by_weight, by_load
 
 
-def has_loads_beyond_edges(scenes: Sequence[Scene]) -> NDArray[np.bool_]:
-    """(m,) for each scene, with all boxes placed: whether a quick test of statics finds a box that tips over.
+def beyond_and_near_edges(scenes: Sequence[Scene]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """For each of m scenes, while its boxes are placed one by one: (m,) whether some load acts beyond an edge, and (m,)
+    whether some load acts inside an edge by less than ``NEAR_EDGE_M``.
 
-    A box tips over if its own weight or its load acts beyond an edge, or inside an edge by less than
-    ``NEARLY_BEYOND_M``. In this test, supports share loads like springs. ``loads_and_edges`` takes several times as
-    long as this function: if a load acts beyond an edge, it also looks for another distribution of the loads among the
-    supports that keeps all loads inside the edges.
+    Boxes with a load beyond an edge fall. If a load is near an edge, soft contacts may decide whether boxes fall. In
+    this quick test, supports share loads like springs. ``building_edges`` takes several times as long: it also looks
+    for another distribution of the loads among the supports that keeps all loads inside the edges.
     """
-    bearing = bearings_of(scenes)
-    loads = bearing.loads([scene.n_boxes for scene in scenes])
-    edge_m = np.fmin(bearing.edges_m(bearing.weights), bearing.edges_m(loads))  # NaN if a box has no support
-    has_loads = np.zeros(len(scenes), bool)
-    has_loads[_scenes(bearing, edge_m < NEARLY_BEYOND_M)] = True
-    return has_loads
+    beyond, near = np.zeros((2, len(scenes)), bool)
+    if len(scenes):
+        bearing = bearing_in_order(bearings_of(scenes))
+        built = building_loads_of(bearing, [scene.n_boxes for scene in scenes])
+        scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
+        beyond[scene[built.edge_m < 0]] = True
+        near[scene[(built.edge_m >= 0) & (built.edge_m < NEAR_EDGE_M)]] = True
+    return beyond, near
 
 
 def _scenes(bearing: Bearing, boxes: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -39,8 +39,8 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
+from petmjx.engines.warp import block_queues, slice_result, table_jobs
 from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import slice_result, table_jobs
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
@@ -285,6 +285,24 @@ def test_worlds_in_which_a_box_tips_over_come_before_longer_worlds() -> None:
     queues.add([longer], np.array([2]), live, SHORT)
     queues.examine(jobs, live)
     assert np.asarray(queues.order).tolist() == [[1, 2, 0, 3]]
+
+
+def test_worlds_that_may_be_simulated_again_come_first_and_the_longest_are_examined_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In one plan a load acts beyond an edge, in another one 0.4 mm inside an edge."""
+    beyond = make_scene([((100, 100, 50), (0, 0, 0), 1.0), ((100, 100, 50), (60, 0, 50), 1.0)])
+    near = make_scene([((100, 100, 50), (0, 0, 0), 1.0), ((100, 100, 50), (49.6, 0, 50), 1.0)])
+    jobs = [Job(make_scene(9)), Job(beyond), Job(near)]
+    queues = Queues(["12"], lambda job: "12", rows=3)
+    live = np.ones(3, bool)
+    queues.add(jobs, np.arange(3), live, SHORT)
+    assert np.asarray(queues.order).tolist() == [[0, 1, 2]]
+    monkeypatch.setattr(block_queues, "MOST_EXAMINED", 2)
+    queues.examine(jobs, live)
+    assert np.asarray(queues.order).tolist() == [[1, 0, 2]]
+    queues.examine(jobs, live)
+    assert np.asarray(queues.order).tolist() == [[2, 1, 0]]
 
 
 def test_worlds_on_their_way_come_first_on_a_cpu_all_that_have_been_placed() -> None:

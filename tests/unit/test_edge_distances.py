@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
-from support.edges import plan_edges
 from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene, stack
 from test_fallback import Scripted, never, scored
@@ -25,8 +24,9 @@ from petmjx.engines.outcome_checks import edges_again, note_edges, outcome_check
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.show.run_tables import worlds_table
-from petmjx.world.edge_distances import has_loads_beyond_edges
+from petmjx.world.edge_distances import beyond_and_near_edges, building_edges
 from petmjx.world.job import Job
+from petmjx.world.supports import bearings_of
 
 MM = 1e-3
 
@@ -45,22 +45,31 @@ def test_a_load_within_half_a_millimetre_of_an_edge_is_on_a_knife_s_edge(overhan
         assert worlds.isna().rest_edge_m[0]
 
 
-def test_a_quick_look_finds_the_scenes_with_a_load_beyond_an_edge() -> None:
-    """A plan whose load is inside its edges by less than half a millimetre is found, too. Where no load is near an
-    edge, the quick look agrees with the search for shares that keep all loads inside."""
-    overhangs_mm = (199.4, 199.6, 200.6)
+def test_a_quick_test_finds_loads_beyond_and_near_edges_while_a_plan_is_built() -> None:
+    """A box of 400 mm overhangs another one, so its own weight acts 0.6 or 0.4 mm inside the edge, or 0.6 mm beyond it.
+    A third box on its inner end moves the load inward."""
     base: Box = ((400, 300, 200), (0, 0, 0), 5.0)
-    columns = [
-        make_scene([base, ((400, 300, 200), (over, 0, 200), 5.0)], Simulation(size_reduction_mm=0.0))
-        for over in overhangs_mm
+    scenes = [
+        make_scene(
+            [base, ((400, 300, 200), (over, 0, 200), 5.0), ((100, 300, 200), (over, 0, 400), 5.0)],
+            Simulation(size_reduction_mm=0.0),
+        )
+        for over in (199.4, 199.6, 200.6)
     ]
-    assert has_loads_beyond_edges(columns).tolist() == [False, True, True]
+    beyond, near = beyond_and_near_edges(scenes)
+    assert beyond.tolist() == [False, False, True]
+    assert near.tolist() == [False, True, False]
+    assert [values.tolist() for values in beyond_and_near_edges(scenes[1:2])] == [[False], [True]]
+    assert [len(values) for values in beyond_and_near_edges([])] == [0, 0]
+
+
+def test_the_quick_test_finds_all_scenes_that_the_slow_one_finds() -> None:
     rng = np.random.default_rng(33329)
     heaps = [make_scene(random_heap(rng, 12)) for _ in range(40)]
-    quick = has_loads_beyond_edges(heaps)
-    slow = np.array([np.nanmin(edges.least) < 0 for edges in plan_edges(heaps, [12] * 40)])
-    assert quick[slow].all(), "it may find more, since it looks for no other shares"
-    assert 0 < quick.sum() < 40
+    beyond, _ = beyond_and_near_edges(heaps)
+    least = [edge.edge_m for edge in building_edges(bearings_of(heaps), [12] * 40)]
+    assert beyond[np.array(least) < 0].all(), "it may find more, since it looks for no other shares"
+    assert 0 < beyond.sum() < 40
 
 
 def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from petmjx.engines.cost_model import MEASURED
 from petmjx.engines.mjx.world_constants import device_array
 from petmjx.options.simulation import Simulation
-from petmjx.world.edge_distances import has_loads_beyond_edges
+from petmjx.world.edge_distances import beyond_and_near_edges
 from petmjx.world.job import Job
 
-MOST_EXAMINED: Final = 128
+MOST_EXAMINED: Final = 256
 """Largest number of worlds that are examined between two time slices, so that the device need not wait: examining a
 world takes 0.1 to 0.2 ms, and a time slice 100 ms."""
 
@@ -25,11 +25,11 @@ class Queues:
     """The queues of worlds. In each queue, the worlds with the longest expected time come first, so that a run ends
     with short worlds.
 
-    Worlds in which a box tips over according to a quick test of statics come before worlds in which no box does. The
-    time of a collapse cannot be predicted: of 10,003 generated plans, 40 of the 42 worlds with more than 5,000 steps
-    were among the 4,279 with a load beyond an edge. Besides, collapsed worlds may be simulated again in stiffer
-    contacts, which takes seconds on a CPU thread. So worlds in which a box tips over begin early, and a run ends with
-    worlds that stand.
+    Worlds in which a load acts beyond or near an edge, according to a quick test of statics, come before all others, so
+    that a run ends with worlds that stand. The time of a collapse cannot be predicted: of 10,003 generated plans, 40 of
+    the 42 worlds with more than 5,000 steps were among the 4,279 with a load beyond an edge. Besides, worlds that fall
+    may be simulated again in stiffer contacts, which takes up to ten seconds on a CPU thread. This is likely if a load
+    acts near an edge, so these worlds come first of all.
 
     Worlds that have completed a leg of a chain (a part of a journey) come before all others. Among them, the world that
     was queued last comes first. So chains end one after another during the whole run, and the CPU writes their results
@@ -50,9 +50,11 @@ class Queues:
         self._turn = np.zeros(rows, np.int64)
         """Rank of the world in each row: smaller ranks come first. Most worlds have the rank 0; worlds that come before
         these have negative ranks."""
-        self._tips = np.zeros(rows, bool)
+        self._risk = np.zeros(rows, np.int8)
+        """What statics says of each row's world: 2 if a load acts near an edge, 1 if a load only acts beyond an edge,
+        otherwise 0."""
         self._unexamined = np.zeros(rows, bool)
-        """Whether each row's world begins with its placement, and ``_tips`` is not known yet."""
+        """Whether each row's world begins with its placement, and ``_risk`` is not known yet."""
         self._n_added = 0
         self.order: Int[jax.Array, "queue world"]
 
@@ -69,28 +71,30 @@ class Queues:
             -number if self._is_ahead(job) else 0 for number, job in enumerate(jobs, start=self._n_added + 1)
         ]
         self._n_added += len(jobs)
-        self._tips[rows] = False
+        self._risk[rows] = 0
         self._unexamined[rows] = [job.start is None and not job.has_errors for job in jobs]
         self._rank(live)
 
     def examine(self, jobs: Sequence[Job], live: NDArray[np.bool_]) -> None:
-        """Find out in which worlds a box tips over according to a quick test of statics, for up to ``MOST_EXAMINED``
-        worlds. Worlds in which a box tips over then begin earlier.
+        """Find out in which worlds loads act beyond or near edges, for up to ``MOST_EXAMINED`` worlds, the longest
+        first. These worlds then begin earlier.
 
         Args:
             jobs: the job of each row.
             live: (row,) whether the world in each row has not ended.
         """
-        rows = np.flatnonzero(self._unexamined & live)[:MOST_EXAMINED]
+        rows = np.flatnonzero(self._unexamined & live)
         if not len(rows):
             return
+        rows = rows[np.argsort(-self._cost[rows], kind="stable")[:MOST_EXAMINED]]
         self._unexamined[rows] = False
-        self._tips[rows] = has_loads_beyond_edges([jobs[row].scene for row in rows.tolist()])
+        beyond, near = beyond_and_near_edges([jobs[row].scene for row in rows.tolist()])
+        self._risk[rows] = np.where(near, 2, beyond)
         self._rank(live)
 
     def _rank(self, live: NDArray[np.bool_]) -> None:
         """Write the queues of the live worlds."""
-        ranked = np.lexsort((-self._cost, ~self._tips, self._turn))
+        ranked = np.lexsort((-self._cost, -self._risk, self._turn))
         ranked = ranked[live[ranked]]
         order = np.full((len(self._queues), len(live)), -1, np.int32)
         for queue in range(len(self._queues)):
