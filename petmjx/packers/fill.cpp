@@ -1,12 +1,12 @@
-// Fills a packing up, best fit after best fit: what Packing.fill does (packing.py), in machine code.
+// Fills a packing up, best fit after best fit: what Packing.filled does (packing_state.py), in machine code.
 //
-// Every number that decides comes from the same operations in the same order as in candidates.py and packing.py, so that
-// packings are the same to the last bit. Balances (balance.py) differ in their last bits, and some are so near to their
-// limits that these bits decide: often the balance of the new box itself, whose weight acts on the very edge. Then the
-// code asks Python, and continues from the answer. For a box below, the result is UNSURE, and Packing.fill packs from
-// the beginning.
+// Every number that decides comes from the same operations in the same order as in candidate_points.py and
+// packing_state.py, so that packings are the same to the last bit. Balances (pile_balance.py) differ in their last bits,
+// and some are so near to their limits that these bits decide: often the balance of the new box itself, whose weight
+// acts on the very edge. Then the code asks Python, and continues from the answer. For a box below, the result is
+// UNSURE, and Packing.filled packs from the beginning.
 //
-// Names in capitals that are not defined here, and the tables, are those of tables.py.
+// Names in capitals that are not defined here, and the tables, are those of packing_tables.py.
 
 namespace petmjx {
 
