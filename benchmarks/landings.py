@@ -78,7 +78,7 @@ def rows(engine: str) -> list[dict[str, Any]]:
         return fields | {"petmjx": round(value, 3), "miss": round(miss, 3), "engine": engine}
 
     made, step_s = [], TIMESTEPS_S[0]
-    given, wanted = "largest depth that petmjx allows itself", "restitution that was set"
+    given, wanted = "petmjx's own limit of the depth", "restitution that was set"
     for height_mm, most_mm in zip(HEIGHTS_MM, MOST_DEPTH_MM, strict=True):
         usual = landed(engine, height_mm, step_s, LANDING_S, RESTITUTION)
         made.append(
@@ -87,15 +87,17 @@ def rows(engine: str) -> list[dict[str, Any]]:
         made.append(row(f"depth in falls from {height_mm:g} mm, by default, mm", given, 0, most_mm, usual.depth_mm))
         for restitution in ASKED:
             landing = landed(engine, height_mm, step_s, LANDING_S, restitution)
-            conditions = f"in falls from {height_mm:g} mm with restitution {restitution:g}"
+            conditions = f"in falls from {height_mm:g} mm, with `restitution` {restitution:g}"
             made.append(row(f"depth {conditions}, mm", given, 0, most_mm, landing.depth_mm))
             low, high = restitution - NEAR, restitution + NEAR
-            made.append(row(f"simulated restitution {conditions}", wanted, low, high, landing.restitution))
+            made.append(
+                row(f"restitution of the simulated bounce {conditions}", wanted, low, high, landing.restitution)
+            )
             bounces = [landed(engine, height_mm, s, LANDING_S, restitution).restitution for s in TIMESTEPS_S[1:]]
             worst = restitution + max((bounce - restitution for bounce in bounces), key=abs)
             made.append(
                 row(
-                    f"simulated restitution at the worse of the timesteps 1 and 0.5 ms {conditions}",
+                    f"restitution of the simulated bounce at the worse of the timesteps 1 and 0.5 ms {conditions}",
                     wanted,
                     low,
                     high,

@@ -100,7 +100,8 @@ def score_worlds(
     if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
     # Attempts in stiffer contacts join only if states of placements are kept. In other runs, CPU threads make most of
-    # these attempts. The list of attempts shows whether states are kept: these count steps, which must not get shorter.
+    # these attempts. If states are kept, no attempt in the list divides the timestep, because a state counts time in
+    # steps.
     keeps = following is not None and all(recipe.timestep_divisor == 1 for recipe in attempts)
     joins = keeps and getattr(engine, "streams", False) and Capability.STIFF_JOBS in engine.capabilities
     joins = joins and sim.physics.cone is Cone.ELLIPTIC

@@ -45,9 +45,10 @@ pallet is quiet."""
 
 CONFIRM_S: Final = 1.0
 """A simulation that only has to confirm a fall (``Job.confirms``) ends at a sample at least this time after the first
-sign of failure, s, if the culprit is still over a threshold. Two further boxes must have been placed since the sign, or
-the last box this time ago: a board may tip until the next box brings it back. In stiff contacts, a pile that slides
-takes fifteen iterations of the solver per step, and would slide for thousands of steps more."""
+sign of failure, s, if the culprit is still over a threshold. In addition, either two further boxes must have been
+placed since the sign, or the last box at least this time ago, because a board may tip until the next box brings it
+back. In stiff contacts, a pile that slides takes fifteen iterations of the solver per step, and would slide for
+thousands of steps more."""
 
 
 class SampleAt(StrEnum):

@@ -73,7 +73,8 @@ class Queues:
     def kinds(self, row: int) -> tuple[NDArray[np.intp], FloatArray]:
         """The first box of each kind among the remaining boxes of a queue. Boxes of one kind are equal, except that
         their strengths may differ. Returns (k,) the positions of these boxes in the queue, in ascending order, and (k,
-        8) their rows. This method may be used only if all boxes so far have been removed from the front of the queue.
+        8) the values of ``Boxes.rows`` for these boxes. This method may be used only if all boxes so far have been
+        removed from the front of the queue.
         """
         boxes = self._boxes[row]
         begin = len(boxes) - int(self.counts[row])

@@ -82,8 +82,8 @@ class Convention:
         of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
             changed.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
-        least_share: the convention is considered only if at least this share of the boxes above the carrier floats or
-            overlaps, and at least one box by more than ``_SMALL_MM``.
+        least_share: the convention is considered only if at least this share of the boxes that do not stand directly on
+            the carrier floats or overlaps, and at least one box by more than ``_SMALL_MM``.
     """
 
     looks: str
@@ -127,9 +127,9 @@ _TURNED: Final = (
 )
 _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
-"""Smallest share of the boxes above the carrier that must float or overlap before swapped y and z are considered. In a
-correct plan whose rows are flush in y, no box floats or overlaps even after y and z are swapped. So a few boxes that
-float or overlap are no evidence."""
+"""Swapped y and z are considered only if at least this share of the boxes that do not stand directly on the carrier
+floats or overlaps. In a correct plan whose rows are flush in y, no box floats or overlaps even after y and z are
+swapped. So a few boxes that float or overlap are no evidence."""
 _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 
@@ -359,8 +359,9 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
-    """Whether at least the share ``least_share`` of the boxes above the carrier floats or overlaps, and at least one
-    box by more than ``_SMALL_MM``. If all boxes stand on the carrier, all boxes count as above the carrier."""
+    """Whether at least the share ``least_share`` of the boxes that do not stand directly on the carrier floats or
+    overlaps, and at least one box of the plan by more than ``_SMALL_MM``. If all boxes stand directly on the carrier,
+    the share of all boxes counts."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     above |= not above.any()
@@ -370,9 +371,10 @@ def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
 
 
 def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]) -> bool:
-    """Whether a plan whose boxes all have z = 0 is a wall with y and z swapped. Two conditions must hold: the plan
-    extends beyond the carrier in y; and after a swap, some boxes lie on others, all boxes have support, and none is
-    outside. A layer that would fit on the carrier if it were turned by 90° is not taken for such a wall."""
+    """Whether the boxes of a plan, which all have z = 0, are a wall (boxes stacked in one plane) with y and z swapped.
+    Two conditions must hold. The plan extends beyond the carrier in y. After y and z are swapped, some boxes lie on
+    others, all boxes have support, and none is outside the carrier. A layer that would fit on the carrier if it were
+    turned by 90° is not taken for a wall."""
     if odd.n_floating or odd.n_overlapping_pairs or plan.corner_mm[:, 2].max() > DEFAULT_TOLERANCE_MM:
         return False
     length, width = np.array(extent_mm) + DEFAULT_TOLERANCE_MM

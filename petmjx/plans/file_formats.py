@@ -150,7 +150,7 @@ def wide_encoding(data: bytes | bytearray) -> str | None:
     for all other bytes."""
     head = bytes(data[:4])
     marked = next((name for mark, name in _MARKS if head.startswith(mark)), None)
-    if marked == "utf-16":  # in Windows-1252, the mark is a word of two letters
+    if marked == "utf-16":  # in Windows-1252, the two bytes of the mark are letters
         return marked if b"\0" in data[2:4] or len(data) == 2 else None
     if marked is not None:
         return marked
@@ -178,10 +178,13 @@ def is_utf8(data: bytes | bytearray) -> bool:
 
 
 def other_encoding(text: str) -> str:
-    """The end of a message about a text that is not UTF-8. The text names the probable encoding. In the text, bytes
-    that are not UTF-8 have become lone surrogates."""
+    """The end of a message about a text that is not UTF-8: the probable encoding of the text, and advice.
+
+    Args:
+        text: the text; bytes that are not UTF-8 have become lone surrogates.
+    """
     if not all(character.isascii() or 0xD800 <= ord(character) <= 0xDFFF for character in text):
-        return ""  # the other bytes are UTF-8, so the text is damaged
+        return ""  # some characters are valid UTF-8, so the text is damaged UTF-8
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
     except UnicodeEncodeError:  # a surrogate from an escape in JSON does not stand for a byte of the file

@@ -34,8 +34,8 @@ def count_known_names(cells: Sequence[Any]) -> int:
 
 
 _LEAST_IN_ROWS: Final = 6
-"""Smallest number of known column names in the first column of a table whose column names are in the first column. No
-row of such a table has as many known names as the first column."""
+"""In a transposed table, each row is a field and each further column is a box. A table counts as transposed if at least
+this number of cells in its first column are known column names, and no row has as many known names."""
 
 
 def names_in_rows(rows: Sequence[tuple[Any, ...]]) -> bool:

@@ -26,7 +26,8 @@ _MATCHED: Final = 0.9
 _MEASURES: Final = word_set(
     "size sizes position positions low high quaternion euler weight density volume quantity sequence"
 )
-"""Kinds of columns that cannot name the item of a box: equal numbers in them are chance."""
+"""Kinds of columns that cannot name the item of a box. If a box and an item have equal numbers in such columns, this is
+chance."""
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
 _MOST_BESIDE: Final = 20
 """If a file of plans has only places, at most this number of files in its folder are tried as files of items."""
@@ -154,7 +155,7 @@ def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None
 
 
 def _naming_columns(table: RawTable) -> list[int]:
-    """Columns that may name items: no sizes, places and weights, and no numbers of the rows."""
+    """Columns that may name items: all columns except those with sizes, places, weights or running numbers of rows."""
     running = [str(number) for number in range(1, len(table.rows) + 1)]
     return [
         index

@@ -235,7 +235,7 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str,
 
 
 def json_fault(error: json.JSONDecodeError) -> str:
-    """The fault that Python's decoder reports, for a message that has the place in other words."""
+    """The fault that Python's decoder reports, without the place of the fault, which petmjx's message gives itself."""
     return "more text after its end" if error.msg == "Extra data" else error.msg.removesuffix(" at")
 
 

@@ -218,7 +218,8 @@ def _fields_of(array: Any, prefix: str = "") -> dict[str, list[Any]]:
 
 
 def _is_container(name: str, array: Any) -> bool:
-    """Whether an array has the sizes of containers. An array with one number per box has the pallets of the boxes."""
+    """Whether an array has the sizes of containers. An array with one number per box does not have sizes: it gives the
+    pallet on which each box stands."""
     named = re.search(r"bin|container|pallet", name, re.IGNORECASE) and not re.search(r"id", name, re.IGNORECASE)
     return bool(named) and (array.ndim > 1 or array.size <= 3)
 

@@ -191,7 +191,8 @@ def _volumes_m3(seed: int) -> FloatArray:
 
 
 def draw_order(seed: int, index: int) -> Order:
-    """Draw order ``index`` of ``seed``: number of boxes, target, and articles with their quantities."""
+    """The order with the number ``index`` among the orders of ``seed``. Its target (the kind of carrier: "euro-pallet"
+    or "rollcontainer"), its number of boxes, and its articles with their quantities are drawn at random."""
     articles = catalogue(seed)
     rng = stream(seed, _ORDER_STREAM, index)
     n_boxes = _draw_count(rng)
@@ -210,7 +211,8 @@ def draw_order(seed: int, index: int) -> Order:
     of_all = _volumes_m3(seed)
     volumes = of_all[chosen]
     while float(volumes @ quantity) > budget_m3:
-        # The order is too much for one target: replace the article with the largest total volume by a smaller article.
+        # The boxes have more volume than they may have on one target: replace the article with the largest total volume
+        # by a smaller article.
         bulkiest = int(np.argmax(volumes * quantity))
         free = of_all < volumes[bulkiest]
         free[chosen] = False

@@ -61,7 +61,7 @@ class Layout:
 
 
 def _tolerance_of(layout: Layout) -> float:
-    """The distance that counts as none: a share of the smallest side of a typical box."""
+    """The largest gap or overlap that counts as touching: a share of the smallest side of a typical box."""
     return _TOLERANCE * float(np.median(layout.size.min(axis=1)))
 
 
@@ -112,8 +112,9 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
 
 
 def _floor_of(low: FloatArray, high: FloatArray, tolerance: float) -> float:
-    """The height of the floor: that of the lowest box. But if several boxes stand on a level, and only a few boxes are
-    lower and do not carry them, the floor is this level, and the heights of the few are wrong."""
+    """The height of the floor, which is usually the height of the lowest box. But if several boxes stand on a level,
+    and only a few boxes are lower and do not carry them, the floor is at this level, and the heights of the few lower
+    boxes are errors of the file."""
     bottoms = np.sort(low[:, 2])
     for level in bottoms[1 : max(1, int(_FEW_BELOW * len(low))) + 1]:
         below, at = low[:, 2] < level - tolerance, np.abs(low[:, 2] - level) <= tolerance
@@ -125,9 +126,11 @@ def _floor_of(low: FloatArray, high: FloatArray, tolerance: float) -> float:
 
 
 _FEW_BELOW: Final = 0.1
-"""Largest share of boxes whose heights below the floor are errors."""
+"""Boxes below a level count as errors of the file, and the level as the floor, only if they are at most this share of
+all boxes."""
 _LEAST_AT_FLOOR: Final = 3
-"""Smallest number of boxes that stand on a level, and not on other boxes, if the level is the floor."""
+"""A level above the lowest box counts as the floor only if at least this number of boxes stand on the level and on no
+other box."""
 _NEGATIVE: Final = 1.0
 """Cost of a reading in which corners of boxes have negative coordinates and no container is known. In such a reading,
 the origin is not a corner of the deck."""
@@ -199,9 +202,11 @@ def _outside(
 
 
 def are_centres(layout: Layout, mm: float, *, far: bool = False) -> bool:
-    """Whether the near corners of boxes in a layout are probably the centres of their bases, with z or y upwards. As
-    centres, but not as corners, the load begins at a corner of the deck, or is symmetric to the origin, along both
-    level axes. The origin may be a corner of the deck, or the middle of a deck.
+    """Whether the near corners of boxes in a layout are probably the centres of their bases, with z or y upwards.
+
+    Two conditions must hold. Read as centres, the load begins at a corner of the deck, or is symmetric to the origin,
+    along both horizontal axes. Read as corners, it does neither. The origin may be a corner of the deck, or the middle
+    of a deck.
 
     Args:
         mm: millimetres of a unit of the layout.

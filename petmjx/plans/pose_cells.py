@@ -36,8 +36,8 @@ _RIGHT: Final = 0.02
 
 
 def with_pose_column(boxes: BoxList) -> BoxList:
-    """A list of boxes in which one column of nested lists replaces the numbers of a matrix, or a text with them. A list
-    without such columns is returned unchanged."""
+    """A list of boxes in which one column of matrices (nested lists) replaces several columns with the numbers of a
+    matrix, or a column of texts that hold a matrix. A list without such columns is returned unchanged."""
     table = boxes.table
     if not table.has_header or not table.rows:
         return boxes
@@ -55,8 +55,10 @@ def with_pose_column(boxes: BoxList) -> BoxList:
 
 
 def _matrix_columns(header: Sequence[str]) -> tuple[str, list[int], tuple[int, int] | None] | None:
-    """The columns with the entries of a matrix: name for all of them, their indices row by row, and the shape (None:
-    the entries are listed, by rows or by columns). None if there are no such columns."""
+    """The columns that together hold a matrix, one entry each; None if there are no such columns. Returns a name for
+    the matrix, the indices of the columns, and the shape of the matrix. The indices follow the rows of the matrix. If
+    the columns only number the entries ("pose[3]"), the shape is None, and the entries may follow the matrix's rows or
+    its columns."""
     lists: dict[str, dict[int, int]] = {}
     entries: dict[str, dict[tuple[int, int], int]] = {}
     for index, name in enumerate(header):
@@ -77,7 +79,8 @@ def _matrix_columns(header: Sequence[str]) -> tuple[str, list[int], tuple[int, i
 
 
 def _matrices_of_texts(cells: Sequence[Any]) -> list[Any] | None:
-    """The matrices in a column of texts. A cell without a matrix is unchanged. None if most cells have none."""
+    """The matrices in a column of texts. A cell without a matrix is unchanged. None if most cells have no
+    matrix."""
     texts = [cell for cell in cells if isinstance(cell, str) and cell.strip()]
     if not texts or len(texts[0]) > 2000:
         return None

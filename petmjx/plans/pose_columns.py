@@ -26,11 +26,14 @@ from petmjx.plans.turn_columns import (
 )
 
 _Rotations = tuple[FloatArray, dict[str, str], int]
-"""(n, 3, 3) rotation matrices; role → name of its column; the column that is named in errors."""
+"""(n, 3, 3) rotation matrices of the boxes; role → name of the column with this role; index of the column that errors
+name."""
 _ROUNDED_SCALE: Final = 0.01
 """Largest difference of a scale factor from 1 that rounding of the matrix explains."""
 _LEVEL: Final = 2e-3
-"""Largest deviation of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
+"""A box counts as level and at right angles if the cosine of the angle between each of its axes and the nearest
+coordinate axis differs from 1 by at most this value. The angle is then at most 3.6°. Cosines in files may have only
+three digits."""
 
 
 def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:

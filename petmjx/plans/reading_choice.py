@@ -365,7 +365,8 @@ def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
     """Whether ``unit`` is inches, and the sizes are whole millimetres if read in inches, but not if read in any of the
     units ``others``. If so, the file's author has converted millimetres to inches.
 
-    Whole centimetres are no evidence, although they are whole millimetres, because boxes may also have whole inches.
+    Only inches are examined. For example, lengths of 30 and 40 are whole millimetres if read in centimetres, but the
+    boxes may also be 30 and 40 inches long.
     """
     if unit != "in":
         return False

@@ -149,9 +149,9 @@ def angles_of(columns: Sequence[Sequence[Any]], decimal: str) -> FloatArray:
 
 
 def rotations_of_angles(angles: FloatArray) -> list[FloatArray]:
-    """(n, 3, 3) rotation matrices of (n, 3) angles about x, y and z, in degrees. The first array has the turns in the
-    order x, y, z, the second array in the order z, y, x. Only one array is returned if both are equal except for
-    signs."""
+    """Two arrays (n, 3, 3) of rotation matrices, from (n, 3) angles about x, y and z, in degrees. The first array is
+    for turns in the order x, y, z, the second array for turns in the order z, y, x. Only one array is returned if both
+    are equal except for signs."""
     about = []
     for axis in range(3):
         cos, sin = np.cos(np.radians(angles[:, axis])), np.sin(np.radians(angles[:, axis]))
@@ -204,7 +204,8 @@ def _shown_turn(cell: Any, kind: str) -> str:
 
 
 def tilt(rotation: FloatArray) -> FloatArray:
-    """(n,) largest deviation of the axes of rotations (n, 3, 3) from right angles."""
+    """(n,) how far each of the rotations (n, 3, 3) is from right angles: the largest difference from 1 of the cosine of
+    the angle between an axis of the box and the nearest coordinate axis."""
     largest: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
     return largest
 

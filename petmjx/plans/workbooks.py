@@ -126,7 +126,7 @@ def check_archive(data: bytes | bytearray) -> None:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             total = sum(member.file_size for member in archive.infolist())
-    except (zipfile.BadZipFile, NotImplementedError) as error:  # the latter if damaged bytes give an unknown version
+    except (zipfile.BadZipFile, NotImplementedError) as error:  # NotImplementedError: an unknown version of ZIP
         raise InputError("is not a whole workbook or archive") from error
     if total > allowed_bytes(len(data)):
         raise InputError("unpacks to more bytes than a file of plans may have")

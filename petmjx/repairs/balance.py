@@ -53,8 +53,8 @@ class Balance(NamedTuple):
         trouble: sum of the weights of the loads that are beyond an edge. Each of these loads has a weight of 1 to 2,
             times ``PERHAPS`` if the load may be inside.
         weakness: sum of the weights of what makes the plan fall only with errors. The weight of a load inside
-            the edge decreases from 1 on the edge to 0 at ``SAFE_MM`` inside. The weight of a box that is lowered
-            between two others decreases from 1 without room to 0 with ``ROOM_MM`` of room.
+            the edge decreases from 1 on the edge to 0 at ``SAFE_MM`` inside. A box that is lowered between two
+            others adds 1 to the sum if it has no room, and less with more room: 0 with ``ROOM_MM`` of room.
         squeezed: numbers of the boxes that are lowered between two others with less room than ``ROOM_MM``.
     """
 

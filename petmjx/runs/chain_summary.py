@@ -65,7 +65,7 @@ _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})
 
 @dataclass(frozen=True)
 class ChainColumns:
-    """What the summary of a chain must know about the chain. ``run.json`` stores this record, so that shards of a run
+    """The properties of a chain that its summary needs. ``run.json`` stores this record, so that shards of a run
     can be merged.
 
     Attributes:

@@ -26,8 +26,8 @@ from petmjx.results.plan_records import PlanRecord, records_of
 from petmjx.runs.reading_process import ReadingAnswer
 
 WORTH_A_PROCESS: Final = 16 << 20
-"""Smallest size of plan files, in bytes, for which a process reads the plans: about 1,500 plans. Smaller files are read
-before such a process has started."""
+"""Smallest size of plan files, in bytes, for which another process reads the plans: about 1,500 plans. This process
+can read smaller files in less time than another process takes to start."""
 
 MOST_IN_A_PROCESS: Final = 4 << 30
 """Largest size of plan files, in bytes, for which a process reads the plans. For a moment, the plans are in the memory
@@ -100,7 +100,7 @@ def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOpt
 
 
 def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
-    """The answers of processes to one task each. None if a process cannot answer."""
+    """Start one process for each task, and return the answers of the processes. None if a process cannot answer."""
     children: list[Child] = []
     answers: list[ReadingAnswer] = []
     try:

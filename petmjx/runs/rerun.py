@@ -79,7 +79,7 @@ def worlds_of_run(
     if variant is not None:
         try:
             worlds.find(plan_id, variant)
-        except InputError as error:  # that error names a sweep file, which a score does not have
+        except InputError as error:  # the message of ``find`` names a sweep file, which a score does not have
             raise InputError(f"{run.path}: plan {printable_name(plan_id)} has no variant {variant}") from error
     return worlds, variant or 0
 

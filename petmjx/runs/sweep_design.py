@@ -73,7 +73,8 @@ class Design:
     @property
     def n_variants(self) -> int:
         """Number of variants per plan, including the nominal world if the sweep has it. For a search, this is the
-        largest possible number, which is reached if every item needs all rounds of the search."""
+        largest possible number, which is reached if all rounds of the search are needed for every placement, profile
+        and direction."""
         sweep = self.sweep
         nominal = int(sweep.nominal)
         if sweep.sample is not None:
@@ -106,8 +107,8 @@ class Design:
         return sum(points * repeats for points, repeats in self._placement_counts()[1:])
 
     def _placement_counts(self) -> tuple[tuple[int, int], ...]:
-        """Two pairs (number of grid points, number of placements of each point): for points without a random error,
-        which have one placement, and for points with a random error, which are repeated."""
+        """Two pairs of numbers: for the grid points without a random error, and for those with a random error. Each
+        pair has the number of points, and the number of placements that are simulated for each point."""
         if not self.sweep.axes and not self.sweep.legs:
             return ()
         axes = self._axes(placement=True)

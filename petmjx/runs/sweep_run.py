@@ -47,8 +47,8 @@ class Batching:
         worlds: largest number of variants that start from stored states at the same time. If a single placement has
             more variants than this, all of them start together.
         drives: for searches and chains, largest number of simulations that start from stored states in one call of the
-            engine. For this limit, a search counts the first tests of all its items (pairs of a profile and a
-            direction), and a chain counts all worlds.
+            engine. For this limit, a search counts the first tests for all its profiles and directions, and a chain
+            counts all worlds.
         histories: largest number of settled states that are stored with their histories. A history with 43 boxes takes
             1 MB.
     """
@@ -427,7 +427,8 @@ class SweepRun:
     def _search(self, settled: Sequence[SettledPlacement]) -> Iterator[FinishedWorld]:
         """Search for the largest level survived, for all given placements, profiles and directions at the same time.
 
-        When all tests of an item have ended, its next tests begin, while tests of other items continue. If the pallet
+        A search item is one combination of a placement, a profile and a direction. When all tests of a search item have
+        ended, its next tests begin, while tests of other search items continue. If the pallet
         does not stand at the end of a placement, no drive is simulated. The table ``worlds`` then has one row per
         profile and direction, at the lowest level, with the outcome of the placement.
         """
@@ -450,15 +451,15 @@ class SweepRun:
         missing: dict[int, set[Test]] = {}
 
         def next_drives(which: int) -> list[DriveWorld]:
-            """The drives that an item needs next; an empty list if the answer for the item is known."""
+            """The drives that a search item needs next; an empty list if the answer for the item is known."""
             while tests := bisection.next_tests(which):
                 probes = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
                 tested.update(probes)
                 if missing_now := [test for test in tests if test not in probes]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
-                # Only the results at the largest survived and the smallest failed level can still become the answer of
-                # an item. All other results are dropped.
+                # Only the results at the largest survived and the smallest failed level can still become the answer for
+                # a search item. All other results are dropped.
                 now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
                 bisection.record(tests, [now[test] for test in tests])
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)

@@ -171,9 +171,9 @@ class SweepPlan(Design):
         raise InputError(f"{self.sweep.file}: plan {printable_name(plan_id)} has no variant {index}")
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
-        """The variant that tests one level for one item (profile and direction) of a search. Its drive starts from the
-        placement of ``group``. The number of the variant does not depend on the order in which worlds are
-        simulated."""
+        """The variant with which a search tests one level of a profile in one direction. ``item``: index of this
+        profile and direction in ``search_items``. The drive of the variant starts from the placement of ``group``. The
+        number of the variant does not depend on the order in which worlds are simulated."""
         items, levels = self.search_items(), self.sweep.search_levels
         search_item, level = items[item], float(levels[level_index])
         index = 1 + (group.number * len(items) + item) * len(levels) + level_index

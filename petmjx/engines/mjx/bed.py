@@ -86,7 +86,7 @@ class Beds:
         assert POINTS_PER_BED == CONTACTS_PER_PAIR
 
     def pressed(self, data: Any, faces: Faces) -> Any:
-        """The data after a collision, in which the contacts of beds replace those of the collider."""
+        """The data of a step, in which the contacts of beds replace those that collision detection has found."""
         contact, rows = data._impl.contact, self._rows
         one, two = self._geom.T
         place, turn = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)

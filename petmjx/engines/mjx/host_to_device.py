@@ -33,7 +33,7 @@ PROFILE_GRANULE = 512
 compiled programs, although the legs differ in length."""
 
 MOST_KEPT = 16
-"""Number of programs that let paused placements go on and are kept."""
+"""Largest number of kept programs that let paused placements continue."""
 
 
 @dataclass
@@ -150,7 +150,7 @@ def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[
 
 @functools.lru_cache(MOST_KEPT)
 def _going_on(sim: Simulation, timetable: Timetable, width: int) -> Callable[[State, Worlds], State]:
-    """The program that lets placements go on that had paused. Timetables are compared by identity."""
+    """The program that lets paused placements continue. Timetables are compared by identity."""
     going_on: Callable[[State, Worlds], State] = jax.jit(Rules(sim, timetable, width, driven=False).go_on_in_kernels)
     return going_on
 

@@ -12,8 +12,8 @@ from petmjx.engines.mjx.world_state import State
 from petmjx.options.simulation import Simulation
 
 TREMBLES, STAYS = 1, 2
-"""Values of ``State.trembles`` for boxes that did not get anywhere in the last measured period. The path of a box that
-trembles was longer."""
+"""Values of ``State.trembles`` for a box that trembled, or stayed at its place, in the last measured period. In both
+cases, the box did not get anywhere; the path of a box that trembled was longer."""
 
 
 def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:

@@ -81,8 +81,9 @@ def outcomes(
 
 
 def _kept_state(job: Job, host: State, row: int) -> State | None:
-    """The state that the outcome of a job must have. It is cut to the world's own boxes, and to placed ones if the
-    placement paused, since a world that starts from this state may be in a table for fewer boxes."""
+    """The state that the outcome of a job must have; None if it needs none. The state has only the columns of the
+    world's own boxes, and only of placed boxes if the placement paused, since a world that starts from this state may
+    be in a table for fewer boxes."""
     pauses = host.status[row] == Status.PAUSED
     if not (job.keep_state or pauses):
         return None

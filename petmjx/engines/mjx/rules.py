@@ -30,7 +30,7 @@ UNBELIEVABLE = 1e10
 
 
 def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
-    """The step at which the drive of each world (the motion of its carrier in a test) ends at the latest. A drive ends
+    """The latest step at which the drive of each world (the motion of its carrier in a test) can end. A drive ends
     earlier if the world comes to rest."""
     return state.driven_from + worlds.drive_steps
 
@@ -127,8 +127,8 @@ class Rules:
         return state._replace(status=jnp.where(goes, Status.RUNNING, state.status))
 
     def go_on_in_kernels(self, state: State, worlds: Worlds) -> State:
-        """Let each paused world go on whose constants have more boxes. The kernels of mjx-warp place the next box: the
-        last digits of its place may be others here."""
+        """Let each paused world continue whose constants have more boxes. The next box is not placed here but by the
+        kernels of mjx-warp, because JAX might compute other last digits of its place."""
         goes = (state.status == Status.PAUSED) & (state.placed < worlds.n_boxes)
         return self.noting_motion(state, goes)._replace(status=jnp.where(goes, Status.PLACES, state.status))
 
@@ -394,7 +394,7 @@ class Rules:
     def _deadline(
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> Int[Array, " world"]:
-        """The step at which the present wait of each world ends at the latest.
+        """The latest step at which the present wait of each world can end.
 
         If worlds wait for rest, a wait may last ``longest_wait_s`` while no box has failed. When a box has failed, only
         a short wait remains (such as ``interval_s`` before the next box), counted from the first sign of failure. The

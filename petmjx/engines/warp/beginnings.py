@@ -20,12 +20,12 @@ from petmjx.world.scene import Scene
 KEY_BYTES: Final = 16
 
 _NOT_COMPARED: Final = ("n_boxes", "first_shape", "shape_body")
-"""Numbers of boxes, and numbers of shapes, which the lengths of the compared rows contain."""
+"""Fields that are not compared: the lengths of the compared rows already tell the numbers of boxes and shapes."""
 
 
 def beginnings(scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
-    """For each scene of n boxes, n + 1 keys. If two scenes have the same key k, then their worlds are the same to the
-    last bit until the box k is placed, for k less than the numbers of boxes of both.
+    """For each scene of n boxes, the keys 0 to n. If two scenes have the same key k, and both have more than k boxes,
+    their worlds are the same to the last bit until box k is placed.
 
     All constants of a world that the kernels read are compared, for the carrier and the first k boxes.
     """

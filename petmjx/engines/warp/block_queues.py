@@ -51,8 +51,8 @@ class Queues:
         """Rank of the world in each row: smaller ranks come first. Most worlds have the rank 0; worlds that come before
         these have negative ranks."""
         self._risk = np.zeros(rows, np.int8)
-        """What statics says of each row's world: 2 if a load acts near an edge, 1 if a load only acts beyond an edge,
-        otherwise 0."""
+        """What statics says of each row's world: 2 if a load acts near an edge, 1 if a load acts beyond an edge and no
+        load near an edge, otherwise 0."""
         self._unexamined = np.zeros(rows, bool)
         """Whether each row's world begins with its placement, and ``_risk`` is not known yet."""
         self._n_added = 0

@@ -190,8 +190,8 @@ class MjxWarpEngine(Engine):
                     yield outcome
 
     def _slices(self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool) -> Generator[SliceResult]:
-        """The ended worlds of one table after another. The iteration stops before a table for which ``waits`` is wrong.
-        ``waits``: whether each time slice waits for the CPU, which is necessary if worlds are recorded.
+        """The ended worlds of one table after another. ``waits``: whether each time slice waits for the CPU, as it must
+        if worlds are recorded. The iteration stops before a table that needs the other value of ``waits``.
         """
         while not source.ended and source.recorded == waits:
             jobs, stream_numbers, rows = source.begin()
@@ -231,7 +231,7 @@ class MjxWarpEngine(Engine):
         try:
             yield from slices.results(simulate=simulate)
         except BaseException:
-            self._drop()  # a call that did not return has lost its memory
+            self._drop()  # the buffers that a failed call received can no longer be used
             raise
 
     def _rollout(self, table: WorldTable) -> Rollout | None:
