@@ -1,4 +1,5 @@
-"""Turns items, given by column, into orders (``orders_of_items``): chooses units, masses, quantities and targets.
+"""Turns items, given by column, into orders (``orders_of_items``): chooses units, masses, quantities and targets
+(carriers).
 
 If column names do not give a unit, sizes and densities decide which unit is used. A file with two possible readings is
 refused. Items without weights get the mass that an assumed density gives.
@@ -55,7 +56,7 @@ ROW_LEAD: Final = 0.75
 lower by at least this value when weights are read as those of whole rows, both readings are possible. For example, a
 row of ten boxes may give each box 1,500 kg/m³ if the weight is that of one box."""
 _FULL: Final = 1.02
-"""Largest share of a target that a layer may cover."""
+"""Largest share of the area of an order's target (its carrier) that one layer of boxes may cover."""
 
 PG: Final = KnownForm("RoboBPP's pg.xlsx", "cm", "kg")
 DELI: Final = KnownForm("RoboBPP's deli.xlsx", "cm")

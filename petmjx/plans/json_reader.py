@@ -44,7 +44,7 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
 
 
 def unpacked_bytes(path: Path) -> tuple[bytearray, str | None]:
-    """The bytes of a file, unpacked if they are gzip, and an error of gzip (None if there is none).
+    """The bytes of a file, unpacked if they are gzip; and the text of the error that ended the unpacking, or None.
 
     Raises:
         OSError, ValueError: as for :func:`read_text_bytes`.

@@ -21,7 +21,7 @@ from petmjx.common.text import number_in
 from petmjx.common.units import FloatArray
 
 TARGET_EXTENT_MM: dict[str, tuple[int, int]] = {"euro-pallet": (1200, 800), "rollcontainer": (800, 700)}
-"""BED-BPP's two targets → their extents along x and y, mm."""
+"""BED-BPP's two targets (the carriers of orders) → their extents along x and y, mm."""
 _SIZED_TARGET = re.compile(r"([0-9.]{1,9})\s*[x×]\s*([0-9.]{1,9})")
 TARGET_RANGE_MM = (100.0, 20_000.0)
 """Allowed range for the sides of a target."""
@@ -43,9 +43,8 @@ DISTINCT_SHARE = (0.35, 0.7)
 """Range of the number of distinct articles, as a share of the number of boxes of the order."""
 
 FILL_BUDGET = 0.55
-"""Largest share of a target's volume (2 m high) that the boxes of an order may fill, since a warehouse's orders fit
-their targets.
-"""
+"""Largest share of the room above a target, up to 2 m, that the boxes of an order may fill, since a warehouse's orders
+fit on their targets."""
 
 CATALOGUE_SIZE = 800
 FIRST_ARTICLE_ID = 100_001

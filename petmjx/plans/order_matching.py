@@ -491,7 +491,7 @@ def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
 
 
 def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
-    """(n,) whether each box of a plan is on the order's target.
+    """(n,) whether each box of a plan is on the order's target (the carrier for which the order was made).
 
     If the plan's bounding box fits on the target, possibly turned, all boxes count as on the target, wherever the plan
     has its origin. Otherwise the target's corner is assumed to be at the origin, and a box is on the target if its

@@ -65,7 +65,8 @@ def read_orders(
     Args:
         on_bad_order: function that is called with the error of a bad order, which is then skipped; None: the error is
             raised.
-        reading: how files of other forms are read, and their target; None: the most plausible reading.
+        reading: how files of other forms are read, and the target (carrier) of their orders; None: the most plausible
+            reading.
 
     Raises:
         InputError: the file cannot be read, or has no orders (raised before the first order); or an order is bad and

@@ -271,7 +271,8 @@ def _near(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArra
 
 
 def _images(low: FloatArray, size: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield a pile, its mirror images, and its turns about the vertical."""
+    """Yield the corners and sizes of a pile's boxes, then those of its mirror images and of its turns about the
+    vertical axis."""
     for order in ([0, 1, 2], [1, 0, 2]):
         placed, extent = low[:, order], size[:, order]
         end = (placed + extent).max(axis=0)

@@ -66,7 +66,7 @@ class Leg(CheckedRecord):
     pause_s: Annotated[StrictFloat, Field(ge=0), within(0, 60)] = Field(
         1.0, description="time between the end of an event and the beginning of the next one, s"
     )
-    wrap_turns: Turn | None = Field(None, description="turns of stretch film around the pallet from here on")
+    wrap_turns: Turn | None = Field(None, description="turns of film around the pallet from this leg on")
     open_walls: tuple[Side, ...] = Field(
         (), description="walls of the carrier that are opened, as doors, and stay open: left, right, front, back"
     )
@@ -76,10 +76,10 @@ class Remedy(CheckedRecord):
     """One table ``[[remedies]]``: a change of one leg. The changed and the unchanged chain are simulated with the same
     random numbers."""
 
-    name: Name = Field(description="what is done, in the results")
+    name: Name = Field(description="name of the remedy in the results")
     leg: Name = Field(description="name of the leg that is changed")
     wrap_turns: Turn | None = Field(None, description="turns of film from this leg on, instead of those of the leg")
-    factor: Factor | None = Field(None, description="factor on the levels and scales of its events")
+    factor: Factor | None = Field(None, description="factor on the levels and scales of the leg's events")
 
     @model_validator(mode="after")
     def _changes_something(self) -> Self:

@@ -41,23 +41,26 @@ _KEYS: Final = ["scope", "plan_id", "remedy", "leg"]
 _COUNTS: Final = ["n_worlds", "n_standing", "n_invalid"]
 
 _DESCRIPTIONS: Final = {
-    "scope": "all: the row is about all plans together; plan: about one",
-    "plan_id": "id of the packing plan; null where the row is about all of them",
-    "remedy": "what was changed in the chain; empty: nothing",
-    "leg": "leg of the chain; empty: the whole way",
-    "n_worlds": "worlds that reached the leg; of the whole way: all worlds",
-    "n_standing": "those that stand after it; of the whole way: that arrive",
-    "n_invalid": "those without a verdict; not in the share",
-    "share": "n_standing / (n_worlds - n_invalid); null where there is none",
-    "low": "lower end of the share's Wilson 95 % interval; null where nothing is drawn",
-    "high": "upper end of it",
-    "weakest_leg": "of the whole way: the leg in which most worlds failed first; empty: none failed",
-    "box": "the box that failed first most often in that leg; null where the row is about all plans",
-    "only_with": "of the whole way with a remedy: draws that arrive with it and not without it",
-    "only_without": "draws that arrive without it and not with it",
-    "gain": "share with the remedy less share without it, over draws with a verdict for both",
-    "gain_low": "lower end of Newcombe's 95 % interval of the gain for paired draws; null where nothing is drawn",
-    "gain_high": "upper end of it",
+    "scope": "all: the row is about all plans together; plan: the row is about one plan",
+    "plan_id": "id of the packing plan; null if the row is about all plans",
+    "remedy": "name of the remedy, which changes one leg; empty: the unchanged chain",
+    "leg": "leg of the chain; empty: the whole journey",
+    "n_worlds": "number of worlds that reached the leg; for the whole journey: number of all worlds",
+    "n_standing": "number of worlds that stand after the leg; for the whole journey: number of worlds that arrive",
+    "n_invalid": "number of worlds without a verdict, which do not count in the share",
+    "share": "n_standing / (n_worlds - n_invalid); null if no world has a verdict",
+    "low": "lower end of the share's Wilson 95 % interval; null if nothing is drawn at random",
+    "high": "upper end of the share's Wilson 95 % interval; null if nothing is drawn at random",
+    "weakest_leg": "for the whole journey: the leg in which most worlds failed; empty if no world failed",
+    "box": "number of the box that failed first most often in the weakest leg; null if the row is about all plans",
+    "only_with": "for the whole journey with a remedy: number of draws of random numbers with which the pallet arrives "
+    "only with the remedy",
+    "only_without": "for the whole journey with a remedy: number of draws with which the pallet arrives only without "
+    "the remedy",
+    "gain": "share of arriving worlds with the remedy minus share without the remedy, over the draws with a verdict in "
+    "both cases",
+    "gain_low": "lower end of Newcombe's 95 % interval of the gain, for pairs; null if nothing is drawn at random",
+    "gain_high": "upper end of Newcombe's 95 % interval of the gain, for pairs; null if nothing is drawn at random",
 }
 
 _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})

@@ -43,30 +43,30 @@ PLACING: Final = "placing"
 
 _DESCRIPTIONS: Final = {
     "plan_id": "id of the packing plan",
-    "verdict": "of the nominal world, without errors",
-    "reason": "why the nominal world is not stable; empty where it is",
-    "margin": "of the nominal world; null where it is invalid",
-    "n_worlds": "worlds with errors",
-    "n_standing": "worlds with errors that are stable",
-    "n_not_placed": "worlds with errors that are unstable, and in which a box could not be placed before anything "
-    "failed: the hand found no room for it",
-    "n_fell": "worlds with errors that are unstable though every box was placed",
-    "n_invalid": "worlds with errors that have no verdict; not in the share",
-    "share": "stable worlds / worlds with a verdict; null where there is none",
+    "verdict": "verdict of the nominal world, which has no errors",
+    "reason": "reason why the nominal world is not stable; empty if it is stable",
+    "margin": "margin of the nominal world; null if it is invalid",
+    "n_worlds": "number of worlds with errors",
+    "n_standing": "number of stable worlds with errors",
+    "n_not_placed": "number of unstable worlds with errors in which the hand found no room for a box before any box "
+    "failed",
+    "n_fell": "number of all other unstable worlds with errors",
+    "n_invalid": "number of worlds with errors without a verdict, which do not count in the share",
+    "share": "stable worlds / worlds with a verdict, among the worlds with errors; null if no world has a verdict",
     "low": "lower end of the share's Wilson 95 % interval",
-    "high": "upper end of it",
-    "coin_toss": "whether the interval contains one half: it is open whether the pallet stands more often than "
-    "it falls",
+    "high": "upper end of the share's Wilson 95 % interval",
+    "coin_toss": "whether the interval contains one half, so that the worlds do not show whether the pallet stands "
+    "more often than it falls",
 }
 
 _OF_BOTH: Final = {
-    "n_standing_exact": "of the same worlds with boxes that appear at their places: those that are stable",
-    "share_exact": "stable worlds / worlds with a verdict, with boxes that appear; null where there is none",
-    "only_carried": "draws with which the world stands if boxes are carried, and does not if they appear",
-    "only_exact": "draws with which it is the other way round",
-    "p_value": "of McNemar's exact test (two-sided) that both numbers are equal but for chance, corrected for the "
-    "number of plans by Holm's method",
-    "placing_matters": f"whether that is below {SIGNIFICANCE:g}: the two shares differ beyond chance",
+    "n_standing_exact": "n_standing for boxes that appear at their places",
+    "share_exact": "share for boxes that appear at their places; null if no world has a verdict",
+    "only_carried": "number of draws of errors with which the pallet stands only if boxes are carried",
+    "only_exact": "number of draws of errors with which the pallet stands only if boxes appear at their places",
+    "p_value": "p-value of McNemar's exact test (two-sided) on only_carried and only_exact, corrected for the number "
+    "of plans by Holm's method",
+    "placing_matters": f"whether p_value is below {SIGNIFICANCE:g}, so that share and share_exact differ beyond chance",
 }
 """Additional columns of a run in which each world with errors was simulated twice: once with boxes that are carried to
 their places, and once with boxes that appear at their places."""

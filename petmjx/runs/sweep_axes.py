@@ -114,9 +114,11 @@ class Range(CheckedRecord, Generic[Number]):
     then, every number between its ends is allowed."""
 
     low: Number = Field(alias="from", description="the first value")
-    high: Number = Field(alias="to", description="the last value, if the steps reach it")
-    step: Annotated[StrictFloat, Field(gt=0)] | None = Field(None, description="from one value to the next")
-    count: Annotated[StrictInt, Field(ge=2, le=MAX_AXIS_VALUES)] | None = Field(None, description="how many values")
+    high: Number = Field(alias="to", description="the last value, if a step ends there")
+    step: Annotated[StrictFloat, Field(gt=0)] | None = Field(
+        None, description="difference between a value and the next"
+    )
+    count: Annotated[StrictInt, Field(ge=2, le=MAX_AXIS_VALUES)] | None = Field(None, description="number of values")
 
     @model_validator(mode="after")
     def _rises_in_steps(self) -> Self:
@@ -327,24 +329,28 @@ AXIS_KINDS: Final = {
         AxisKind("mass_factor", "1", Masses, "factor on the mass of boxes", ("mass_factor",)),
         AxisKind("mass_tolerance_rel", "1", RelativeErrors, "error of each box's mass as a share", ("mass_rel",)),
         AxisKind("size_tolerance_mm", "mm", SizeErrors, "error of each dimension of each box", ("size_mm",)),
-        AxisKind("size_tolerance_rel", "1", RelativeErrors, "the same as a share of the dimension", ("size_rel",)),
+        AxisKind(
+            "size_tolerance_rel", "1", RelativeErrors, "error of each dimension of each box as a share", ("size_rel",)
+        ),
         AxisKind("placement_error_mm", "mm", Errors, "error of each box's place in x and in y", ("x_mm", "y_mm")),
-        AxisKind("placement_error_x_mm", "mm", Errors, "the same in x alone", ("x_mm",)),
-        AxisKind("placement_error_y_mm", "mm", Errors, "the same in y alone", ("y_mm",)),
-        AxisKind("yaw_error_deg", "deg", YawErrors, "turn of each box about the vertical", ("yaw_deg",)),
+        AxisKind("placement_error_x_mm", "mm", Errors, "error of each box's place in x alone", ("x_mm",)),
+        AxisKind("placement_error_y_mm", "mm", Errors, "error of each box's place in y alone", ("y_mm",)),
+        AxisKind("yaw_error_deg", "deg", YawErrors, "turn of each box about the vertical axis", ("yaw_deg",)),
         AxisKind(
             "drop_height_mm",
             "mm",
             Heights,
-            "height of release above the place",
+            "height above its place at which a box is released",
             ("drop_height_mm",),
             plain=DistributionShape.FIXED,
         ),
         AxisKind("placing", "", Ways, "how boxes are placed", ("placing_name",)),
-        AxisKind("placing_height_mm", "mm", Positives, "height at which placed boxes begin", ("placing_height_mm",)),
+        AxisKind(
+            "placing_height_mm", "mm", Positives, "height above its place at which a box begins", ("placing_height_mm",)
+        ),
         AxisKind("placing_side_mm", "mm", Positives, "how far beside its place a box begins", ("placing_side_mm",)),
         AxisKind("placing_speed_m_s", "m/s", Positives, "largest speed of a carried box", ("placing_speed_m_s",)),
-        AxisKind("placing_force_n", "N", Positives, "what a hand presses with at most", ("placing_force_n",)),
+        AxisKind("placing_force_n", "N", Positives, "largest force of a hand", ("placing_force_n",)),
         AxisKind("wrap_turns", "1", Turns, "turns of stretch film around the pallet", ("wrap_turns",)),
         AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )

@@ -151,8 +151,8 @@ def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
 class Sweep(CheckedRecord):
     """The content of a sweep file, after all checks."""
 
-    name: str = Field("", max_length=MAX_NAME, description="name of the sweep; by default the file's")
-    description: str = Field("", max_length=MAX_TEXT, description="what it asks")
+    name: str = Field("", max_length=MAX_NAME, description="name of the sweep; by default that of the file")
+    description: str = Field("", max_length=MAX_TEXT, description="the question that the sweep answers")
     plans: (
         Annotated[
             Annotated[tuple[Path, ...], Tag(LIST)] | Annotated[FileName, AfterValidator(_plan_paths), Tag(VALUE)],
@@ -163,13 +163,13 @@ class Sweep(CheckedRecord):
     mode: Literal["grid", "sample"] = Field("grid", description="every combination, or random ones")
     sample: StrictInt | None = Field(None, ge=1, le=MAX_REPEATS, description="number of random combinations")
     seed: StrictInt = Field(
-        0, ge=0, lt=2**63, description="together with plan id and replicate it determines every random number"
+        0, ge=0, lt=2**63, description="determines all random numbers, together with plan id and replicate"
     )
-    replicates: StrictInt = Field(1, ge=1, le=MAX_REPEATS, description="repetitions of everything random")
+    replicates: StrictInt = Field(1, ge=1, le=MAX_REPEATS, description="repetitions with other random numbers")
     nominal: StrictBool = Field(
         False, description="whether variant 0, the unchanged world without a drive, is simulated too"
     )
-    shifts_from: Literal["plan", "release"] = Field("plan", description="from where shifts are measured")
+    shifts_from: Literal["plan", "release"] = Field("plan", description="place from which shifts are measured")
     simulation: Simulation = Field(Simulation(), description="how worlds are simulated")
     search: Search | None = Field(None, description="what to search for instead of an axis level or scale")
     own_profiles: Annotated[dict[str, Any], PlainValidator(_own_profiles)] = Field(
@@ -178,9 +178,11 @@ class Sweep(CheckedRecord):
     axes: Annotated[dict[str, Axis], PlainValidator(_named_axes)] = Field(
         {}, description="what is varied: axes by name, in the order of the file"
     )
-    legs: tuple[Leg, ...] = Field((), max_length=MOST_LEGS, description="a chain: what shakes the pallet on its way")
+    legs: tuple[Leg, ...] = Field(
+        (), max_length=MOST_LEGS, description="legs of a chain: what shakes the pallet on its way"
+    )
     remedies: tuple[Remedy, ...] = Field(
-        (), max_length=MOST_LEGS, description="changes of the chain to compare it with"
+        (), max_length=MOST_LEGS, description="changes of the chain, to be compared with the unchanged chain"
     )
 
     _file: Path | None = None

@@ -391,8 +391,8 @@ class SweepRun:
             yield LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
 
     def _after_leg(self, result: WorldResult[Any]) -> tuple[list[FinishedWorld], LegStart | None]:
-        """The finished worlds of variants that end with this leg, and the beginning of the next leg of all other
-        variants. If all variants have ended, the result is None."""
+        """The finished worlds of variants that end with this leg; and the beginning of the next leg of all other
+        variants, or None if all variants have ended."""
         self.tally.drives += 1
         self.tally.drive_steps += result.outcome.n_steps
         world: LegWorld = result.world

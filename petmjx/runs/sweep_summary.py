@@ -30,13 +30,17 @@ from petmjx.world.profiles.accelerations import Tilt
 RANGE_BINS = 8
 """The summary divides an axis with a continuous range into this number of equal intervals."""
 
-MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty where stable", str)
-SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
-LEG = Param("leg", TEXT, "leg of the chain in which the world failed first; empty: it arrived", str)
+MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty for a stable world", str)
+SIGN = Param(
+    "sign_in_profile_s", "s", "time from the beginning of the profile at which the culprit crossed a threshold"
+)
+LEG = Param("leg", TEXT, "leg of the chain after which the pallet did not stand; empty: the pallet arrived", str)
 EUMOS_WORST = tuple(column.name for column in EUMOS_COLUMNS if column.unit)
 """Columns of the table ``worlds`` with the deformations that a laboratory measures. Each row of the summary of a grid
 has the largest values over the worlds that the row is about."""
-FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
+FAIL_ANGLE = Param(
+    "fail_angle_deg", "deg", "angle of a tilting carrier when the culprit crossed a threshold, else null"
+)
 
 
 class SweepColumns:
@@ -284,30 +288,31 @@ def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str],
 
 
 _DESCRIPTIONS = {
-    "scope": "all: the row is about all plans together; plan: about one",
-    "plan_id": "id of the packing plan; null where the row is about all of them",
-    "axis": "which parameter the row is about; empty: all worlds",
-    "value": "the parameter's value",
-    "n_standing": "worlds that are stable",
-    "n_invalid": "worlds without a verdict; not in the share",
+    "scope": "all: the row is about all plans together; plan: the row is about one plan",
+    "plan_id": "id of the packing plan; null if the row is about all plans",
+    "axis": "the varied parameter; empty: the row is about all worlds",
+    "value": "value of the parameter in the worlds of the row",
+    "n_standing": "number of stable worlds",
+    "n_invalid": "number of worlds without a verdict, which do not count in the share",
     "share": "stable worlds / worlds with a verdict",
-    "n_draws": "independent random draws behind the share; 0 where a world of the row has nothing random",
-    "low": "lower end of the share's Wilson 95 % interval over these draws; null without draws",
-    "high": "upper end of it; null without draws",
-    "n_eumos": "worlds that were checked against EUMOS 40509's own limits",
-    "n_eumos_passed": "those that keep them",
-    "eumos_share": "n_eumos_passed / n_eumos, with its interval in eumos_low and eumos_high",
-    "smallest_fail_angle_deg": "smallest angle at which a world failed; null where none did",
+    "n_draws": "number of independent random draws in the row; 0 if any world of the row is not drawn at random",
+    "low": "lower end of the share's Wilson 95 % interval for n_draws draws; null without draws",
+    "high": "upper end of the share's Wilson 95 % interval for n_draws draws; null without draws",
+    "n_eumos": "number of worlds that were checked against the limits of EUMOS 40509",
+    "n_eumos_passed": "number of worlds that keep the limits of EUMOS 40509",
+    "eumos_share": "n_eumos_passed / n_eumos; its interval is in eumos_low and eumos_high",
+    "smallest_fail_angle_deg": "smallest angle at which a world failed; null if no world failed",
     "placement": "number of the plan's placement, from 0",
-    "stands_at_rest": "whether the placement stands without a profile; if not, nothing was tested",
-    "largest_level_g": "largest level survived below every failure; null: none",
-    "largest_scale": "largest scale survived below every failure; null: none",
-    "first_failed_level_g": "smallest level that failed; null: none up to the search's upper end",
-    "first_failed_scale": "smallest scale that failed; null: none up to the search's upper end",
-    "box": "box that failed first at the smallest level that failed, or at rest",
-    "mode": "how it failed: slide, tilt or drop; the reason where that world was invalid",
-    "monotone": "no tested level above the smallest that failed was survived",
-    "n_tests": "levels tested",
-    "n_moving": "levels at which boxes still moved when the world's time was up (longest_wait_s)",
-    "moving": "they did at the largest level survived or at the smallest that failed: the answer may change with time",
+    "stands_at_rest": "whether the pallet stands without a profile; if it does not, no level is tested",
+    "largest_level_g": "largest level survived that is below all failed levels; null if there is none",
+    "largest_scale": "largest scale survived that is below all failed scales; null if there is none",
+    "first_failed_level_g": "smallest level that failed; null if no level failed",
+    "first_failed_scale": "smallest scale that failed; null if no scale failed",
+    "box": "number of the box that failed first at the smallest level that failed, or at rest",
+    "mode": "how this box failed: slide, tilt or drop; for an invalid world, the reason why it is invalid",
+    "monotone": "whether the pallet failed at every tested level above the smallest level that failed, too",
+    "n_tests": "number of levels tested",
+    "n_moving": "number of levels at which boxes still moved when the world's time was up (longest_wait_s)",
+    "moving": "whether boxes still moved at the largest level survived or at the smallest level that failed; if so, a "
+    "longer wait may change the answer",
 }

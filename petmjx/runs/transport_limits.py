@@ -36,9 +36,18 @@ EUMOS_FOOT_PERMANENT_M = 0.04
 
 EUMOS_COLUMNS = (
     Param("eumos_elastic_share", DIMENSIONLESS, "largest horizontal displacement during the test / load height"),
-    Param("eumos_permanent_share", DIMENSIONLESS, "largest horizontal displacement left after it / load height"),
-    Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
-    Param("eumos_passed", TEXT, "whether it stood, all limits of EUMOS 40509 hold and nothing fell", bool),
+    Param("eumos_permanent_share", DIMENSIONLESS, "largest horizontal displacement after the test / load height"),
+    Param(
+        "eumos_foot_permanent_m",
+        "m",
+        "largest horizontal displacement, after the test, of a box that reaches into the lowest 20 cm",
+    ),
+    Param(
+        "eumos_passed",
+        TEXT,
+        "whether the pallet stood before the test, kept all limits of EUMOS 40509, and no box fell",
+        bool,
+    ),
 )
 """Additional columns for worlds that are shaken by the profile of EUMOS 40509."""
 

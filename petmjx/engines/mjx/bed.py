@@ -178,7 +178,8 @@ def bed_of(
 def _face(
     turn: Float[Array, "3 3"], half: Float[Array, 3], toward: Float[Array, 3]
 ) -> tuple[Float[Array, 3], Float[Array, ""], Float[Array, "2 3"]]:
-    """Outward normal, distance from the centre, and half edges of the face whose normal is nearest to ``toward``."""
+    """Three properties of the face of a box whose normal is nearest to ``toward``: the outward normal, the distance
+    from the box's centre, and the two half edges."""
     along = toward @ turn
     axis = jnp.argmax(jnp.abs(along))
     sides = (turn * half).T
@@ -193,8 +194,10 @@ def _area(edges: Float[Array, "2 3"]) -> Float[Array, ""]:
 def _cut(
     corners: Float[Array, "k 2"], kept: Bool[Array, " k"], across: Float[Array, 2], offset: Float[Array, ""]
 ) -> tuple[Float[Array, "k+1 2"], Bool[Array, " k+1"]]:
-    """The part of a polygon on the positive side of a line: the points x with across · x + offset > 0. ``kept`` marks
-    the valid rows of the polygon, which come first."""
+    """The part of a polygon on the positive side of a line: the points x with across · x + offset > 0.
+
+    ``corners`` and ``kept`` are the corners of the polygon, and which rows of ``corners`` are valid; the valid rows
+    come first. The result has the same form."""
     k = len(corners)
     count = kept.sum()
     following = jnp.where(jnp.arange(k) + 1 < count, jnp.arange(k) + 1, 0)
@@ -212,7 +215,7 @@ def _cut(
 def _moments(
     corners: Float[Array, "k 2"], kept: Bool[Array, " k"]
 ) -> tuple[Float[Array, ""], Float[Array, 2], Float[Array, "2 2"]]:
-    """Area, centroid, and root of the second moments of a polygon."""
+    """Three properties of a polygon: the area, the centroid, and the Cholesky factor of the second moments per area."""
     p, q = corners[1:-1] - corners[0], corners[2:] - corners[0]
     part = jnp.where(kept[2:], 0.5 * jnp.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), 0.0)
     area = part.sum()
