@@ -13,11 +13,11 @@ from petmjx.engines.verdict import Verdict
 
 WAY_UNITS: Final = {
     "plan_id": ("", "id of the packing plan"),
-    "remedy": ("", "what was changed in the chain; empty: nothing"),
-    "n_worlds": ("1", "worlds with a verdict"),
-    "n_standing": ("1", "those that arrive"),
-    "n_whole": ("1", "worlds that arrive without a possibly overloaded box"),
-    "n_possibly_whole": ("1", "worlds that arrive without a surely overloaded box"),
+    "remedy": ("", "name of the remedy, which changes one leg; empty: the unchanged chain"),
+    "n_worlds": ("1", "number of worlds with a verdict"),
+    "n_standing": ("1", "number of worlds that arrive"),
+    "n_whole": ("1", "number of worlds that arrive without a possibly crushed box"),
+    "n_possibly_whole": ("1", "number of worlds that arrive without a surely crushed box"),
     "share": ("1", "n_standing / n_worlds"),
     "share_whole": ("1", "n_whole / n_worlds"),
     "share_possibly_whole": ("1", "n_possibly_whole / n_worlds"),

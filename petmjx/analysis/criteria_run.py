@@ -99,12 +99,12 @@ def documented_boxes(criteria: Sequence[Criterion]) -> Described:
     columns["article"] = (TEXT, "article of the item")
     columns["n_supports"] = (
         DIMENSIONLESS,
-        "areas on which the box lies: one a box below; of the carrier one, or one a board",
+        "number of areas on which the box lies: one for each box below, one for the carrier or for each of its boards",
     )
     columns["support_share"] = (DIMENSIONLESS, "borne share of the base")
-    columns["corners"] = (DIMENSIONLESS, "bottom corners that lie on something")
+    columns["corners"] = (DIMENSIONLESS, "number of bottom corners that lie on something")
     for criterion in criteria:
-        columns[criterion.name] = (DIMENSIONLESS, f"whether {criterion.asks}, at its placement")
+        columns[criterion.name] = (DIMENSIONLESS, f"whether, when the box is placed, {criterion.asks}")
         columns[f"{criterion.name}_slack"] = (criterion.unit, criterion.slack)
     return columns
 
@@ -112,32 +112,41 @@ def documented_boxes(criteria: Sequence[Criterion]) -> Described:
 def documented_plans(criteria: Sequence[Criterion]) -> Described:
     """The units and descriptions of the columns of the table ``plans``."""
     columns = dict(_PLAN_ID)
-    columns["n_boxes"] = (DIMENSIONLESS, "boxes of the plan")
-    columns["support_share"] = (DIMENSIONLESS, "least borne share of a base")
+    columns["n_boxes"] = (DIMENSIONLESS, "number of boxes of the plan")
+    columns["support_share"] = (DIMENSIONLESS, "smallest borne share of the base of any box")
     for criterion in criteria:
-        columns[criterion.name] = (DIMENSIONLESS, f"whether of each box {criterion.asks}")
+        columns[criterion.name] = (DIMENSIONLESS, f"whether, for each box when it is placed, {criterion.asks}")
         columns[f"{criterion.name}_first"] = (
             DIMENSIONLESS,
-            "first box for which this is not true; null: no such box",
+            "number of the first box that the criterion does not accept; null if it accepts all boxes",
         )
-        columns[f"{criterion.name}_slack"] = (criterion.unit, f"least of all boxes: {criterion.slack}")
+        columns[f"{criterion.name}_slack"] = (criterion.unit, f"smallest value of all boxes: {criterion.slack}")
     return columns
 
 
 def criteria_vs_physics_columns() -> Described:
     """The units and descriptions of the columns of the table ``judged``, which compares the criteria with a run."""
-    columns = {"criterion": (TEXT, "name of the criterion"), "n_plans": (DIMENSIONLESS, "plans with a valid verdict")}
+    columns = {
+        "criterion": (TEXT, "name of the criterion"),
+        "n_plans": (DIMENSIONLESS, "number of plans with a valid verdict"),
+    }
     for cell in CELLS:
         says, stands = cell.split("_")
-        columns[cell] = (DIMENSIONLESS, f"plans {says} by the criterion; of physics each {stands}")
+        columns[cell] = (
+            DIMENSIONLESS,
+            f"number of plans {says} by the criterion; in the simulation, each of them {stands}",
+        )
     meanings = ("share of the accepted plans that stand", "share of the standing plans that are accepted")
     for name, meaning in zip(SCORES, (*meanings, "Matthews' correlation coefficient"), strict=True):
         columns[name] = (DIMENSIONLESS, meaning)
-        columns[f"{name}_low"] = (DIMENSIONLESS, "lower end of its 95 % interval, by bootstrap over plans")
-        columns[f"{name}_high"] = (DIMENSIONLESS, "upper end of it")
-    columns["same_first_box"] = (DIMENSIONLESS, "refused falling plans of which both name the same first box")
+        columns[f"{name}_low"] = (DIMENSIONLESS, f"lower end of the 95 % interval of {name}, by bootstrap over plans")
+        columns[f"{name}_high"] = (DIMENSIONLESS, f"upper end of the 95 % interval of {name}, by bootstrap over plans")
+    columns["same_first_box"] = (
+        DIMENSIONLESS,
+        "number of refused falling plans for which the criterion and the simulation name the same first box",
+    )
     for name, says in zip(ARRIVES, ("accepts", "refuses"), strict=True):
-        columns[name] = (DIMENSIONLESS, f"P(arrives) in the mean of the plans that the criterion {says}; of a chain")
+        columns[name] = (DIMENSIONLESS, f"mean of P(arrives) in a chain over the plans that the criterion {says}")
     return columns
 
 
@@ -147,18 +156,31 @@ def documented_thresholds() -> Described:
     in_row = "as in the column unit"
     columns = {
         "criterion": (TEXT, "name of the criterion"),
-        "number": (TEXT, "what the threshold is about: the smallest value of all boxes"),
-        "unit": (TEXT, "of the threshold"),
-        "threshold": (in_row, "plans with at least this number are accepted"),
+        "number": (
+            TEXT,
+            "the quantity that is compared with the threshold: its smallest value among the boxes of a plan",
+        ),
+        "unit": (TEXT, "unit of the threshold"),
+        "threshold": (in_row, "the threshold found: plans with at least this value are accepted"),
         "published": (in_row, "the criterion's own threshold"),
-        "n_found_on": (DIMENSIONLESS, "plans on which the threshold was found"),
-        "mcc_found_on": (DIMENSIONLESS, "MCC on them"),
+        "n_found_on": (DIMENSIONLESS, "number of plans on which the threshold was found"),
+        "mcc_found_on": (
+            DIMENSIONLESS,
+            "MCC (Matthews' correlation coefficient) on the plans on which the threshold was found",
+        ),
     }
     judged = dict(criteria_vs_physics_columns())
     for name in ("criterion", "same_first_box", *ARRIVES):
         del judged[name]
     return (
-        columns | judged | {"mcc_published": (DIMENSIONLESS, "MCC of the criterion's own threshold, on the same plans")}
+        columns
+        | judged
+        | {
+            "mcc_published": (
+                DIMENSIONLESS,
+                "MCC of the criterion's own threshold on the plans on which the threshold is judged",
+            )
+        }
     )
 
 

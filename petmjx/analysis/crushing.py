@@ -18,16 +18,18 @@ BOX_UNITS: Final = {
     "strength_high_n": ("N", "largest possible strength of the box as stacked, for a short time"),
     "crush_share_low": (
         "1",
-        "larger of two shares: least force at rest / most strength at rest, peak / most strength for a short time",
+        "the larger of two quotients: smallest possible force at rest / largest possible strength at rest, and largest "
+        "force in any step / largest possible strength for a short time",
     ),
     "crush_share_high": (
         "1",
-        "larger of two shares: most force at rest / least strength at rest, peak / least strength for a short time",
+        "the larger of two quotients: largest possible force at rest / smallest possible strength at rest, and largest "
+        "force in any step / smallest possible strength for a short time",
     ),
 }
 PLAN_UNITS: Final = {
-    "crushed": ("", "surely, possibly or not: whether a box is overloaded, at rest or at the peak; null: unknown"),
-    "crush_box": ("1", "the box with the largest crush_share_high"),
+    "crushed": ("", "whether a box is crushed, at rest or at the peak: surely, possibly or not; null if unknown"),
+    "crush_box": ("1", "number of the box with the largest crush_share_high"),
 }
 
 SUSTAINED: Final = "sustained_top_force_n"

@@ -54,23 +54,34 @@ def _text(name: str, meaning: str) -> KpiColumn:
 COLUMNS: Final = (
     _text("plan_id", "id of the packing plan and of its order"),
     _text("target", "the order's target: euro-pallet 1200 × 800 mm, rollcontainer 800 × 700 mm"),
-    KpiColumn("n_ordered", "int64", "1", "boxes of the order"),
-    KpiColumn("n_boxes", "int64", "1", "boxes of the plan"),
-    KpiColumn("n_not_ordered", "int64", "1", "boxes of the plan that were not ordered, or not so often"),
-    KpiColumn("n_resized", "int64", "1", "boxes of the plan that were ordered with another size, mass or property"),
+    KpiColumn("n_ordered", "int64", "1", "number of boxes of the order"),
+    KpiColumn("n_boxes", "int64", "1", "number of boxes of the plan"),
+    KpiColumn(
+        "n_not_ordered",
+        "int64",
+        "1",
+        "number of boxes of the plan that were not ordered, or that occur more often than ordered",
+    ),
+    KpiColumn("n_resized", "int64", "1", "number of boxes that were ordered with another size, mass or property"),
     KpiColumn("kpi_1", "float64", "1", "share of the ordered boxes that is left out"),
     KpiColumn("kpi_2", "float64", "1", "volume of the boxes / (area of the target × greatest height)"),
     KpiColumn("kpi_3", "float64", "m", "greatest height"),
     KpiColumn("kpi_4", "float64", "1", "mean share of the base that lies on other boxes; 1 on the target"),
     KpiColumn(
-        "kpi_5", "float64", "1", "share of the upper boxes that hold the pile together; null where there are none"
+        "kpi_5",
+        "float64",
+        "1",
+        "among the boxes that lie on boxes, share of those that tie the pile together; null without such boxes",
     ),
     KpiColumn("kpi_6", "Int64", "1", "1: no box moved by more than 0.01 m along z in the static check; null: unknown"),
     KpiColumn(
         "eval_score_pal_ratio", "Float64", "1", "kpi_6 × share of the ordered boxes that begin at or below 2.0 m"
     ),
     KpiColumn(
-        "eval_score_height", "float64", "m", "greatest height of boxes below 2.0 m, as BED-BPP reads it (1 mm low)"
+        "eval_score_height",
+        "float64",
+        "m",
+        "greatest height of boxes below 2.0 m, as BED-BPP computes it (1 mm too low)",
     ),
     KpiColumn(
         "eval_score_absolute_n_stable_pal_items", "Int64", "1", "kpi_6 × ordered boxes that begin at or below 2.0 m"
@@ -79,15 +90,15 @@ COLUMNS: Final = (
         "n_pal_items",
         "int64",
         "1",
-        "boxes as they were ordered, each once, on the target, that begin at or below 2.0 m",
+        "number of boxes on the target that are as ordered, each ordered box counted once, and begin at or below 2.0 m",
     ),
     KpiColumn("height_below_2m_m", "float64", "m", "greatest height of boxes that end at or below 2.0 m"),
     KpiColumn("volume_m3", "float64", "m^3", "volume of the boxes"),
     KpiColumn(
         "utilisation_2m", "float64", "1", "volume of boxes that end at or below 2.0 m / (area of the target × 2.0 m)"
     ),
-    _text("verdict", "petmjx's verdict; null: not known"),
-    KpiColumn("stable", "Int64", "1", "1: the verdict is stable; null: unknown, or invalid"),
+    _text("verdict", "petmjx's verdict; null if unknown"),
+    KpiColumn("stable", "Int64", "1", "1: the verdict is stable; 0: it is unstable; null: it is invalid or unknown"),
     KpiColumn("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
     KpiColumn("n_stable_pal_items", "Int64", "1", "stable × ordered boxes that begin at or below 2.0 m"),
 )

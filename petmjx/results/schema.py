@@ -84,24 +84,30 @@ RANK: Final = "rank"
 (petmjx.results.plan_order)."""
 
 RANK_COLUMN: Final = _column(
-    RANK, pa.int64(), DIMENSIONLESS, "the world's place in the order of the run: plan by plan as given, then by variant"
+    RANK,
+    pa.int64(),
+    DIMENSIONLESS,
+    "position of the world in the run: plans in the order in which they were given, then variants",
 )
 
 _KEY = (
     *_texts(plan_id="id of the packing plan"),
-    *_counts(variant="which set of changes to the plan's nominal world; 0 is nominal"),
+    *_counts(variant="number of the variant (set of changes to the nominal world); 0: the nominal world"),
     RANK_COLUMN,
 )
 _FLAGS = _counts(flags=f"bit mask of what happened: {_FLAG_BITS}")
 
 _WORLD_COLUMNS = (
     *_KEY,
-    *_texts(engine="engine of the attempt that gave the verdict", solver="constraint solver of that attempt"),
-    *_counts(attempt="which attempt gave the verdict, from 1"),
+    *_texts(
+        engine="engine of the attempt that gave the verdict",
+        solver="constraint solver of the attempt that gave the verdict",
+    ),
+    *_counts(attempt="number of the attempt that gave the verdict, from 1"),
     *_texts(schedule=f"when the next box was placed: {_one_of(Schedule)}"),
-    *_counts(n_boxes="boxes of the plan", n_placed="boxes placed before the world ended"),
-    *_texts(verdict=_one_of(Verdict), reason="why it is not stable; empty where it is"),
-    *_counts(culprit="box that first crossed a threshold (packing order from 0); null where none did"),
+    *_counts(n_boxes="number of boxes of the plan", n_placed="number of boxes placed before the world ended"),
+    *_texts(verdict=_one_of(Verdict), reason="reason why the world is not stable; empty if it is stable"),
+    *_counts(culprit="box that first crossed a threshold (packing order from 0); null if no box crossed one"),
 )
 """The first columns of the table ``worlds``. The metrics and the column ``flags`` follow."""
 
@@ -119,7 +125,7 @@ _ATTEMPT_COLUMNS = (
     *_counts(attempt="number of the attempt, from 1; the last one gave the verdict"),
     *_texts(engine="engine that simulated the world", solver="constraint solver"),
     _column("timestep_s", pa.float64(), "s", "timestep of the simulation"),
-    *_texts(verdict="verdict of this attempt", reason="why it was not stable; empty where it was"),
+    *_texts(verdict="verdict of this attempt", reason="reason why the world was not stable; empty if it was stable"),
     *_FLAGS,
     *_metrics(column for column in metrics.world_columns() if column.name == "n_steps"),
 )
@@ -143,65 +149,79 @@ _HISTORY_COLUMNS = (
     *_counts(box="index of the box in packing order, from 0; boxes that are not placed yet have no row"),
     *_vector("pos", "m", "centre; z = 0 is the carrier's top before the soft start", end="_m"),
     *_vector("quat", DIMENSIONLESS, "orientation, unit quaternion", "wxyz"),
-    _column("top_force_n", pa.float64(), "N", "force on its top during the step that led to the frame"),
-    *_vector("lin_acc", "m/s^2", "linear acceleration during that step; null where details were not recorded"),
-    *_vector("ang_acc", "rad/s^2", "angular acceleration during that step, in world axes"),
-    _column("penetration_m", pa.float64(), "m", "greatest depth of its contacts at that step's beginning; 0 for none"),
+    _column("top_force_n", pa.float64(), "N", "force on the box's top during the step before the frame"),
+    *_vector("lin_acc", "m/s^2", "linear acceleration in the step before the frame; null without recorded details"),
+    *_vector("ang_acc", "rad/s^2", "angular acceleration in the step before the frame, world axes"),
+    _column(
+        "penetration_m",
+        pa.float64(),
+        "m",
+        "largest depth of the box's contacts at the beginning of the step before the frame; 0 without contacts",
+    ),
 )
 
 _FRAME_COLUMNS = (
     *_FRAME_KEY,
-    *_counts(n_placed="boxes in the world"),
+    *_counts(n_placed="number of placed boxes"),
     *_vector("carrier_pos", "m", "centre of the carrier", end="_m"),
     *_vector("carrier_quat", DIMENSIONLESS, "orientation of the carrier, unit quaternion", "wxyz"),
     *_vector("drive_force", "N", "force on the carrier during the step; null without a profile of forces", end="_n"),
-    *_vector("drive_acc", "m/s^2", "acceleration of the carrier during the step; null without such a profile"),
+    *_vector(
+        "drive_acc", "m/s^2", "acceleration of the carrier during the step; null without a profile of accelerations"
+    ),
 )
 
 _CONTACT_COLUMNS = (
     *_FRAME_KEY,
     *_counts(body_1="first body: index of a box, -1 carrier, -2 floor", body_2="second body"),
-    *_vector("point", "m", "where they touch, world axes", end="_m"),
+    *_vector("point", "m", "point at which the two bodies touch, world axes", end="_m"),
     *_vector("normal", DIMENSIONLESS, "unit vector from the first body to the second"),
     *_vector("force", "N", "force of the first body on the second, world axes", end="_n"),
-    _column("distance_m", pa.float64(), "m", "between the two; negative where they penetrate"),
+    _column("distance_m", pa.float64(), "m", "distance between the two bodies; negative if they penetrate"),
 )
 
 
-_NUMBER = _counts(number="number of the plan among those given, from 0, counting skipped ones")
+_NUMBER = _counts(number="number of the plan among all given plans, from 0; skipped plans are counted, too")
 """The column of the table ``plans`` by which the table is sorted."""
 
 _EXTENT_COLUMNS = (
-    _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
-    _column("extent_x_m", pa.float64(), "m", "extent of its bounding box along x"),
-    _column("extent_y_m", pa.float64(), "m", "extent of its bounding box along y"),
-    _column("height_m", pa.float64(), "m", "height of its highest box above the carrier"),
+    _column("volume_m3", pa.float64(), "m^3", "sum of the volumes of the plan's boxes"),
+    _column("extent_x_m", pa.float64(), "m", "extent of the plan's bounding box along x"),
+    _column("extent_y_m", pa.float64(), "m", "extent of the plan's bounding box along y"),
+    _column("height_m", pa.float64(), "m", "height of the highest top of a box above the carrier"),
 )
 """Columns of the table ``plans`` with the volume and the extents of a plan's boxes."""
 
 _PLACEMENT_COLUMNS = (
     *_texts(plan_id="id of the packing plan", item_id="id of the item", article="article of the item"),
-    *_texts(product_group="of the item; null where no item of the plan has one"),
-    *_texts(material="what it is made of; null where the plan says it of no box"),
-    *_texts(kind="box, sheet, or the name of a pallet; null where all are boxes"),
+    *_texts(product_group="product group of the item; null if no item of the plan has one"),
+    *_texts(material="material of the box; null if the plan gives no material"),
+    *_texts(kind="kind of the item: box, sheet, or the name of a pallet; null if all items are boxes"),
     *_vector("size", "mm", "extent of the box as it stands", end="_mm"),
     *_vector("corner", "mm", "front-left-bottom corner", end="_mm"),
-    *_vector("mass_center", "mm", "centre of mass from the middle; null where the plan gives none", end="_mm"),
+    *_vector("mass_center", "mm", "centre of mass from the middle of the box; null if the plan gives none", end="_mm"),
     _column("mass_kg", pa.float64(), "kg", "mass"),
     _column("sequence", pa.int64(), DIMENSIONLESS, "number of the item in the order"),
-    _column("orientation", pa.int8(), DIMENSIONLESS, "1: the item's own length lies along y; null where not given"),
+    _column(
+        "orientation", pa.int8(), DIMENSIONLESS, "1: the item's own length lies along y; 0: along x; null if not given"
+    ),
     *(
-        _column(name, pa.float64(), field.unit, f"{name} of the plan; NaN where not given for a box, null for no box")
+        _column(
+            name,
+            pa.float64(),
+            field.unit,
+            f"{name} of the plan; NaN: not given for this box; null: not given for any box",
+        )
         for name, field in SPARSE.items()
     ),
 )
 """Columns of ``placements``: the fields of ``Plan``, one row per box in packing order."""
 
 _ORDER_COLUMNS = _counts(
-    ordered_boxes="boxes of the plan's order; null where it has none",
-    left_out="boxes that were ordered, but are not in the plan",
-    not_ordered="boxes in the plan that were not ordered",
-    resized="boxes of the plan that were ordered with another size, mass, centre of mass, stiffness or kind",
+    ordered_boxes="number of boxes of the plan's order; null if the plan has no order",
+    left_out="number of boxes that were ordered, but are not in the plan",
+    not_ordered="number of boxes in the plan that were not ordered",
+    resized="number of boxes that were ordered with another size, mass, centre of mass, stiffness or kind",
 )
 """Columns of the table ``plans`` with the comparison of a plan and its order."""
 
@@ -246,7 +266,9 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
             ``petmjx.plans.order_matching.PlanOrderCounts``.
     """
     texts = _texts(
-        plan_id="id of the packing plan", digest="of everything that affects results", source="the file it came from"
+        plan_id="id of the packing plan",
+        digest="digest of everything in the plan that affects results",
+        source="file from which the plan was read",
     )
     return _schema("plans", [*texts, *_EXTENT_COLUMNS, *_NUMBER, *(_ORDER_COLUMNS if ordered else ())])
 
