@@ -43,7 +43,7 @@ Target = Annotated[
     typer.Option(
         "--target",
         metavar="NAME|LxW",
-        help="What orders are packed on whose file does not say it: euro-pallet, rollcontainer, or sizes in mm such as "
+        help="Carrier of orders whose file names none: euro-pallet, rollcontainer, or sizes in mm such as "
         "1200x1000.  [default: the file's container if it is a pallet, else euro-pallet]",
     ),
 ]
@@ -59,7 +59,7 @@ PlansOrRun = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="PLANS|DIR",
-        help="Or the folder of a run, whose options are then used; if its plan files were moved, name them after it. "
+        help="Or the folder of a run, whose options are then used; name its plan files after it if they were moved. "
         "Without any: the bundled samples.",
     ),
 ]

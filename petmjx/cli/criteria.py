@@ -39,7 +39,7 @@ def criteria(
         typer.Option(
             "--run",
             metavar="DIR",
-            help="Results of petmjx score of these plans, to compare with. Without PLANS: of its own.",
+            help="Folder of a run of these plans, to compare the criteria with. Without PLANS: the plans of the run.",
         ),
     ] = None,
     out: Annotated[

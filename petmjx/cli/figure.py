@@ -15,8 +15,8 @@ from petmjx.common.text import printable
 _file = partial(opt.file_option, section="A figure for a paper")
 
 Pdf = Annotated[Path | None, _file("--pdf", "Draw the results as a figure: vectors and text, as PDF.")]
-Svg = Annotated[Path | None, _file("--svg", "The same as SVG.")]
-Png = Annotated[Path | None, _file("--png", "The same as a picture.")]
+Svg = Annotated[Path | None, _file("--svg", "Draw the figure as SVG.")]
+Png = Annotated[Path | None, _file("--png", "Draw the figure as a picture (PNG).")]
 
 
 def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite: bool, *read: Any) -> list[Path]:

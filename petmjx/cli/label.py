@@ -47,7 +47,7 @@ def label(
         typer.Option(
             "--pallets",
             metavar="N",
-            help="Pallets side by side; labels do not depend on it. [default: 4096 on a GPU, else 64]",
+            help="Pallets that are packed side by side; the number changes no label. [default: 4096 on a GPU, else 64]",
         ),
     ] = None,
     max_height_mm: Annotated[

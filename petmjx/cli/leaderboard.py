@@ -46,7 +46,7 @@ def leaderboard(
         ),
     ] = None,
     stories: Annotated[
-        int, typer.Option("--stories", metavar="N", min=0, help="Pages to play of N plans of each packer.")
+        int, typer.Option("--stories", metavar="N", min=0, help="Make playable pages of N plans of each packer.")
     ] = 3,
     replays: Annotated[
         int,
@@ -54,7 +54,7 @@ def leaderboard(
             "--replays",
             metavar="N",
             min=0,
-            help="Plans of each run that are simulated again, to confirm it.",
+            help="Number of plans of each run that are simulated again, to confirm the run.",
         ),
     ] = 8,
     overwrite: opt.Overwrite = False,

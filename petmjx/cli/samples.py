@@ -82,7 +82,7 @@ def samples(
             "--lookahead",
             metavar="K",
             min=1,
-            help="Boxes that the packer learned sees of those that come next; it may place any of them.  [default: 1]",
+            help="Number of next boxes that the packer learned sees; it may place any of them.  [default: 1]",
         ),
     ] = None,
     workers: Annotated[
@@ -91,7 +91,7 @@ def samples(
             "--workers",
             metavar="N",
             min=1,
-            help="Number of processes that pack (physical: that search). It does not change the plans.  "
+            help="Number of processes that pack (physical: that search), which does not change the plans.  "
             "[default: one for each CPU]",
         ),
     ] = None,

@@ -22,8 +22,8 @@ Names = Annotated[
     typer.Option(
         "--name",
         metavar="NAME=PLANS",
-        help="Plans of several packers for the same orders: --name A=a.json B=b.json. The results of each go to a "
-        "subfolder of --out with its name; then the packers are compared.",
+        help="Plans of several packers for the same orders: --name A=a.json B=b.json. The results of each packer "
+        "go to a subfolder of --out with the packer's name; then the packers are compared.",
     ),
 ]
 

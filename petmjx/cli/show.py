@@ -35,15 +35,20 @@ _file = partial(opt.file_option, section=DRAWN)
 def show(
     plan_id: Annotated[str, typer.Argument(metavar="PLAN_ID", help="Id of the plan.")],
     source: opt.PlansOrRun = None,
-    html: Annotated[Path | None, _file("--html", "A page to play it: one file that needs no network.")] = None,
+    html: Annotated[
+        Path | None, _file("--html", "A page that plays the simulation: one file that needs no network.")
+    ] = None,
     png: Annotated[Path | None, _file("--png", "A picture, or a row of pictures.")] = None,
-    pdf: Annotated[Path | None, _file("--pdf", "A row of pictures, for a paper: its labels are text.")] = None,
-    svg: Annotated[Path | None, _file("--svg", "The same as SVG.")] = None,
+    pdf: Annotated[Path | None, _file("--pdf", "A row of pictures for a paper, as PDF; labels are text.")] = None,
+    svg: Annotated[Path | None, _file("--svg", "A row of pictures for a paper, as SVG.")] = None,
     gif: Annotated[Path | None, _file("--gif", "A film.")] = None,
     mp4: Annotated[Path | None, _file("--mp4", "A film.")] = None,
     rrd: Annotated[Path | None, _file("--rrd", "A recording for rerun's viewer; needs the extra rerun.")] = None,
     viewer: Annotated[
-        bool, typer.Option("--viewer", help="Play it in MuJoCo's viewer, on a display.", rich_help_panel=DRAWN)
+        bool,
+        typer.Option(
+            "--viewer", help="Play the simulation in MuJoCo's viewer; needs a display.", rich_help_panel=DRAWN
+        ),
     ] = False,
     repaired: Annotated[
         bool,

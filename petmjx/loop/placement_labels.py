@@ -71,21 +71,30 @@ PAUSE_S: Final = 0.02
 
 COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "order": (pa.int64(), "number of the order in its source, from 0"),
-    "episode": (pa.int64(), "number of the episode; one order has several if the source has too few"),
-    "step": (pa.int32(), "number of the label in its episode"),
-    "careful": (pa.bool_(), "whether the place is one of a careful packer's, or any"),
+    "episode": (
+        pa.int64(),
+        "number of the episode; an order has several episodes if there are fewer orders than episodes",
+    ),
+    "step": (pa.int32(), "number of the label within its episode"),
+    "careful": (pa.bool_(), "whether a careful packer chose the place; if not, the place is random"),
     "size_mm": (
         pa.list_(pa.list_(pa.float64(), 3)),
-        "extents of all boxes of the pallet as they stand; the last is new",
+        "extents of all boxes of the pallet as they stand; the new box is the last",
     ),
-    "corner_mm": (pa.list_(pa.list_(pa.float64(), 3)), "front-left-bottom corners of the same boxes"),
-    "mass_kg": (pa.list_(pa.float64()), "masses of the same boxes"),
-    "stands": (pa.bool_(), "whether a score says that the pallet with the new box is stable; null: it has no verdict"),
-    "reason": (pa.string(), "why it is not: drop, tilt or shift, or why there is no verdict"),
-    "culprit": (pa.int32(), "the box that failed first, counted from 0; null: none did"),
-    "margin": (pa.float32(), "distance to the nearest threshold, as in the column margin of a run; null: no verdict"),
-    "share": (pa.float32(), "share of worlds with errors in which it stands; null: not simulated"),
-    "top_force_n": (pa.list_(pa.float32()), "force on the top of each box at rest, N; null: it did not come to rest"),
+    "corner_mm": (pa.list_(pa.list_(pa.float64(), 3)), "front-left-bottom corners of all boxes of the pallet"),
+    "mass_kg": (pa.list_(pa.float64()), "masses of all boxes of the pallet"),
+    "stands": (pa.bool_(), "whether the pallet with the new box is stable in a score; null if it has no verdict"),
+    "reason": (pa.string(), "reason why the pallet is not stable (drop, tilt or shift), or why it has no verdict"),
+    "culprit": (pa.int32(), "number of the box that failed first, from 0; null if no box failed"),
+    "margin": (
+        pa.float32(),
+        "distance to the nearest threshold, as in the column margin of a run; null without a verdict",
+    ),
+    "share": (pa.float32(), "share of worlds with errors in which the pallet stands; null if they were not simulated"),
+    "top_force_n": (
+        pa.list_(pa.float32()),
+        "force on the top of each box at rest, N; null if the pallet did not come to rest",
+    ),
 }
 """Name of a column of labels → type and meaning of the column."""
 

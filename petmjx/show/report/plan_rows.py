@@ -62,15 +62,17 @@ NUMBERS: Final = (
         "margin", "margin", "margin", digits=2, meaning="1: nothing moved, 0: on a threshold, below 0: beyond"
     ),
     NumberColumn("share", "share", "stand", "%", 1, 100.0, meaning="share of worlds with errors that stand or arrive"),
-    NumberColumn("low", "low", "from", "%", 1, 100.0, meaning="lower end of its Wilson 95 % interval"),
-    NumberColumn("high", "high", "to", "%", 1, 100.0, meaning="upper end of it"),
+    NumberColumn("low", "low", "from", "%", 1, 100.0, meaning="lower end of the share's Wilson 95 % interval"),
+    NumberColumn("high", "high", "to", "%", 1, 100.0, meaning="upper end of the share's Wilson 95 % interval"),
     NumberColumn("n_boxes", "boxes", "boxes"),
-    NumberColumn("n_placed", "placed", "placed", meaning="boxes placed before the world ended"),
-    NumberColumn("n_dropped", "dropped", "dropped", meaning="boxes that fell"),
+    NumberColumn("n_placed", "placed", "placed", meaning="number of boxes placed before the world ended"),
+    NumberColumn("n_dropped", "dropped", "dropped", meaning="number of boxes that fell"),
     NumberColumn(
         "culprit", "first", "first box", meaning="box that first crossed a threshold, in packing order from 0"
     ),
-    NumberColumn("first_sign_s", "sign", "first sign", "s", 2, meaning="when it crossed the threshold"),
+    NumberColumn(
+        "first_sign_s", "sign", "first sign", "s", 2, meaning="time at which the first box crossed a threshold"
+    ),
     NumberColumn(
         "max_shift_m", "shift", "shift", "mm", 1, MM_PER_M, meaning="largest component of any box’s final shift"
     ),
