@@ -361,7 +361,7 @@ class Criterion:
 def _support(name: str, share: float) -> Criterion:
     return Criterion(
         name,
-        f"at least {100 * share:.0f} % of the base is borne",
+        f"at least {100 * share:.0f} % of the box's base is borne",
         f"borne share - {share:g}",
         DIMENSIONLESS,
         "Bortfeldt & Wäscher 2013",
@@ -375,8 +375,8 @@ def _corner_area(name: str, least: tuple[float, float, float], source: str) -> C
     four, three, fewer = (f"{100 * share:.0f} %" for share in least)
     return Criterion(
         name,
-        f"more than {four} of the base is borne with 4 corners, {three} with 3, {fewer} with fewer",
-        "borne share - share asked for",
+        f"more than {four} of the box's base is borne with 4 supported corners, {three} with 3, {fewer} with fewer",
+        "borne share of the base - required share",
         DIMENSIONLESS,
         source,
         lambda inputs: corner_and_area_slack(inputs.share, inputs.corners, least),
@@ -388,8 +388,8 @@ CRITERIA: Final = (
     *(_support(name, share) for name, share in SUPPORT_CRITERIA.items()),
     Criterion(
         "three_corners",
-        f"at least {LEAST_CORNERS} of the 4 bottom corners lie on something",
-        f"corners borne - {LEAST_CORNERS}",
+        f"at least {LEAST_CORNERS} of the box's 4 bottom corners lie on something",
+        f"number of supported corners - {LEAST_CORNERS}",
         DIMENSIONLESS,
         "Paquay, Schyns, Limbourg 2016",
         lambda inputs: (inputs.corners - LEAST_CORNERS).astype(np.float64),
@@ -398,8 +398,8 @@ CRITERIA: Final = (
     _corner_area("corner_area_code", CORNER_AREA_CODE, "Zhao et al. 2021, code"),
     Criterion(
         "centre",
-        "its centre lies over the hull of its contact areas",
-        "distance of the centre from the hull's edge, inwards",
+        "the box's centre lies over the hull of its contact areas",
+        "distance of the box's centre inside the hull's edge",
         _MM,
         "common",
         lambda inputs: inputs.hulls.distance(np.arange(inputs.contacts.n_boxes), inputs.contacts.centre_mm[:, :2]),
@@ -407,8 +407,8 @@ CRITERIA: Final = (
     ),
     Criterion(
         "load_polygon",
-        "its centre lies over the hull of its contact areas, as far as these can bear loads",
-        "distance of the centre from that hull's edge, inwards",
+        "the box's centre lies over the hull of those parts of its contact areas that can bear loads",
+        "distance of the box's centre inside the hull's edge",
         _MM,
         "Gao et al. 2025, arXiv 2507.09123",
         lambda inputs: load_polygon_slack(inputs.contacts),
@@ -416,8 +416,8 @@ CRITERIA: Final = (
     ),
     Criterion(
         "stacking_tree",
-        "weight and load, passed down by the lever rule, lie over the contact hull, here and below",
-        "least distance of the resultant from a hull's edge, inwards",
+        "weight and load, passed down by the lever rule, act inside the contact hull of the box and of all boxes below",
+        "smallest distance of a resultant inside its hull's edge",
         _MM,
         "Zhao et al. 2022, arXiv 2108.13680",
         lambda inputs: load_slack(inputs.contacts, inputs.hulls, lever_rule),
@@ -425,8 +425,8 @@ CRITERIA: Final = (
     ),
     Criterion(
         "equilibrium",
-        "weight and load, passed down in balance, lie over the contact hull, here and below",
-        "least distance of the resultant from a hull's edge, inwards",
+        "weight and load, passed down in balance, act inside the contact hull of the box and of all boxes below",
+        "smallest distance of a resultant inside its hull's edge",
         _MM,
         "Ramos et al. 2016",
         lambda inputs: equilibrium_slack(inputs.contacts, inputs.hulls),
@@ -444,7 +444,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         LEANING,
-        "such forces exist if boxes may also press on walls, and on neighbours that they touch side by side",
+        "forces exist that balance every box, if boxes may also press on walls and on neighbours beside them",
         "share of an even load that every corner can carry",
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
@@ -454,8 +454,9 @@ CRITERIA: Final = (
     ),
     Criterion(
         "strength",
-        "neither it nor a box that bears part of it carries more than its strength, by loads passed down in balance",
-        "1 - load / strength, the least of these boxes with a strength; 1 without a known strength",
+        "neither the box nor a box that bears part of it carries more than its strength, if loads are passed down in "
+        "balance",
+        "1 - load / strength: the smallest value of these boxes; 1 without a known strength",
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
@@ -463,8 +464,8 @@ CRITERIA: Final = (
     ),
     Criterion(
         "tolerable_acceleration",
-        f"neither it nor the load placed by then slides or tips at {LEAST_TOLERABLE_G:g} g, as rigid bodies",
-        f"least of friction and of distances of centres from edges / their heights, - {LEAST_TOLERABLE_G:g}",
+        f"neither the box nor the whole load placed so far slides or tips as a rigid body at {LEAST_TOLERABLE_G:g} g",
+        f"smallest acceleration at which the box or the load slides or tips, - {LEAST_TOLERABLE_G:g}",
         DIMENSIONLESS,
         "EN 12195-1:2010, and statics",
         lambda inputs: (
@@ -477,7 +478,7 @@ CRITERIA: Final = (
     Criterion(
         "load_points",
         f"the load has at least {LEAST_POINTS:g} of {sum(MOST_POINTS.values()):g} points by five rules of a seller",
-        f"points - {LEAST_POINTS:g} at the last box; {sum(MOST_POINTS.values()) - LEAST_POINTS:g} at the others",
+        f"points - {LEAST_POINTS:g} for the last box; {sum(MOST_POINTS.values()) - LEAST_POINTS:g} for all other boxes",
         DIMENSIONLESS,
         "a seller's rule of thumb, with formulas of petmjx's own",
         lambda inputs: load_points_slack(inputs.contacts),

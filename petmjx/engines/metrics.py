@@ -280,8 +280,9 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "plan_edge_m", "m",
         {"plan_edge_m": "distance of the box's load from the edge of its supports, in the plan; < 0 beyond the edge"},
         SampleAt.PLAN,
-        "the smaller of two distances from the edge: that of the box's own weight, and that of its load (own weight "
-        "and all boxes on it); only that of the load, if the load is inside and the own weight is not",
+        "the smaller of two distances from the edge of the box's supports: the distance of the box's own weight, and "
+        "the distance of its load (own weight and all boxes on it); if the load is inside the edge and the own weight "
+        "is not, the distance of the load",
         compared=False,
     ),
     BoxMetric(
