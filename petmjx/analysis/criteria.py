@@ -21,14 +21,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from petmjx.analysis.force_balance import NO_SLACK, Friction, balance_slack
-from petmjx.analysis.load_paths import (
-    equilibrium_slack,
-    even_bedding,
-    lever_rule,
-    load_polygon_slack,
-    load_slack,
-    strength_slack,
-)
+from petmjx.analysis.load_paths import equilibrium_slack, even_bedding, lever_rule, load_slack, strength_slack
+from petmjx.analysis.load_polygons import load_polygon_slack
 from petmjx.analysis.plan_contacts import (
     N_CORNERS,
     ON_EDGE_MM,

@@ -75,9 +75,9 @@ def label(
     """
     from petmjx.cli.run_command import RunInterrupted
     from petmjx.loop.label_files import write_labels
-    from petmjx.loop.label_parts import n_unfinished
     from petmjx.loop.order_sources import ENDLESS, Orders, order_reading
     from petmjx.loop.placement_labels import Labeller
+    from petmjx.loop.unfinished_labels import n_unfinished
     from petmjx.show.progress import progress
 
     count = integer_of(n, "-n", 1, MOST_LABELS)

@@ -1,8 +1,8 @@
 """Writes labels (placements of boxes with the result of a simulation, as training data). There is a Parquet table for
 each split (training, validation, test), and a card that describes the tables and states how accurate simple rules are.
 
-While labels are made, they are written as parts (petmjx.loop.label_parts). The tables are made from the parts at the
-end.
+While labels are made, they are written as parts (petmjx.loop.unfinished_labels). The tables are made from the parts at
+the end.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text, printable
-from petmjx.loop.label_parts import (
+from petmjx.loop.placement_labels import COLUMNS, SCHEMA, SPLITS, Label, Labeller, plans_of_labels
+from petmjx.loop.unfinished_labels import (
     SPLIT,
     TABLE,
     UNFINISHED,
@@ -39,7 +40,6 @@ from petmjx.loop.label_parts import (
     labels_of,
     n_unfinished,
 )
-from petmjx.loop.placement_labels import COLUMNS, SCHEMA, SPLITS, Label, Labeller, plans_of_labels
 from petmjx.packers.learned_packer import placement_stability
 from petmjx.results.folder_lock import held_folder_lock
 from petmjx.results.run_folder import part_files

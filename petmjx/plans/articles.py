@@ -1,9 +1,6 @@
 """Tables of articles (``Articles``) from users' files: properties of boxes by article, product group or material.
 
-The properties are material, centre of mass, stiffness and strength. A strength is given in newtons, or is computed from
-the carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression strength formula for corrugated boxes",
-Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness · perimeter). The formula gives the strength of a
-new box in a press; the strength in use is this strength divided by a safety factor.
+The properties are material, centre of mass, stiffness and strength (petmjx.plans.carton_strength).
 """
 
 from __future__ import annotations
@@ -25,6 +22,7 @@ from petmjx.common.arrow_files import parquet_rows
 from petmjx.common.checked_records import read_toml, reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import number_in, printable, printable_name
+from petmjx.plans.carton_strength import CartonStrength
 from petmjx.plans.file_formats import (
     COMMA_NUMBER,
     CSV_SUFFIXES,
@@ -42,9 +40,6 @@ from petmjx.plans.file_formats import (
 from petmjx.plans.json_reader import read_text_bytes
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_axes, joined_names, kind
-
-MCKEE: Final = 5.87
-"""Factor of McKee's formula in its simple form, without a unit."""
 
 _KEYS: Final = ("article", "product_group")
 _STIFFNESS: Final = "stiffness_n_mm"
@@ -73,32 +68,6 @@ _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group",
 
 
 @dataclass(frozen=True)
-class Strength:
-    """The strength that one row of a table of articles gives: in newtons, or through properties of the cartons' board.
-
-    Attributes:
-        strength_n: strength, N. If None, the strength is computed from the board by McKee's formula.
-        ect_kn_m: edge crush strength of the board, kN/m.
-        thickness_mm: thickness of the board, mm.
-        safety_factor: divisor of the strength. If None, the strength is not divided.
-    """
-
-    strength_n: float | None = None
-    ect_kn_m: float | None = None
-    thickness_mm: float | None = None
-    safety_factor: float | None = None
-
-    def of_box(self, length_mm: float, width_mm: float) -> float:
-        """The largest load that a box with a base of ``length_mm`` × ``width_mm`` can bear, N."""
-        strength = self.strength_n
-        if strength is None:
-            perimeter_mm = 2 * (length_mm + width_mm)
-            # kN/m is N/mm
-            strength = MCKEE * (self.ect_kn_m or 0.0) * math.sqrt((self.thickness_mm or 0.0) * perimeter_mm)
-        return strength / (self.safety_factor or 1.0)
-
-
-@dataclass(frozen=True)
 class Article:
     """The properties of an article, a product group or a material. A property that the table does not give is None.
 
@@ -109,7 +78,7 @@ class Article:
         stiffness_n_mm: stiffness of the boxes, N/mm, as in ``Plan``.
     """
 
-    strength: Strength | None = None
+    strength: CartonStrength | None = None
     material: str | None = None
     com_mm: tuple[float, float, float] | None = None
     stiffness_n_mm: float | None = None
@@ -214,7 +183,7 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
     return keys[0], str(values[keys[0]]), Article(bears, material, com_mm, stiffness)
 
 
-def _strength(where: str, numbers: Mapping[str, float]) -> Strength:
+def _strength(where: str, numbers: Mapping[str, float]) -> CartonStrength:
     board = [field for field in _BOARD if field not in numbers]
     if _SIMPLE in numbers and any(field in numbers for field in _BOARD[:2]):
         raise InputError(f"{where}: give either {_SIMPLE}, or {joined_names(_BOARD)}")
@@ -223,7 +192,7 @@ def _strength(where: str, numbers: Mapping[str, float]) -> Strength:
         raise InputError(
             f"{where}: needs {_SIMPLE}, or {joined_names(_BOARD)}; of these {joined_names(board)} {verb} missing"
         )
-    return Strength(**numbers)
+    return CartonStrength(**numbers)
 
 
 def _number(where: str, field: str, value: Any) -> float:

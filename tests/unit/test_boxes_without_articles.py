@@ -90,4 +90,4 @@ def test_names_in_scripts_of_pages(tmp_path: Path) -> None:
     assert json.loads(done.stdout) == ["9", "9 tea", "", "tea", "item 7", "tea (item 7)"]
     for name, used in (("colours.js", "NO_ARTICLE"), ("card.js", "goodsOf"), ("story.js", "labelOf")):
         assert f"{used}" in (STATIC / name).read_text(encoding="utf-8")
-    assert "(${this.rows.text" not in (STATIC / "plan.js").read_text(encoding="utf-8")
+    assert "(${this.rows.text" not in (STATIC / "plan_view.js").read_text(encoding="utf-8")

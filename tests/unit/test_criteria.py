@@ -32,7 +32,8 @@ from petmjx.analysis.criteria import (
 )
 from petmjx.analysis.criteria_vs_physics import ARRIVES, CELLS
 from petmjx.analysis.force_balance import Friction, _slack_alone, _VerticalSystem, balance_slack
-from petmjx.analysis.load_paths import even_bedding, load_polygons, load_slack
+from petmjx.analysis.load_paths import even_bedding, load_slack
+from petmjx.analysis.load_polygons import load_polygons
 from petmjx.analysis.plan_contacts import contact_hulls, find_contacts
 from petmjx.common.errors import InputError
 from petmjx.world.history import CARRIER

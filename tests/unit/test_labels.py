@@ -22,9 +22,9 @@ import petmjx
 from petmjx.cli import main
 from petmjx.common.errors import InputError
 from petmjx.loop.label_files import CARD, README, RULES, baselines, label_files, write_labels
-from petmjx.loop.label_parts import LabelParts, labels_of
 from petmjx.loop.order_sources import Boxes, Orders, order_reading
 from petmjx.loop.placement_labels import COLUMNS, SPLITS, Label, Labeller, plans_of_labels, split_of
+from petmjx.loop.unfinished_labels import LabelParts, labels_of
 
 MUJOCO: dict[str, Any] = {"engine": "mujoco", "threads": 1}
 
@@ -300,7 +300,7 @@ def test_labels_of_another_version_are_not_resumed(begun: Path, monkeypatch: pyt
     schema = pq.read_schema(next((begun / "parts").rglob("*.parquet")))
     masses = pa.field("mass_kg", pa.list_(pa.float32()))
     other = schema.set(schema.get_field_index("mass_kg"), masses)
-    monkeypatch.setattr("petmjx.loop.label_parts._PART_SCHEMA", other)
+    monkeypatch.setattr("petmjx.loop.unfinished_labels._PART_SCHEMA", other)
     orders = begun.parent / "orders.csv"
     with pytest.raises(InputError, match=r"labels of another version of petmjx; make the labels again"):
         write_labels(labeller_of(orders), 60, begun, source=orders, resume=True)

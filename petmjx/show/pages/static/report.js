@@ -4,7 +4,7 @@ import { readBlock, readInfo } from "./blocks.js";
 import { byId } from "./dom.js";
 import { Filters } from "./filters.js";
 import { readState, writeState } from "./fragment.js";
-import { PlanView } from "./plan.js";
+import { PlanView } from "./plan_view.js";
 import { Rows } from "./rows.js";
 import { Table } from "./table.js";
 
