@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -72,8 +73,11 @@ def _all(
 
 
 @pytest.fixture(scope="module")
-def kernel() -> Any:
-    return with_cpp(_all, newton.source("block.cuh"))
+def kernel() -> Iterator[Any]:
+    """A kernel that runs only for moments: without optimisation it takes half as long to compile."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("warp.config.optimization_level", 0)
+        yield with_cpp(_all, newton.source("block.cuh"))
 
 
 def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, State, State]:
