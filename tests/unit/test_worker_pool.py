@@ -98,11 +98,19 @@ def run(kind: str, folder: Path, **options: Any) -> petmjx.RunResults:
     return petmjx.sweep(file, PLANS[4:7], out=folder / "out", **options)
 
 
-@pytest.mark.parametrize("kind", ["score", "grid", "search"])
-def test_tables_are_those_of_a_run_without_workers(kind: str, tmp_path_factory: pytest.TempPathFactory) -> None:
-    alone = run(kind, tmp_path_factory.mktemp("alone"), engine="mujoco", threads=1)
-    shared = run(kind, tmp_path_factory.mktemp("shared"), engine="mujoco", workers=2, threads=1)
-    assert_same(shared, tables(alone))
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, petmjx.RunResults]:
+    """Kind → a run in one process."""
+    kinds = ("score", "grid", "search")
+    return {kind: run(kind, tmp_path_factory.mktemp("alone"), engine=MujocoEngine(1)) for kind in kinds}
+
+
+@pytest.mark.parametrize("kind", ["grid", "search"])
+def test_tables_are_those_of_a_run_without_workers(
+    kind: str, alone: dict[str, petmjx.RunResults], tmp_path: Path
+) -> None:
+    shared = run(kind, tmp_path, engine="mujoco", workers=2, threads=1)
+    assert_same(shared, tables(alone[kind]))
     assert shared.info["config"]["engine_reason"] == "as asked for, in 2 workers"
     assert shared.info["device"].startswith("2 workers: ")
     assert shared.info["device"].endswith(", 1 thread")
@@ -140,41 +148,41 @@ def test_gpu_workers_give_the_tables_of_one_process(kind: str, tmp_path_factory:
 
 
 @pytest.mark.parametrize("least", [None, 1])
-@pytest.mark.parametrize("kind", ["score", "grid"])
 def test_workers_that_are_killed_change_no_table(
-    kind: str,
     least: int | None,
     pool: WorkerPool,
+    alone: dict[str, petmjx.RunResults],
     tmp_path_factory: pytest.TempPathFactory,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """``least``: if a number, jobs are dealt as to devices."""
     monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mujoco": least})
-    alone = run(kind, tmp_path_factory.mktemp("alone"), engine=MujocoEngine(1))
-    killer = Killer(pool, every=8 if least is None else 12)  # a world whose workers die three times would be blamed
-    shared = run(kind, tmp_path_factory.mktemp("shared"), engine=pool, watcher=killer)
-    assert killer.killed >= 1
-    assert_same(shared, tables(alone))
+    for kind in ("score", "grid"):
+        killer = Killer(pool, every=8 if least is None else 12)  # a world whose workers die three times would be blamed
+        shared = run(kind, tmp_path_factory.mktemp("shared"), engine=pool, watcher=killer)
+        assert killer.killed >= 1
+        assert_same(shared, tables(alone[kind]))
 
 
-@pytest.mark.parametrize("least", [None, 1, 10])
-def test_jobs_are_simulated_as_they_come(least: int | None, pool: WorkerPool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Jobs that follow from outcomes are simulated while the source still makes jobs."""
-    monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mujoco": least})
-    stream = JobStream[str](feedback=True, begin_with=2)
-    for tag in ("a", "b"):
-        stream.put(Job(fake_scene(1.0)), tag, bounded=True)
-    tags = []
-    for outcome in pool.run(stream, SHORT):
-        tags.append(tag := stream.answered(outcome.job))
-        if len(tag) < 3:
-            stream.put(Job(fake_scene(1.0, 2.0)), tag + "'")
-        if tag == "b''":
-            stream.put(Job(fake_scene(3.0)), "c", bounded=True)
-            stream.close()
-            stream.put(Job(fake_scene(3.0)), "d''")
-    assert sorted(tags) == ["a", "a'", "a''", "b", "b'", "b''", "c", "c'", "c''", "d''"]
-    assert not stream.in_flight
+def test_jobs_are_simulated_as_they_come(pool: WorkerPool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jobs that follow from outcomes are simulated while the source still makes jobs. ``least``: if a number, jobs are
+    dealt as to devices."""
+    for least in (None, 1, 10):
+        monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mujoco": least})
+        stream = JobStream[str](feedback=True, begin_with=2)
+        for tag in ("a", "b"):
+            stream.put(Job(fake_scene(1.0)), tag, bounded=True)
+        tags = []
+        for outcome in pool.run(stream, SHORT):
+            tags.append(tag := stream.answered(outcome.job))
+            if len(tag) < 3:
+                stream.put(Job(fake_scene(1.0, 2.0)), tag + "'")
+            if tag == "b''":
+                stream.put(Job(fake_scene(3.0)), "c", bounded=True)
+                stream.close()
+                stream.put(Job(fake_scene(3.0)), "d''")
+        assert sorted(tags) == ["a", "a'", "a''", "b", "b'", "b''", "c", "c'", "c''", "d''"]
+        assert not stream.in_flight
 
 
 class _Deadly:
