@@ -41,6 +41,9 @@ HALF = make_plan("half", stack(2, 200.0))
 FALLS = make_plan("falls", stack(2, 260.0))
 PLANS = [STANDS, HALF, FALLS]
 
+QUICK: dict[str, Any] = {"confidence": 4, "placing": "exact"}
+"""Few worlds, in which no hand carries boxes: that takes most of the steps."""
+
 SLOPPY = """
 [axes]
 placement_error_mm = 2
@@ -222,28 +225,28 @@ def test_sweeps_have_no_confidence(tmp_path: Path) -> None:
 
 
 def test_shards_give_the_same_and_runs_go_on(tmp_path: Path) -> None:
-    unsharded = score(confidence=4, out=tmp_path / "whole")
+    unsharded = score(**QUICK, out=tmp_path / "whole")
     expected = tables(unsharded)
     for share in (1, 2, 3):
-        score(confidence=4, shard=f"{share}/3", out=tmp_path / str(share))
+        score(**QUICK, shard=f"{share}/3", out=tmp_path / str(share))
     merged = petmjx.merge_runs([tmp_path / str(share) for share in (1, 2, 3)], tmp_path / "merged")
     assert_same(merged, expected)
     assert merged.units("summary") == unsharded.units("summary")
 
     (tmp_path / "whole/worlds/part-00000.parquet").unlink()
-    again = score(confidence=4, out=tmp_path / "whole", resume=True)
+    again = score(**QUICK, out=tmp_path / "whole", resume=True)
     assert_same(again, expected)
     with pytest.raises(InputError, match=r"another run \(confidence is 5, was 4\)"):
-        score(confidence=5, out=tmp_path / "whole", resume=True)
+        score(**QUICK | {"confidence": 5}, out=tmp_path / "whole", resume=True)
     other = write(tmp_path / "x.toml", "seed = 1" + SLOPPY)
     with pytest.raises(InputError, match=r"errors\.axes\.yaw_error_deg is none"):
-        score(confidence=4, errors=other, out=tmp_path / "whole", resume=True)
+        score(**QUICK, errors=other, out=tmp_path / "whole", resume=True)
     with pytest.raises(InputError, match=r"another run \(confidence is none, was 4\)"):
-        score(out=tmp_path / "whole", resume=True)
+        score(placing="exact", out=tmp_path / "whole", resume=True)
 
 
 def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
-    expected = tables(score(confidence=4))
+    expected = tables(score(**QUICK))
 
     class Interrupting(MujocoEngine):
         def run(self, *args: Any) -> Any:
@@ -251,10 +254,10 @@ def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        petmjx.score(PLANS, engine=Interrupting(1), confidence=4, out=tmp_path / "run")
+        petmjx.score(PLANS, engine=Interrupting(1), **QUICK, out=tmp_path / "run")
     assert petmjx.load_run(tmp_path / "run").info["counts"]["worlds"] == 5
     assert petmjx.load_run(tmp_path / "run").summary is None
-    assert_same(score(confidence=4, out=tmp_path / "run", resume=True), expected)
+    assert_same(score(**QUICK, out=tmp_path / "run", resume=True), expected)
 
 
 def written(

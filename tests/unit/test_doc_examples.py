@@ -152,6 +152,10 @@ def program_of(document: str) -> str:
     return "\n".join(steps)
 
 
+SHORTER = {"tutorials/train.md": {"range(10)": "range(4)", "24, seed=100": "12, seed=100"}}
+"""Page → replaced text: training takes half as long, and learns less."""
+
+
 @needs_pictures()
 @pytest.mark.parametrize("document", LESSONS)
 def test_lessons_run(document: str, tmp_path: Path) -> None:
@@ -160,7 +164,11 @@ def test_lessons_run(document: str, tmp_path: Path) -> None:
     pytest.importorskip("gymnasium")
     (tmp_path / "plans.csv").write_text(blocks("start.md", "csv")[0], encoding="utf-8")
     (tmp_path / "tilted.toml").write_text(blocks("tutorials/sweep.md", "toml")[0], encoding="utf-8")
-    printed = run_program(program_of(document), folder=tmp_path)
+    program = program_of(document)
+    for long, short in SHORTER.get(document, {}).items():
+        assert long in program
+        program = program.replace(long, short)
+    printed = run_program(program, folder=tmp_path)
     if match := re.search(r"(\d+)% stood before training, and (\d+)% stand now", printed):
         assert int(match[1]) + 30 < int(match[2])
     shown = [line for body in blocks(document, "console") for line in body.splitlines() if not line.startswith("$")]
