@@ -121,6 +121,7 @@ def test_a_solver_that_pauses_takes_the_same_steps(monkeypatch: pytest.MonkeyPat
     worlds."""
     made = Launch.of
     monkeypatch.setattr(Launch, "of", lambda *of: replace(made(*of), pause_after=2))
+    monkeypatch.setattr("warp.config.optimization_level", 0)  # compiling takes longer than these worlds
     assert_equal_worlds(simulate(engine(), tiny_scenes(), SHORT), crowd)
 
 
