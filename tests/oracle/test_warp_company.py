@@ -242,7 +242,6 @@ def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.Monkey
     scenes = {**tiny_scenes(), "five": make_scene(5), "nine": make_scene(9)}
     alike = simulate(engine(), scenes, SHORT)
     sizes_apart(monkeypatch, 4)
-    monkeypatch.setattr("warp.config.optimization_level", 0)  # compiling takes longer than these worlds
     queues = []
 
     class Watched(Queues):

@@ -103,7 +103,9 @@ def room_for_one_pool(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
-    """Use blocks of two sizes for tiny worlds, too. Both sizes have the same number of threads."""
+    """Use blocks of two sizes for tiny worlds, too. Both sizes have the same number of threads. The kernel of the small
+    blocks is compiled without optimisation, since compiling takes longer than these worlds."""
+    monkeypatch.setattr("warp.config.optimization_level", 0)
     small, large = block_launch.SIZES
     alike = replace(small, most_boxes=most_boxes), replace(small, most_boxes=large.most_boxes)
     monkeypatch.setattr(block_launch, "SIZES", alike)
