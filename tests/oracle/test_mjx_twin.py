@@ -101,7 +101,7 @@ def assert_alike(outcome: Outcome, expected: Outcome) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["hand-overhang-45", "uneven pile"])
+@pytest.mark.parametrize("name", ["hand-overhang-45", "hand-falls-off", "uneven pile"])
 def test_alone_as_in_a_full_batch(name: str) -> None:
     alone = simulate(jax_engine(), {name: scenes()[name]}, Simulation())[name]
     assert_alike(alone, jax_outcomes()[name])
