@@ -26,14 +26,18 @@ from petmjx.plans.size_and_place_columns import (
     array_choices,
     array_extras,
     corners_in,
+    other_sizes_in,
     places_in,
     sizes_in,
     with_half_extents,
+    with_last_cells,
 )
 from petmjx.plans.turn_columns import Turns, are_yes_or_no, turns_of
 
 GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
+_SECOND_SIZES: Final = 0.5
+"""Cost of a reading with the second of two sets of sizes, before any numbers are considered."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +101,12 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
         places, sizes = places_in(extraction), sizes_in(extraction)
         geometry = corners_in(extraction) if places is None or sizes is None else _geometry_of(sizes, places)
         geometries = [] if geometry is None else [geometry]
+        second = None if places is None or sizes is None else other_sizes_in(extraction, sizes)
+        if second is not None and places is not None:
+            geometries.append(replace(_geometry_of(second, places), prior=_SECOND_SIZES))
         turns = rotations_in(extraction)
-    geometries += [half for geometry in geometries if (half := with_half_extents(geometry)) is not None]
+    for other_way in (with_half_extents, with_last_cells):
+        geometries += [other for geometry in geometries if (other := other_way(geometry)) is not None]
     weight_index = weight_column(extraction)
     density_index = extraction.first("density") if weight_index is None else None
     if not source.boxes.table.has_header:
@@ -112,6 +120,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
         weight, weight_unit = extraction.densities(density_index)
     sequence_index = extraction.first("sequence", "sequence")
     sequence = None
+    if sequence_index is not None and all(cell in (None, "") for cell in extraction.cells(sequence_index)):
+        sequence_index = None
     if sequence_index is not None:
         sequence, _ = extraction.numbers(sequence_index, {"": 1.0})
         if len(sequence) > 2 and bool((sequence == sequence[0]).all()) and "sequence" not in extraction.fixed:

@@ -96,6 +96,9 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
             elif (ends := _ends_of_vertices(inner)) is not None:
                 for end, point in zip(("min", "max"), ends, strict=True):
                     flat |= {f"{path}.{end}[{axis}]": value for axis, value in enumerate(point)}
+            elif _are_two_points(inner) and _TWO_CORNERS.intersection(words_of(str(name))):
+                for end, point in zip(("min", "max"), inner, strict=True):
+                    flat |= {f"{path}.{end}[{axis}]": value for axis, value in enumerate(point)}
             elif len(inner) in _PARTS_OF_POSES and str(name).lower() in ("pose", "qpos"):
                 flat |= _parts_of_pose(path, inner)
             elif 0 < len(inner) <= _LISTED and not any(isinstance(cell, Mapping | list | tuple) for cell in inner):
@@ -106,6 +109,14 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
         else:
             flat[path] = inner
     return flat
+
+
+_TWO_CORNERS: Final = word_set("bbox aabb bounds corners")
+"""Words in names of lists with the two corners of a box, [[0, 0, 0], [400, 300, 200]]."""
+
+
+def _are_two_points(value: Sequence[Any]) -> bool:
+    return len(value) == 2 and all(isinstance(point, list | tuple) and len(point) == 3 for point in value)
 
 
 _SHAPES: Final = word_set(

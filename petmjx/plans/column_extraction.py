@@ -30,6 +30,7 @@ from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.raw_cells import (
     CellNumber,
     are_grouped,
+    cell_corners,
     cell_number,
     cell_text,
     cell_triple,
@@ -117,6 +118,12 @@ class ColumnExtraction:
             if not cells:
                 continue
             words = words_of(self.table.header[index])
+            if any(isinstance(cell, str) and cell[:1] in "([{" and cell_corners(cell) for cell in cells[:3]) and sum(
+                map(bool, map(cell_corners, cells))
+            ) * 2 > len(cells):
+                unit = "" if meaning is None else meaning.unit
+                self.meanings[index] = ColumnMeaning("corners", unit=unit if unit in LENGTH_UNITS else "")
+                continue
             if not kinds & {"position", "positions", "low"} and all(map(_has_named_axes, cells)):
                 self.meanings[index] = ColumnMeaning("positions")
                 continue
@@ -214,16 +221,34 @@ class ColumnExtraction:
 
     def triples(self, index: int) -> tuple[FloatArray, str]:
         """(n, 3) numbers of a column with three numbers per cell. Also returns the unit of the numbers."""
+        cells = [cell_triple(cell, self.table.decimal) for cell in self.cells(index)]
+        return self._lists(index, cells, "three", 3)
+
+    def corners(self, index: int) -> tuple[FloatArray, str]:
+        """(n, 6) coordinates of a column with two corners per cell. Also returns the unit of the numbers."""
+        pairs = [cell_corners(cell, self.table.decimal) for cell in self.cells(index)]
+        cells = [None if pair is None else [*pair[0], *pair[1]] for pair in pairs]
+        return self._lists(index, cells, "two times three", 6)
+
+    def _lists(
+        self, index: int, cells: Sequence[Sequence[CellNumber] | None], count_words: str, count: int
+    ) -> tuple[FloatArray, str]:
+        """(n, count) numbers of a column with several numbers per cell. Also returns their unit.
+
+        Args:
+            cells: the numbers of each cell; None: the cell is bad.
+            count_words: how many numbers a cell must have, in words.
+        """
         rows: list[Sequence[CellNumber]] = []
-        for row, cell in enumerate(self.cells(index)):
-            triple = cell_triple(cell, self.table.decimal)
-            finite = triple is not None and all(np.isfinite(number.value) for number in triple)
-            rows.append(triple if triple is not None and finite else ())
+        for row, numbers in enumerate(cells):
+            finite = numbers is not None and all(np.isfinite(number.value) for number in numbers)
+            rows.append(numbers if numbers is not None and finite else ())
             if not finite:
-                kind = "three numbers" if triple is None else "three finite numbers"
-                shown = "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(str(cell))}"'
+                cell = self.table.rows[row][index]
+                wanted = f"{count_words} numbers" if numbers is None else f"{count_words} finite numbers"
+                shown = "is missing" if cell in (None, "") else f'must be {wanted}, got "{printable_name(str(cell))}"'
                 self.bad(row, index, shown)
-        return self._in_one_unit(index, rows, LENGTH_UNITS, 3)
+        return self._in_one_unit(index, rows, LENGTH_UNITS, count)
 
     def _in_one_unit(
         self, index: int, rows: Sequence[Sequence[CellNumber]], units: Mapping[str, float], width: int

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, Literal
@@ -17,13 +17,14 @@ from typing import Final, Literal
 from petmjx.common.units import LENGTHS_MM, MASSES_KG
 
 Kind = Literal[
-    "size", "sizes", "position", "positions", "low", "high", "quaternion", "euler", "matrix", "weight", "density",
-    "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group", "material",
-    "row_kind", "strength",
+    "size", "sizes", "position", "positions", "low", "high", "corners", "quaternion", "euler", "matrix", "weight",
+    "density", "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group",
+    "material", "row_kind", "strength",
 ]  # fmt: skip
 """Meaning of a column. ``sizes`` and ``positions`` are three numbers in one cell. ``low`` and ``high`` are coordinates
-of the corners with the smallest and the largest x, y and z. ``sequence`` is a packing order. ``number`` is a running
-number, which may be a packing order. ``euler`` is an angle about one axis."""
+of the corners with the smallest and the largest x, y and z, and ``corners`` are both corners in one cell. ``sequence``
+is a packing order. ``number`` is a running number, which may be a packing order. ``euler`` is an angle about one
+axis."""
 
 OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
 """petmjx's own names for the sizes and the weight of items, which contain the units."""
@@ -79,11 +80,12 @@ def word_set(text: str) -> frozenset[str]:
 
 _SIZES: Final = {
     "length": "length len lgth lng lengths lange laenge longueur long longitud largo lunghezza lungh lung dlugosc dlug "
-    "dl comprimento lengte",
+    "dl comprimento lengte uzunluk",
     "width": "width wid wdth wth widths wide breite breit br largeur larg ancho anchura anch larghezza largh szerokosc "
-    "szer largura breedte",
-    "height": "height hgt hght heights high hoehe hohe ho hauteur haut alto altura altezza alt wysokosc wys hoogte",
-    "depth": "depth depths deep tiefe profondeur prof profundidad fondo profondita glebokosc gleb diepte",
+    "szer largura breedte genislik",
+    "height": "height hgt hght heights high hoehe hohe ho hauteur haut alto altura altezza alt wysokosc wys hoogte "
+    "yukseklik",
+    "depth": "depth depths deep tiefe profondeur prof profundidad fondo profondita glebokosc gleb diepte derinlik",
 }
 _X, _Y, _Z = ("x", "y", "z")
 _AXES: Final = {_X: 0, _Y: 1, _Z: 2}
@@ -99,8 +101,10 @@ _POSITION: Final = word_set(
     "wspolrzedna wspolrzedne ubicacion emplacement origin start point punkt anchor offset translation xyz flb "
     "flbcoordinates ecke corner coin esquina angolo rog left"
 )
+_ENDS: Final = word_set("max maximum end extremity extremities extremite")
+"""Words for the far corner of a box, also beside a word for a size: "endCoordinates.width"."""
 _LOW: Final = word_set("min minimum low lower start begin from von flb front minimal")
-_HIGH: Final = word_set("max maximum high upper end to bis rrt far maximal top")
+_HIGH: Final = word_set("max maximum high upper end to bis rrt far maximal top") | _ENDS
 CENTRE_WORDS: Final = word_set(
     "center centre centers centres centroid mid middle midpoint mitte mittelpunkt zentrum schwerpunkt milieu centro "
     "centroide srodek com"
@@ -109,6 +113,8 @@ BASE_WORDS: Final = word_set("base bottom unten boden basis bas fondo podstawa")
 _PLACED: Final = word_set(
     "placed rotated packed oriented final actual effective turned platziert gepackt gedreht place tourne girado"
 )
+_ORIENTED: Final = word_set("orient oriented")
+"""Words for a box in the orientation in which it is placed, beside the letter of a size: "orient_L"."""
 _DIMENSIONS: Final = word_set(
     "dimension dimensions dims dim size sizes masse abmessung abmessungen abmasse groesse grosse extent extents "
     "dimensiones dimensioni dimensioni wymiary wymiar taille misure medidas shape lxwxh lxbxh lwh lbh whd wdh dwh hwd "
@@ -134,7 +140,8 @@ TITLE_WORDS: Final = PALLET_WORDS | word_set(
 """Words in titles of sections that hold the boxes of one plan."""
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "weight": word_set(
-        "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wg wgt bruttogewicht kg"
+        "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wg wgt bruttogewicht kg "
+        "agirlik"
     ),
     "density": word_set("density dichte densite densidad densita gestosc"),
     "volume": word_set("volume vol volumen volumes objetosc objem kubatur"),
@@ -146,7 +153,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     ),
     "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "
-        "quantita ilosc liczba pieces pcs qta uds ud unidades stuckzahl anzahlstuck pezzi piezas sztuk"
+        "quantita ilosc liczba pieces pcs qta uds ud unidades stuckzahl anzahlstuck pezzi piezas sztuk adet miktar"
     ),
     "layers": word_set("layers layer tiers lagen lage schichten couches couche capas strati warstwy"),
     "sequence": word_set(
@@ -159,7 +166,8 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "article": word_set(
         "article articles artikel artikelnr artikelnummer sku skus product products produkt produkte produit articulo "
         "articolo artykul producto prodotto material materialnr ref reference referencia riferimento type typ tipo "
-        "cargo goods kind name names bezeichnung description beschreibung partno article_id codice codigo code kod item"
+        "cargo goods kind name names bezeichnung description beschreibung partno article_id codice codigo code kod "
+        "item urun"
     ),
     "item_id": word_set(
         "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
@@ -182,6 +190,7 @@ _LETTERS: Final[tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = (
     (("l", "h", "p"), ("width", "height", "depth")),
     (("l", "p", "a"), ("width", "depth", "height")),
     (("l", "w", "d"), ("length", "width", "depth")),
+    (("l", "d", "h"), ("length", "depth", "height")),
     (("d", "s", "w"), ("length", "width", "height")),
     (("l", "a", "h"), ("length", "width", "height")),
 )
@@ -191,8 +200,9 @@ first rows, capital and small letters have different meanings."""
 
 _LONE: Final = {"l": "length", "w": "width", "b": "width", "h": "height", "d": "depth", "t": "depth"}
 """Letters that name a size even if no other column is named by a letter."""
-_SHORT: Final = {"lg": "length", "ht": "height"}
-"""Short words that are a size if they stand alone. In other names, they mean something else: "Prix HT"."""
+_SHORT: Final = {"lg": "length", "boy": "length", "en": "width", "ht": "height"}
+"""Short words that are a size if they stand alone. In other names, they mean something else: "Prix HT", "Poids en
+kg"."""
 _BOX: Final = word_set(
     "box item case carton ctn outer parcel package pkg karton kiste caja colis collo placed dim size"
 )
@@ -263,6 +273,7 @@ def plain_text(text: str) -> str:
         .replace("Ł", "L")
         .replace("ß", "ss")
         .replace("µ", "u")
+        .replace("ı", "i")
         .replace("°", " deg ")
     )
     return "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
@@ -360,6 +371,9 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
             kind, axis = _SIDES[side]
             unit = split_unit(names[column])[1]
             meanings[column] = ColumnMeaning(kind, axis, unit if unit in LENGTH_UNITS else "")
+    for number, column, placed in _numbered_sizes(names):
+        unit = split_unit(names[column])[1]
+        meanings[column] = ColumnMeaning("size", number, unit if unit in LENGTH_UNITS else "", placed=placed)
     halves = {base.lower(): index for index, base in enumerate(bases) if base.lower() in ("hx", "hy", "hz")}
     if len(halves) == 3:
         for base, column in halves.items():
@@ -369,6 +383,9 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
         small = bases.index("lg")
         meanings[small] = ColumnMeaning("size", "width", split_unit(names[small])[1])
     single = {index: base for index, base in enumerate(bases) if len(base) == 1 and base.lower() not in _AXES}
+    if (weight := _letter_of_weight(single)) is not None:
+        meanings[weight] = ColumnMeaning("weight")
+        del single[weight]
     for letters, axes in _LETTERS:
         strict = letters != tuple(letter.lower() for letter in letters)
         places = [
@@ -388,6 +405,36 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
             if meanings[index] is None and lone is not None:
                 meanings[index] = ColumnMeaning("size", lone, split_unit(names[index])[1], letter=True)
     return meanings
+
+
+def _letter_of_weight(single: Mapping[int, str]) -> int | None:
+    """The column of weights in a table whose sizes are l, d and h, if a column w follows them; else None.
+
+    Args:
+        single: index of a column → the single letter that is its name.
+    """
+    for index, letter in single.items():
+        if letter == "w" and [single.get(index - back) for back in (3, 2, 1)] == ["l", "d", "h"]:
+            return index
+    return None
+
+
+_NUMBERED: Final = re.compile(r"^(.*?[A-Za-z])[\s_.-]?([0-3])$")
+"""A name that ends in a number: "dim1", "DIM-2", "size_3"."""
+
+
+def _numbered_sizes(names: Sequence[str]) -> Iterator[tuple[str, int, bool]]:
+    """Yield (axis, column, whether it is a size as placed) for sizes that are named by numbers, "dim1", "dim2" and
+    "dim3". The axes are "0", "1" and "2"."""
+    stems: dict[str, dict[int, int]] = {}
+    for index, name in enumerate(names):
+        if (match := _NUMBERED.match(split_unit(name)[0].strip())) is not None:
+            stems.setdefault(match[1], {})[int(match[2])] = index
+    for stem, columns in stems.items():
+        words = set(words_of(stem.rpartition(".")[2]))
+        if sorted(columns) in ([0, 1, 2], [1, 2, 3]) and words & _DIMENSIONS and not words & _CONTAINER:
+            for axis, number in enumerate(sorted(columns)):
+                yield str(axis), columns[number], bool(words & _PLACED)
 
 
 _COUNTER: Final = re.compile(
@@ -468,7 +515,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     """The meaning of a name for a size or a coordinate; None if the name means something else."""
     words, context = set(tail), set(path)
     everything = words | context
-    placed = bool(words & _PLACED or context & _PLACED)
+    placed = bool(everything & (_PLACED | _ORIENTED))
     half = bool(everything & _HALF) or "half" in everything
     last = tail[-1]
     primed = last == "'" and len(tail) > 1
@@ -477,7 +524,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     size_word = next((size for size, names in _SIZES.items() if words & set(names.split())), None)
     if size_word is None and len(tail) == 1:
         size_word = _SHORT.get(last)
-    if size_word is None and len(tail) == 2 and tail[0] in _BOX and last in _LONE:
+    if size_word is None and len(tail) == 2 and tail[0] in _BOX | _ORIENTED and last in _LONE:
         size_word = _LONE[last]
     if last == "qw" or (last == "w" and everything & {"rot", "rotation"}):
         return ColumnMeaning("quaternion", "w")
@@ -522,8 +569,9 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         return None
     is_position = bool(everything & _POSITION) or bool(everything & CENTRE_WORDS and (axis or index))
     if size_word and is_position and not is_dims and not index and "left" not in words:
-        return ColumnMeaning("position", size_word, anchor=_anchor_of(everything))
-    if size_word and not (words & {"unit", "units", "total", "max", "min", "sum", "weight"}):
+        end: Kind = "high" if everything & _ENDS else "low" if everything & {"min", "start"} else "position"
+        return ColumnMeaning(end, size_word, anchor=_anchor_of(everything))
+    if size_word and not (words & {"unit", "units", "total", "max", "min", "sum", "weight", "nesting", "nested"}):
         return ColumnMeaning("size", size_word, placed=placed, half=half)
     if axis is not None:
         if is_dims or words & {"d", "delta", "l", "len", "size"} or half:
@@ -543,6 +591,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
             return ColumnMeaning("high", index)
         kind = "low" if everything & {"min", "low", "lower", "start"} else "position"
         return ColumnMeaning(kind, index, anchor=_anchor_of(everything))
+    if not index and words & (_BOUNDS | {"corners"}):
+        return ColumnMeaning("corners")
     if not index and words & _DIMENSIONS and is_dims:
         return ColumnMeaning("sizes", placed=placed, half=half, order=_orders(everything))
     if not index and len(words & (_POSITION | CENTRE_WORDS)) and words & {
@@ -594,6 +644,8 @@ _FIRST: Final[tuple[Kind, ...]] = (
 """Kinds that a word decides, in the order in which they are tried: "density (kg/m3)" has a word for weights, too."""
 
 
+_SURE_ARTICLES: Final = word_set("sku article artikel artykul articulo articolo product produkt produit urun")
+"""Words of names that mean an article, whatever other words a name has."""
 _AMOUNT: Final = re.compile(r"(?!mindest|max|rest|verpackung|inhalt|bestand|lager)[a-z]+(?:menge|anzahl|stuckzahl)$")
 """German words for quantities that consist of several words: "Liefermenge", "Kartonanzahl"."""
 
@@ -629,7 +681,18 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
     if words & _WORDS["plan"] and not words & {"item", "box", "case", "article", "artikel", "sku"}:
         rest = words - _WORDS["plan"] - named - {"location"}
         return "plan" if not rest else None
-    if words & {"sku", "article", "artikel", "artykul", "articulo", "articolo", "product", "produkt", "produit"}:
+    if words & {
+        "sku",
+        "article",
+        "artikel",
+        "artykul",
+        "articulo",
+        "articolo",
+        "product",
+        "produkt",
+        "produit",
+        "urun",
+    }:
         return "article"
     if joined in _WORDS["item_id"] or (words & _WORDS["item_id"] and words <= _WORDS["item_id"] | named | _CODES):
         return "item_id"

@@ -16,7 +16,8 @@ from petmjx.plans.known_forms import MOST_BYTES, BoxSource, with_known_form, wit
 from petmjx.plans.nested_containers import LAYERS
 from petmjx.plans.nested_json import box_lists, decoded_json
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
-from petmjx.plans.python_objects_and_texts import check_printed, is_printed_object, python_values, source_of_printed
+from petmjx.plans.printed_values import printed_values, values_of_lines
+from petmjx.plans.python_objects_and_texts import is_printed_object, python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, RawTable, united, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
@@ -58,11 +59,11 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
         try:
             value = decoded_json(text)
         except InputError:
-            if (printed_values := python_values(start)) is None:
-                if (sources := _sources_of_document(text, path)) is None:
+            if (python_value := python_values(start)) is None:
+                if (sources := _sources_of_document(text, path) or _sources_of_printed(start)) is None:
                     raise
                 return sources
-            value = printed_values
+            value = python_value
         if is_three_js(value):
             return [source_of_three_js(value)]
         if is_gltf(value):
@@ -73,18 +74,17 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
         if not sources:
             raise NoBoxes("holds no box" if value == [] else "has no list of boxes: objects with places and sizes")
         return sources
-    if is_printed_object(start):
-        values = python_values(start)
-        if values is None:
-            check_printed(start)
-        if sources := [with_named_units(with_known_form(boxes, "Python's text")) for boxes in box_lists(values)]:
-            return sources
+    values = python_values(start) if is_printed_object(start) else None
+    if sources := [with_named_units(with_known_form(boxes, "Python's text")) for boxes in box_lists(values)]:
+        return sources
     if (kind := foreign_kind(data)) is not None:
         raise NoBoxes(kind)
     if (printed := source_of_printed(text)) is not None:
         return [printed]
     if (kind := program_kind(start)) is not None:
         raise NoGeometry(kind)
+    if (sources := _sources_of_printed(start)) is not None:
+        return sources
     return _sources_of_document(text, path) or sources_of_tables(*read_raw_tables(data))
 
 
@@ -101,6 +101,17 @@ def _sources_of_document(text: str, path: Path | None) -> list[BoxSource] | None
     if not sources:
         raise NoGeometry(f"is {name} without a list of boxes: petmjx looks for objects with places and sizes")
     return sources
+
+
+def _sources_of_printed(text: str) -> list[BoxSource] | None:
+    """The lists of boxes in a text that a program has printed; None if there are none.
+
+    Raises:
+        InputError: the text is damaged.
+    """
+    value = printed_values(text)
+    value = values_of_lines(text) if value is None else value
+    return [with_named_units(with_known_form(boxes, "printed text")) for boxes in box_lists(value)] or None
 
 
 def _sources_of_markup(text: str) -> list[BoxSource]:
@@ -155,8 +166,12 @@ _SIZE_ABOVE: Final = re.compile(
 
 
 def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
-    """The size of the carrier from the lines above a table, such as "Palette 1200 x 800"."""
+    """The size of the carrier from the lines above a table, such as "Palette 1200 x 800". Above a table without a
+    header, the size may be three numbers."""
     for line in table.above:
+        numbers = [cell_number(part, table.decimal) for part in line.split()]
+        if not table.has_header and len(numbers) == 3 and all(numbers):
+            return {"": {str(axis): number.value for axis, number in enumerate(numbers) if number is not None}}
         if (match := _SIZE_ABOVE.search(line)) is not None:
             parts = [part for part in match.groups() if part]
             values = [number.value for part in parts if (number := cell_number(part, table.decimal)) is not None]

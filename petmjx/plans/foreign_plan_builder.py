@@ -36,7 +36,7 @@ from petmjx.plans.raw_tables import BoxList, names_with_lost_rows, row_number, r
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
 from petmjx.plans.readings import Reading, Wishes
-from petmjx.plans.size_and_place_columns import HALF_EXTENTS
+from petmjx.plans.size_and_place_columns import HALF_EXTENTS, LAST_CELLS
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,8 @@ class PlanBuilder:
         self._check_words(reading, candidate)
         if HALF_EXTENTS in reading.columns:
             self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and its like are half sizes")
+        if LAST_CELLS in reading.columns:
+            self.notes.append(f"{printable_name(reading.columns[LAST_CELLS])} and its like are the last cells of boxes")
         self._note_quantities()
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
         self.decks = pallet_rows(self.columns, plans, size, low)
@@ -126,7 +128,7 @@ class PlanBuilder:
         self.columns = replace(self.columns, faults=faults)
         search = PalletSearch(self.columns, self.wishes)
         unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
-        if unsaid and self.columns.plan is None and not any(self.boxes.parts) and self.boxes.table.has_header:
+        if unsaid and self.columns.plan is None and not any(self.boxes.parts):
             self.columns, lines = search.columns_with_pallets()
             self.notes += lines
         elif unsaid:

@@ -84,6 +84,7 @@ def _plans_of(
     if not columns.geometries or not columns.n_boxes:
         raise _no_geometry(columns, sources, path, source)
     written = [one for one in columns.geometries if one.columns.items() <= wishes.exact.items()]
+    written = [max(written, key=lambda one: len(one.columns))] if written else []  # further roles tell a way to read
     columns = replace(columns, geometries=written or columns.geometries)
     decks, up = named_decks(columns, rows_by_name(plan_names(columns, source, [])))
     if decks and wishes.up in ("", up):

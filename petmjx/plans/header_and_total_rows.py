@@ -96,13 +96,13 @@ def geometric_columns(header: Sequence[str]) -> list[int]:
     return [
         index
         for index, meaning in enumerate(column_meanings(header))
-        if meaning is not None and meaning.kind in ("size", "sizes", "position", "positions", "low", "high")
+        if meaning is not None and meaning.kind in ("size", "sizes", "position", "positions", "low", "high", "corners")
     ]
 
 
 def has_places(names: Sequence[str]) -> bool:
     kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
-    return bool(kinds & {"position", "positions", "low"})
+    return bool(kinds & {"position", "positions", "low", "corners"})
 
 
 def with_groups(names: list[str], group: Sequence[Any]) -> list[str]:

@@ -65,6 +65,45 @@ def fields_of_part(member: NestedBox) -> dict[str, Any]:
     }
 
 
+def fields_of_article(member: NestedBox) -> dict[str, Any]:
+    """The weight, the name and the sizes that a box lacks, from its article: an object "cargo" or "item" beside the
+    list of boxes, or the member of a list of articles that contains this list."""
+    own_fields = list(flattened(member.value))
+    given = {meaning.kind for meaning in column_meanings(own_fields) if meaning is not None}
+    if not given & _PLACES or "weight" in given:
+        return {}
+    for step, holder in reversed(member.around):
+        inner = (value for name, value in holder.items() if isinstance(value, Mapping) and _is_article(str(name)))
+        article = next(inner, holder if _is_article(step) and step.endswith("]") else None)
+        if article is None:
+            continue
+        flat = flattened({name: value for name, value in article.items() if not isinstance(value, list | tuple)})
+        meanings = dict(zip(flat, column_meanings(list(flat)), strict=True))
+        kinds = {meaning.kind for meaning in meanings.values() if meaning is not None and not meaning.of_container}
+        if not kinds & {"weight", "size", "sizes"} or kinds & _PLACES:
+            continue
+        lacking = _OF_ARTICLES - given - ({"size", "sizes"} if given & {"size", "sizes", "high"} else set())
+        return {
+            name: flat[name]
+            for name, meaning in meanings.items()
+            if meaning is not None and meaning.kind in lacking and name not in own_fields
+        }
+    return {}
+
+
+_PLACES: Final = frozenset(("position", "positions", "low"))
+_OF_ARTICLES: Final = frozenset(("weight", "size", "sizes", "article", "item_id"))
+_ARTICLES: Final = word_set(
+    "cargo cargoes article articles artikel item items product products produkt sku skus good goods cargotype itemtype"
+)
+"""Words for an object that describes an article, or for a list of such objects."""
+
+
+def _is_article(name: str) -> bool:
+    words = words_of(name.partition("[")[0])
+    return bool(words) and words[-1] in _ARTICLES and not CONTAINERS.intersection(words)
+
+
 def plan_names_of(members: Sequence[NestedBox]) -> list[str]:
     """The name of each member's plan: the differing names of the objects around it, or, if none differ, the innermost
     name."""
@@ -86,9 +125,9 @@ def plan_names_of(members: Sequence[NestedBox]) -> list[str]:
 
 
 def _is_part(step: str) -> bool:
-    """Whether the members of a list with this name are parts of one plan: its layers, or several stacks."""
+    """Whether the members of a list with this name are parts of one plan: its layers, several stacks, or articles."""
     words = set(words_of(step))
-    return bool(words & LAYERS) or (bool(words & STACKS) and step.endswith("]"))
+    return bool(words & LAYERS) or (step.endswith("]") and (bool(words & STACKS) or _is_article(step)))
 
 
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
@@ -130,6 +169,8 @@ def _name_text(value: Any) -> str:
 def container_around(member: NestedBox) -> dict[str, float]:
     """The size of the container of a box, by axis; empty if no size is given."""
     for step, holder in reversed(member.around):
+        if step.endswith("]") and _is_article(step):
+            continue
         for name, inner in holder.items():
             words = words_of(str(name))
             # In py3dbp's web API, the container "box" is beside the list of its boxes.
@@ -162,6 +203,8 @@ def _sizes_in(value: Mapping[str, Any]) -> dict[str, float]:
     sizes: dict[str, float] = {}
     for name, meaning in zip(flat, column_meanings(list(flat)), strict=True):
         number = cell_number(flat[name])
-        if meaning is not None and meaning.kind == "size" and number is not None and number.value > 0:
+        if meaning is None or meaning.kind != "size" or number is None or number.value <= 0:
+            continue
+        if meaning.axis not in "012" or name.endswith("]"):  # "dimension1" does not tell an axis
             sizes.setdefault(meaning.axis, number.value)
     return sizes if len(sizes) == 3 else {}

@@ -27,6 +27,7 @@ from petmjx.plans.nested_containers import (
     STACKS,
     NestedBox,
     container_around,
+    fields_of_article,
     fields_of_part,
     plan_names_of,
 )
@@ -288,6 +289,7 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     flat = [_fields_of(member) for member in members]
     for row, member in zip(flat, members, strict=True):
         row.update(fields_of_part(member))
+        row.update(fields_of_article(member))
     notes: list[str] = []
     for left_out in (_without_static, _without_other_kinds, _without_floors):
         members, flat, lines = left_out(members, flat)

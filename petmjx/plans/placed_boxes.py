@@ -310,13 +310,14 @@ def far_cells(columns: BoxColumns, wishes: Wishes) -> dict[int, tuple[str, str]]
     give them."""
     geometry, form = columns.geometries[0], columns.source.form
     faults: dict[int, tuple[str, str]] = {}
-    for values, largest, names, named_unit in (
-        (geometry.size, LARGEST_MM, _size_names(geometry, geometry.columns), geometry.size_unit),
-        (geometry.place, FARTHEST_MM, _place_names(geometry.columns), geometry.place_unit),
+    size_names, place_names = _size_names(geometry, geometry.columns), _place_names(geometry.columns)
+    for values, smallest, largest, names, named_unit, fault_of in (
+        (geometry.size, SMALLEST_MM, LARGEST_MM, size_names, geometry.size_unit, positive_fault),
+        (geometry.place, -FARTHEST_MM, FARTHEST_MM, place_names, geometry.place_unit, coordinate_fault),
     ):
-        low, high, unit = limits_in(-largest, largest, named_unit or wishes.units or form.units or "mm")
-        for row, axis in np.argwhere(np.abs(values) > high).tolist():
-            text = coordinate_fault(names[axis], float(values[row, axis]), low, high, unit)
+        limits = limits_in(smallest, largest, named_unit or wishes.units or form.units or "mm")
+        for row, axis in np.argwhere(np.abs(values) > limits.largest).tolist():
+            text = fault_of(names[axis], float(values[row, axis]), *limits)
             if text is not None:
                 faults.setdefault(row, (names[axis], text.removeprefix(f"{names[axis]} ")))
     return faults

@@ -62,7 +62,9 @@ class PalletSearch:
             or not (repeats_numbers or self._overlaps({"": rows}, _MANY_OVERLAP))
         ):
             return columns, ()
-        used = {name for geometry in columns.geometries for name in geometry.columns.values()}
+        of_geometries = [{*geometry.columns.values()} for geometry in columns.geometries]
+        has_header = columns.source.boxes.table.has_header
+        used = set.union(*of_geometries) if has_header else set.intersection(*of_geometries)
         used |= {columns.columns.get(role, "") for role in ("weight", "density", "rotation", "sequence")}
         separating: dict[tuple[int, ...], list[str]] = {}
         for name in columns.source.boxes.table.header:

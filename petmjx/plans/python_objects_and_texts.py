@@ -1,7 +1,7 @@
 """Boxes in Python objects: py3dbp's packers, arrays, nested dictionaries, and data frames. Also boxes in text that
-Python programs print: dictionaries and lists, and the text of py3dbp.
+Python programs print: dictionaries and lists, and the text of py3dbp and of bp3d, which it follows.
 
-Source of py3dbp's text: ``Item.string`` (github.com/enzoruiz/3dbinpacking).
+Source of the texts: ``Item.string`` (github.com/enzoruiz/3dbinpacking), ``Item.String`` (github.com/gedex/bp3d).
 """
 
 from __future__ import annotations
@@ -55,22 +55,6 @@ def python_values(text: str) -> Any:
     return values
 
 
-def check_printed(text: str) -> None:
-    """Check the lines of a text of objects that Python has printed, one in each line.
-
-    Raises:
-        InputError: a line is no such object. The error names the line and the column.
-    """
-    for number, line in enumerate(text.splitlines(), start=1):
-        try:
-            ast.parse(line.strip(), mode="eval")
-        except SyntaxError as error:
-            fault = f"line {number}, column {error.offset or 1}"
-            raise InputError(f"{fault}: is no object as Python prints it: {error.msg}") from None
-        except (ValueError, MemoryError, RecursionError):
-            raise InputError(f"line {number}: is no object as Python prints it") from None
-
-
 def is_printed_object(text: str) -> bool:
     """Whether a text begins with an object that Python has printed, such as a data class."""
     return _PRINTED_OBJECT.match(text) is not None
@@ -94,7 +78,7 @@ def _value_of(node: ast.expr) -> Any:
 
 _ITEM_LINE: Final = re.compile(
     r"^\W*(?P<name>.*?)\((?P<width>[^x(),]+)x(?P<height>[^x(),]+)x(?P<depth>[^x(),]+),\s*weight:\s*(?P<weight>[^)]*)\)"
-    r"\s*pos\(\[?(?P<position>.*?)\]?\)\s*rt\((?P<rotation_type>[^)]*)\)"
+    r"\s*pos\(\[?(?P<position>.*?)\]?\)\s*rt\((?P<rotation_type>[^()]*)"
 )
 _BIN_LINE: Final = re.compile(
     r"^[:\W]*(?P<name>.*?)\((?P<width>[\d.]+)x(?P<height>[\d.]+)x(?P<depth>[\d.]+),\s*max_weight"
@@ -102,6 +86,8 @@ _BIN_LINE: Final = re.compile(
 _FIELD_LINE: Final = re.compile(
     r"^(name|partno|part no|color|position|rotation type|W\*H\*D|volume|weight)\s*:\s*(.*)$"
 )
+_ROTATIONS: Final = {letters: str(number) for number, letters in enumerate(("WHD", "HWD", "HDW", "DHW", "DWH", "WDH"))}
+"""Letters in the name of a rotation, "RotationType_WHD" → its number."""
 PY3DBP_COLUMNS: Final = ("name", "width", "height", "depth", "weight", "pos x", "pos y", "pos z", "rotation_type")
 
 
@@ -154,7 +140,9 @@ def source_of_printed(text: str) -> BoxSource | None:
             if len(triple) != 3:
                 lost.append((f"line {number}", f"pos must be three numbers, got {len(triple)}"))
                 continue
-            cells = (item["width"], item["height"], item["depth"], item["weight"], *triple, item["rotation_type"])
+            turn = item["rotation_type"].strip()
+            turn = _ROTATIONS.get(turn.rpartition("_")[2], turn)
+            cells = (item["width"], item["height"], item["depth"], item["weight"], *triple, turn)
             rows.append((item["name"].strip(), *(cell.strip() or None for cell in cells)))
             places.append(f"line {number}")
             parts.append(part)
@@ -170,9 +158,9 @@ def source_of_printed(text: str) -> BoxSource | None:
     end_fields()
     if not rows and not lost:
         return None
-    parts = parts if len(set(parts)) > 1 else [""] * len(parts)
-    if not any(parts) and containers:
-        containers = {"": next(iter(containers.values()))}
+    if len(set(parts)) == 1:  # other bins may be empty
+        containers = {"": containers[parts[0]]} if parts[0] in containers else {}
+        parts = [""] * len(parts)
     table = RawTable(PY3DBP_COLUMNS, rows, places, ".", lost=tuple(lost))
     boxes = BoxList(table, "", tuple(parts), containers, not_placed(fitted))
     return BoxSource(boxes, replace(PY3DBP, name="text printed by py3dbp"))

@@ -193,6 +193,19 @@ def cell_triple(cell: Any, decimal: str = ".") -> list[CellNumber] | None:
     return None
 
 
+_BRACKETED: Final = re.compile(r"[(\[{]([^()\[\]{}]{1,100})[)\]}]")
+
+
+def cell_corners(cell: Any, decimal: str = ".") -> tuple[list[CellNumber], list[CellNumber]] | None:
+    """The coordinates of two corners in a cell, "(0, 0, 0), (400, 300, 200)" or "0 0 0 400 300 200"; None if there are
+    none."""
+    texts = _BRACKETED.findall(cell) if isinstance(cell, str) and len(cell) < 300 else []
+    if isinstance(cell, str) and len(texts) < 2 and len(parts := re.findall(r"[^\s,;()\[\]{}]+", cell[:300])) == 6:
+        texts = [" ".join(parts[:3]), " ".join(parts[3:])]
+    triples = [triple for text in texts if (triple := cell_triple(text, decimal)) is not None]
+    return (triples[0], triples[1]) if len(texts) == len(triples) == 2 else None
+
+
 _COMMA_SURE: Final = re.compile(
     r"^[+-]?(\d{1,3}(\.\d{3})+,\d+|0,\d+|,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)(\s*[a-zA-Z]+)?$"
 )

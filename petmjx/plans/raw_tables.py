@@ -162,12 +162,12 @@ class BoxList:
     @property
     def has_places(self) -> bool:
         """Whether the boxes have coordinates."""
-        return bool(self.kinds & {"position", "positions", "low", "matrix"})
+        return bool(self.kinds & {"position", "positions", "low", "corners", "matrix"})
 
     @property
     def has_sizes(self) -> bool:
         """Whether the boxes have sizes."""
-        return bool(self.kinds & {"size", "sizes", "high"})
+        return bool(self.kinds & {"size", "sizes", "high", "corners"})
 
 
 def not_placed(count: int) -> tuple[str, ...]:

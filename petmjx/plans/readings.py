@@ -253,19 +253,23 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
     options = " or ".join(dict.fromkeys(part[0] for part in parts))
     reason = "no reading is plausible; the best are" if weak else "can be read in two ways:"
-    boxes = one.units != two.units or one.masses != two.masses
-    evidence = [reading.evidence.of_units() if boxes else str(reading.evidence) for reading in (one, two)]
+    of_units = not weak and (one.units != two.units or one.masses != two.masses)
+    evidence = [reading.evidence.of_units() if of_units else str(reading.evidence) for reading in (one, two)]
     ways = f"{first} ({evidence[0]}), or {second} ({evidence[1]})"
-    return f"{reason} {ways}; say which with {options}, or with --as FILE.toml"
+    is_piled = weak and 2 * one.evidence.n_overlapping > one.evidence.n_boxes
+    return f"{reason} {ways}; {_SEVERAL if is_piled else ''}say which with {options}, or with --as FILE.toml"
 
 
 def overlap_text(reading: Reading) -> str:
     """The line about a file in whose most plausible reading most boxes overlap."""
     return (
         f"no reading is plausible; the best is coordinates of {_ANCHOR_WORDS[reading.anchor]}, {reading.up} upwards "
-        f"({reading.evidence}); if the file has several pallets, name their column with --columns plan=NAME; if boxes "
-        f"really overlap, say --anchor {reading.anchor}"
+        f"({reading.evidence}); {_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
     )
+
+
+_SEVERAL: Final = "if the file has several pallets, name their column with --columns plan=NAME; "
+"""Advice about a file whose boxes overlap in every reading."""
 
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)

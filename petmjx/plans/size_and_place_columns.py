@@ -3,7 +3,8 @@ have no names, by their numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
@@ -16,6 +17,19 @@ from petmjx.plans.column_names import BASE_WORDS, CENTRE_WORDS, LENGTH_UNITS, wo
 from petmjx.plans.turn_columns import Turns
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
+_BY_WIDTH: Final = {"width": "x", "depth": "y", "height": "z"}
+"""Word for a size → the axis of the coordinate that it names, if no coordinate is named by the length."""
+
+
+def _on_axes(columns: Mapping[str, list[int]]) -> dict[str, list[int]]:
+    """x, y and z → columns, from the names of the axes of coordinates (``ColumnMeaning.axis``)."""
+    words = _BY_WIDTH if _BY_WIDTH.keys() <= columns.keys() else _ON_AXES
+    by_axis: dict[str, list[int]] = {}
+    for axis, indices in columns.items():
+        by_axis.setdefault(words.get(axis, _ON_AXES.get(axis, axis)), []).extend(indices)
+    return by_axis
+
+
 _SIZE_SETS: Final = (
     ("length", "width", "height"), ("width", "height", "depth"), ("length", "width", "depth"),
     ("length", "height", "depth"), XYZ, ("0", "1", "2"),
@@ -86,24 +100,9 @@ def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
     if "sizes" in fixed:
         values, unit = extraction.triples(fixed["sizes"])
         return Sizes(values, ("0", "1", "2"), unit, False, {"sizes": header[fixed["sizes"]]})
-    chosen = {axis: fixed[role_of(axis)] for axis in (*SIZE_WORDS, *XYZ) if role_of(axis) in fixed}
-    by_axis = extraction.columns_of("size") | {axis: [index] for axis, index in chosen.items()}
-    placed_columns, half_columns = (
-        {index for index, meaning in enumerate(extraction.meanings) if meaning is not None and getattr(meaning, name)}
-        for name in ("placed", "half")
-    )
-    for placed in (True, False):
-        for axes in _SIZE_SETS:
-            picked = [
-                [index for index in by_axis.get(axis, ()) if axis in chosen or (index in placed_columns) == placed]
-                for axis in axes
-            ]
-            if all(picked):
-                indices = _same_prefix(header, picked)
-                values, unit = extraction.joined(indices)
-                factor = 1.0 if half_columns.isdisjoint(indices) else 2.0
-                columns = {role_of(axis): header[index] for axis, index in zip(axes, indices, strict=True)}
-                return Sizes(values * factor, axes, unit, placed, columns)
+    columns, axes, placed = next(_columns_of_sizes(extraction), ((), ("", "", ""), False))
+    if columns:
+        return _sizes_of(extraction, columns, axes, placed)
     for index, meaning in enumerate(extraction.meanings):
         if meaning is not None and meaning.kind == "sizes" and not meaning.of_container:
             values, unit = extraction.triples(index)
@@ -111,6 +110,49 @@ def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
             factor = 2.0 if meaning.half else 1.0
             return Sizes(values * factor, (first, second, third), unit, meaning.placed, {"sizes": header[index]})
     return None
+
+
+def other_sizes_in(extraction: ColumnExtraction, first: Sizes) -> Sizes | None:
+    """A second set of sizes, such as "size_1" … beside "sp_size_1" …, if no name shows which set has the sizes of the
+    placed boxes. None if there is none, if a cell of it is bad, or if both sets are equal."""
+    if first.placed or any(role_of(axis) in extraction.fixed for axis in first.axes) or "sizes" in extraction.fixed:
+        return None
+    faults = dict(extraction.faults)
+    for columns, axes, placed in _columns_of_sizes(extraction):
+        if not {extraction.table.header[index] for index in columns} & set(first.columns.values()):
+            sizes = _sizes_of(extraction, columns, axes, placed)
+            is_good = extraction.faults == faults and bool((sizes.size > 0).all())
+            extraction.faults = faults
+            return sizes if is_good and not np.array_equal(sizes.size, first.size) else None
+    return None
+
+
+def _sizes_of(extraction: ColumnExtraction, columns: Sequence[int], axes: tuple[str, str, str], placed: bool) -> Sizes:
+    """The sizes in three columns."""
+    values, unit = extraction.joined(columns)
+    is_half = any((meaning := extraction.meanings[index]) is not None and meaning.half for index in columns)
+    names = {role_of(axis): extraction.table.header[index] for axis, index in zip(axes, columns, strict=True)}
+    return Sizes(values * (2.0 if is_half else 1.0), axes, unit, placed, names)
+
+
+def _columns_of_sizes(extraction: ColumnExtraction) -> Iterator[tuple[tuple[int, ...], tuple[str, str, str], bool]]:
+    """Yield (columns, their axes, whether their names say that they have the sizes of placed boxes) for each set of
+    three columns with sizes. Sizes of placed boxes come first."""
+    header, fixed = extraction.table.header, extraction.fixed
+    chosen = {axis: fixed[role_of(axis)] for axis in (*SIZE_WORDS, *XYZ) if role_of(axis) in fixed}
+    by_axis = extraction.columns_of("size") | {axis: [index] for axis, index in chosen.items()}
+    placed_columns = {
+        index for index, meaning in enumerate(extraction.meanings) if meaning is not None and meaning.placed
+    }
+    for placed in (True, False):
+        for axes in _SIZE_SETS:
+            picked = [
+                [index for index in by_axis.get(axis, ()) if axis in chosen or (index in placed_columns) == placed]
+                for axis in axes
+            ]
+            if all(picked):
+                for columns in _same_stems(header, picked):
+                    yield columns, axes, placed
 
 
 def places_in(extraction: ColumnExtraction) -> Places | None:
@@ -129,8 +171,8 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
         if index in still:
             continue
         anchor = meaning.anchor or ("corner" if meaning.kind == "low" else "")
-        axis = _ON_AXES.get(meaning.axis, meaning.axis)
-        by_anchor.setdefault(anchor, {}).setdefault(axis, []).append(index)
+        by_anchor.setdefault(anchor, {}).setdefault(meaning.axis, []).append(index)
+    by_anchor = {anchor: _on_axes(columns) for anchor, columns in by_anchor.items()}
     heights = [
         index for index in by_anchor.get("", {}).get("z", ()) if BASE_WORDS.intersection(words_of(header[index]))
     ]
@@ -140,7 +182,7 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
     for anchor, by_axis in sorted(by_anchor.items(), key=lambda entry: entry[0] == ""):
         by_axis |= {axis: [fixed[axis]] for axis in XYZ if axis in fixed}
         if all(axis in by_axis for axis in XYZ):
-            indices = _same_prefix(header, _without_picks(header, [by_axis[axis] for axis in XYZ]))
+            indices = next(_same_stems(header, _without_picks(header, [by_axis[axis] for axis in XYZ])))
             words = {meaning.axis for index in indices if (meaning := extraction.meanings[index]) is not None}
             return _places_of(extraction, indices, anchor)._replace(named_up="z" if "height" in words else "")
     for index, meaning in enumerate(extraction.meanings):
@@ -148,7 +190,7 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
             values, unit = extraction.triples(index)
             return Places(values, unit, meaning.anchor, {"position": header[index]})
     # the file may have the far corners and the sizes, but no near corners
-    far = {_ON_AXES.get(axis, axis): columns[0] for axis, columns in extraction.columns_of("high").items()}
+    far = {axis: columns[0] for axis, columns in _on_axes(extraction.columns_of("high")).items()}
     if not all(axis in far for axis in XYZ):
         return None
     words = {word for axis in XYZ for word in words_of(header[far[axis]])}
@@ -192,8 +234,10 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
     """Sizes and places from two corners of each box: the corner with the smallest and the corner with the largest
     coordinates. None if there are no such columns."""
     header = extraction.table.header
+    if (eight := _eight_corners(extraction)) is not None:
+        return eight
     low, plain, first, second, high = (
-        {_ON_AXES.get(axis, axis): columns[0] for axis, columns in extraction.columns_of(kind).items()}
+        {axis: columns[0] for axis, columns in _on_axes(extraction.columns_of(kind)).items()}
         for kind in ("low", "position", "edge1", "edge2", "high")
     )
     for begin, finish in ((low, high), (first, second), (low, first), (plain, high), (plain, second)):
@@ -209,13 +253,63 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
             unit = "mm"
         columns = {axis: header[index] for axis, index in zip(XYZ, lows, strict=True)}
         columns |= {f"{axis} (far)": header[index] for axis, index in zip(XYZ, highs, strict=True)}
-        size = far_corner - corner
-        for row in np.flatnonzero((size <= 0).any(axis=1)):
-            axis = int(np.flatnonzero(size[row] <= 0)[0])
-            extraction.bad(int(row), highs[axis], f"must be beyond {header[lows[axis]]}, got {far_corner[row, axis]:g}")
-            size[row] = np.nan
-        return Geometry(size, corner, XYZ, unit, unit, "corner", True, columns)
+        return _between(extraction, corner, far_corner, unit, highs, [header[index] for index in lows], columns)
+    for index, meaning in enumerate(extraction.meanings):
+        if meaning is not None and meaning.kind == "corners":
+            both, unit = extraction.corners(index)
+            near = ["its near corner"] * 3
+            return _between(extraction, both[:, :3], both[:, 3:], unit, [index] * 3, near, {"corners": header[index]})
     return None
+
+
+_CORNER_NAME: Final = re.compile(r"([xyz])[\s_.-]?([1-8])", re.IGNORECASE)
+"""A coordinate of one of the eight corners of a box: "x1" … "z8"."""
+
+
+def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
+    """Sizes and places from the eight corners of each box, in columns x1, y1, z1 … z8 in any order; None if there are
+    no such columns."""
+    header = extraction.table.header
+    names = {match[1].lower() + match[2]: index for index, name in enumerate(header)
+             if (match := _CORNER_NAME.fullmatch(name.strip())) is not None}  # fmt: skip
+    if len(names) < 24:
+        return None
+    parts = [[extraction.numbers(names[f"{axis}{corner}"], LENGTH_UNITS)[0] for corner in range(1, 9)] for axis in XYZ]
+    corners = np.array(parts)  # (3, 8, n)
+    low, high = corners.min(axis=1).T, corners.max(axis=1).T
+    ends = (corners == low.T[:, None]) | (corners == high.T[:, None]) | np.isnan(corners)
+    for row in np.flatnonzero(~ends.all(axis=(0, 1))).tolist():
+        axis, corner = np.argwhere(~ends[:, :, row])[0].tolist()
+        index = names[f"{XYZ[axis]}{corner + 1}"]
+        extraction.bad(row, index, f"must be {low[row, axis]:g} or {high[row, axis]:g}, as of the other corners")
+    columns = {axis: header[names[f"{axis}1"]] for axis in XYZ} | {
+        f"{axis} (far)": header[names[f"{axis}8"]] for axis in XYZ
+    }
+    lows, highs = [columns[axis] for axis in XYZ], [names[f"{axis}8"] for axis in XYZ]
+    return _between(extraction, low, high, "", highs, lows, columns)
+
+
+def _between(
+    extraction: ColumnExtraction,
+    corner: FloatArray,
+    far_corner: FloatArray,
+    unit: str,
+    highs: Sequence[int],
+    lows: Sequence[str],
+    columns: Mapping[str, str],
+) -> Geometry:
+    """Sizes and places from (n, 3) near and far corners.
+
+    Args:
+        highs: indices of the columns of the far corners.
+        lows: what the far corners must be beyond, in words.
+    """
+    size = far_corner - corner
+    for row in np.flatnonzero((size <= 0).any(axis=1)):
+        axis = int(np.flatnonzero(size[row] <= 0)[0])
+        extraction.bad(int(row), highs[axis], f"must be beyond {lows[axis]}, got {far_corner[row, axis]:g}")
+        size[row] = np.nan
+    return Geometry(size, corner, XYZ, unit, unit, "corner", True, columns)
 
 
 HALF_EXTENTS: Final = "half extents"
@@ -235,15 +329,39 @@ def with_half_extents(geometry: Geometry) -> Geometry | None:
     return replace(geometry, size=2 * geometry.size, columns=columns, prior=geometry.prior + 0.8)
 
 
-def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> tuple[int, ...]:
-    """Three columns that belong to the same object, such as ``dimensions.length``, ``dimensions.width`` and
-    ``dimensions.height``. If there are no three such columns, the first column of each size."""
-    by_prefix: dict[str, dict[int, int]] = {}
+LAST_CELLS: Final = "last cells"
+"""Role of the columns of far corners that are read as those of the last cells of boxes, in addition to their own
+roles."""
+_OF_LAST_CELLS: Final = 2.0
+"""Cost of a reading in which far corners are last cells, before any numbers are considered."""
+
+
+def with_last_cells(geometry: Geometry) -> Geometry | None:
+    """The geometry with far corners read as those of the last cell of a grid: a box from 1 to 40 is 40 cells long. None
+    if the geometry does not consist of two corners with whole numbers."""
+    far = [name for role, name in geometry.columns.items() if role.endswith("(far)") or role == "corners"]
+    numbers = np.concatenate([geometry.size, geometry.place], axis=1)
+    if not far or not np.array_equal(numbers, np.rint(numbers), equal_nan=True):
+        return None
+    columns = {**geometry.columns, LAST_CELLS: far[0]}
+    return replace(geometry, size=geometry.size + 1, columns=columns, prior=geometry.prior + _OF_LAST_CELLS)
+
+
+def _same_stems(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Iterator[tuple[int, ...]]:
+    """Yield each choice of three columns that belong to the same object, such as ``dimensions.length``,
+    ``dimensions.width`` and ``dimensions.height``. If there is none, yield the first column of each size."""
+    by_stem: dict[str, dict[int, int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
-            by_prefix.setdefault(header[index].rpartition(".")[0], {}).setdefault(number, index)
-    triples = (tuple(slots.values()) for slots in by_prefix.values() if len(slots) == len(picked))
-    return next(triples, tuple(columns[0] for columns in picked))
+            by_stem.setdefault(_stem(header[index]), {}).setdefault(number, index)
+    triples = [tuple(slots.values()) for slots in by_stem.values() if len(slots) == len(picked)]
+    yield from triples or [tuple(columns[0] for columns in picked)]
+
+
+def _stem(name: str) -> str:
+    """The path of a name, and the words before a number at its end: "sp_size_1" → "sp_size_"."""
+    path, dot, last = name.rpartition(".")
+    return f"{path}{dot}{last[:-1]}" if last[-1:].isdigit() else path
 
 
 def _without_picks(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[list[int]]:

@@ -255,10 +255,11 @@ def _without_header(
         )
     if width < 6 or numeric < 0.8 * max(len(good_rows), 1):
         raise NoBoxes("has no header with known names of columns")
+    above = [(index, row) for index, row in used if index < good_rows[0][0] and _is_above_numbers(row)]
     bad_rows = [
-        (f"row {index + begin}", f"has {len(row)} fields instead of {width}")
+        (f"row {index + begin}", f"has {count_text(len(row), 'field')} instead of {width}")
         for index, row in used
-        if len(row) != width
+        if len(row) != width and (index, row) not in above
     ]
     body = [row for _, row in good_rows]
     return RawTable(
@@ -267,7 +268,15 @@ def _without_header(
         [f"row {index + begin}" for index, _ in good_rows],
         decimal_of(body),
         title,
+        tuple(_line(row) for _, row in above),
         lost=(*lost, *bad_rows),
-        notes=("there is no header",),
+        notes=("there is no header", *(f"row {index + begin} is no box: {_line(row)}" for index, row in above)),
         has_header=False,
     )
+
+
+def _is_above_numbers(row: Sequence[Any]) -> bool:
+    """Whether a row above rows of numbers is no box: it has only words, or three numbers, the sizes of the
+    container."""
+    cells = [cell for cell in row if cell is not None]
+    return not any(map(is_number, cells)) or (len(cells) == 3 and all(map(is_number, cells)))

@@ -130,6 +130,18 @@ def two_corners_in_turns(number: int, box: list[float]) -> list[Any]:
 
 
 SIZES = "length,width,height"
+
+
+def two_corners(box: Sequence[float]) -> list[float]:
+    """The near corner and the far corner of a box."""
+    return [*box[:3], *(start + side for start, side in zip(box[:3], box[3:6], strict=True))]
+
+
+def eight_corners(box: Sequence[float]) -> list[float]:
+    ends = two_corners(box)
+    return [ends[axis + 3 * (number >> axis & 1)] for number in range(8) for axis in range(3)]
+
+
 TABLES = {
     "words for boxes": table("LPN,Loc X,Loc Y,Loc Z,Ctn L,Ctn W,Ctn H,Gross Wt (kg)", named),
     "short words": table("carton_id,x,y,z,len_mm,wid_mm,hgt_mm,wg", named),
@@ -271,6 +283,22 @@ TABLES = {
     "coordinates with the names of axes": table(
         f"box,Pos,{SIZES},kg", lambda k, box: [NAMES[k], "x={} y={} z={}".format(*box), *box[3:]]
     ),
+    "two corners in a cell": table("Box,Corners (min and max),kg", lambda k, box: [
+        NAMES[k], "({},{},{}),({},{},{})".format(*two_corners(box)), box[6]], mark=";"),
+    "extremities": table("Item;X origin;Y origin;Z origin;X extremity;Y extremity;Z extremity;kg",
+                         lambda k, box: [NAMES[k], *two_corners(box), box[6]], mark=";"),
+    "last cells": table("box,x_min,y_min,z_min,x_max,y_max,z_max,kg", lambda k, box: [
+        NAMES[k], *(value // 10 for value in box[:3]), *(value // 10 - 1 for value in two_corners(box)[3:]), box[6]]),
+    "eight corners": table("box," + ",".join(f"{axis}{number}" for number in range(1, 9) for axis in "xyz") + ",kg",
+                           lambda k, box: [NAMES[k], *eight_corners(box), box[6]]),
+    "letters of placed sizes": table(
+        "id,L_cm,W_cm,H_cm,weight_kg,placed_x_cm,placed_y_cm,placed_z_cm,orient_L_cm,orient_W_cm,orient_H_cm",
+        lambda k, box: [NAMES[k], *(box[axis] / 10 for axis in (4, 5, 3)), box[6], *(v / 10 for v in box[:6])]),
+    "numbered sizes": table("id,size_1,size_2,size_3,sp_size_1,sp_size_2,sp_size_3,x,y,z,kg", lambda k, box: [
+        NAMES[k], box[4], box[5], box[3], *box[3:6], *box[:3], box[6]]),
+    "w for weights": table("id,x,y,z,l,d,h,w", named),
+    "Turkish": table("Kutu,X,Y,Z,Boy (cm),En (cm),Yükseklik (cm),Ağırlık (kg)",
+                     lambda k, box: [NAMES[k], *(value / 10 for value in box[:6]), box[6]], mark=";"),
     "corners in turns": table("X1,X2,Y1,Y2,Z1,Z2,weight", two_corners_in_turns),
     "a web page": "<html><body><table><tr>"
     + "".join(f"<th>{name}</th>" for name in ("box", *FIELDS))
@@ -514,6 +542,85 @@ def in_a_scene() -> list[dict[str, Any]]:
     return [lamp, floor, pallet, *boxes]
 
 
+PRINTED = {
+    "Rust": (
+        '    Placed {\n        id: "%(name)s",\n        at: Point {\n            x: %(x)s.0,\n            y: %(y)s.0,\n'
+        "            z: %(z)s.0,\n        },\n        size: (%(length)s.0, %(width)s.0, %(height)s.0),\n"
+        "        weight: Some(\n            %(weight)s,\n        ),\n    },\n"
+    ),
+    "Go": (
+        "{Name:%(name)s Position:{X:%(x)s Y:%(y)s Z:%(z)s} Length:%(length)s Width:%(width)s Height:%(height)s "
+        "Weight:%(weight)s} "
+    ),
+    "JavaScript": (
+        "  Item {\n    name: '%(name)s',\n    position: [ %(x)s, %(y)s, %(z)s ],\n    length: %(length)s,\n"
+        "    width: %(width)s,\n    height: %(height)s,\n    weight: %(weight)s,\n    sequence: undefined\n  },\n"
+    ),
+    "Java": (
+        "Box[name=%(name)s, at=Point[x=%(x)s, y=%(y)s, z=%(z)s], length=%(length)s.0, width=%(width)s.0, "
+        "height=%(height)s.0, weight=%(weight)s], "
+    ),
+    "C#": (
+        "Box { Name = %(name)s, X = %(x)s, Y = %(y)s, Z = %(z)s, Length = %(length)s, Width = %(width)s, "
+        "Height = %(height)s, Weight = %(weight)s }, "
+    ),
+    "Clojure": (
+        '{:name "%(name)s", :position [%(x)s %(y)s %(z)s], :length %(length)s, :width %(width)s, :height %(height)s, '
+        ":weight %(weight)s}\n "
+    ),
+}
+"""Language → the text of a box as its programs print it."""
+LINE = (
+    "Item: %(name)s, Position: (%(x)s, %(y)s, %(z)s), Dimensions: %(length)s x %(width)s x %(height)s, "
+    "Weight: %(weight)s kg, Support: 100 %%"
+)
+
+
+def php(boxes: Sequence[dict[str, Any]]) -> str:
+    """PHP's ``print_r`` of the boxes."""
+    members = "".join(
+        f"    [{number}] => Array\n        (\n"
+        + "".join(f"            [{field}] => {value}\n" for field, value in box.items())
+        + "        )\n\n"
+        for number, box in enumerate(boxes)
+    )
+    return f"Array\n(\n{members})\n"
+
+
+@pytest.mark.parametrize("language", [*PRINTED, "Kotlin", "PHP", "lines"])
+def test_values_as_programs_print_them(language: str, tmp_path: Path) -> None:
+    boxes = [dict(zip(("name", *FIELDS), (name, *box), strict=True)) for name, box in zip(NAMES, PILE, strict=True)]
+    if language == "PHP":
+        text = php(boxes)
+    elif language == "Kotlin":
+        text = "\n".join(f"Box({', '.join(map('{}={}'.format, box, box.values()))})" for box in boxes)
+    elif language == "lines":
+        text = "\n".join(("2 pallets, 1 used", *(LINE % box for box in boxes)))
+    else:
+        text = f"[{''.join(PRINTED[language] % box for box in boxes)}]\n"
+    plan_set = load(tmp_path, "pile.txt", text)
+    assert not plan_set.skipped
+    (plan,) = plan_set.plans
+    check_pile(plan)
+    assert language == "PHP" or plan.item_ids == tuple(NAMES)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("[Box { x: 1, y: 2 }, Box { x: 3", "not readable at line 1, column 27 (a bracket is not closed)"),
+        ("[Box { x: 1, y: 2 },\nBox { x: 3, x: 4 }]", "not readable at line 2, column 13 (x stands twice)"),
+        ("{:pack [{:x 1 :y 2}}", "not readable at line 1, column 20 (} closes no bracket)"),
+        ("[Box { x: 1, 5 }]", "not readable at line 1, column 7 (a value has no name)"),
+        ("a: 1, x: 1, y: 2, z: 3, l: 4, w: 5\nb\n" + "a: 1, x: 1, y: 2, z: 3, l: 4, w: 5\n" * 2,
+         "line 2: is no box: b"),
+    ],
+)  # fmt: skip
+def test_damaged_printed_values_are_one_line(text: str, fault: str, tmp_path: Path) -> None:
+    (skipped,) = load(tmp_path, "pile.txt", text).skipped
+    assert skipped.message.endswith(fault)
+
+
 DOCUMENTS = {
     "objects of a game engine": {"items": boxes_by(in_engine, "prefab")},
     "other objects of a scene": {"objects": in_a_scene()},
@@ -565,6 +672,17 @@ DOCUMENTS = {
     "free points in the boxes": {"containers": [{"placements": boxes_by(with_points)}]},
     "poses in the boxes": {"frame": "pallet", "collision_objects": boxes_by(with_pose)},
     "eight corners": {"boxes": boxes_by(lambda box: {"vertices": corners(box), "weight": box[6]})},
+    "two points": {"boxes": boxes_by(lambda box: {"bbox": [corners(box)[0], corners(box)[7]], "weight": box[6]})},
+    "near and far corners by words": {"placements": boxes_by(lambda box: {"kg": box[6], "position": {
+        f"{end}Coordinates": dict(zip(("width", "depth", "height"), corners(box)[number], strict=True))
+        for end, number in (("start", 0), ("end", 7))}})},
+    "an article beside its boxes": {"spaces": [{
+        "cargo": {"length": 1, "width": 2, "height": 3, "weight": box["weight"]},
+        "placements": [{name: value for name, value in box.items() if name != "weight"}],
+    } for box in boxes_by(plain)]},
+    "articles with their places": {"pallet": {"length": 1200, "width": 800}, "articles": [
+        {**{name: value for name, value in box.items() if name not in "xyz"}, "places": [
+            {axis: box[axis] for axis in "xyz"}]} for box in boxes_by(plain)]},
     "bounds": {"boxes": boxes_by(lambda box: {"bbox": corners(box)[0] + corners(box)[7], "weight": box[6]})},
     "lists of angles": turned([0, 0, 90]),
     "rotation matrices": turned([[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
@@ -924,7 +1042,7 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
         (table(f"name,{SIZES},mass,across,along,up", lambda k, box: [NAMES[k], *box[3:], *box[:3]]),
          "has sizes of boxes, but no places (x, y, z): name their columns with --columns x=NAME,y=NAME,z=NAME, or"),
         (DOCUMENTS["data classes"].replace("z=300", "z=3OO", 1),
-         "line 5, column 42: is no object as Python prints it: invalid decimal literal"),
+         'line 5 (e): position.z must be a number, got "3OO"'),
         (json.dumps(DOCUMENTS["zeros are not written"]).replace('"y": 400', '"y": 0', 1), "[0] (a): at.x is missing"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
         (json.dumps(three_js()).replace("-0.6, 0.2, -0.4, 1]", '-0.6, "O.2", -0.4, 1]', 1),

@@ -1,0 +1,191 @@
+"""Reads values as programs print them for people (``printed_values``, ``values_of_lines``): structures of Rust, Go,
+JavaScript, Java, Kotlin, C#, PHP and Lua, EDN, and lines of named values.
+
+All of them put names and values into brackets. A name may stand before a bracket ("Box3D {"), separators may be commas,
+semicolons or white space, and a name is followed by ":", "=" or "=>", or begins with ":".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.plans.column_names import column_meanings
+from petmjx.plans.nested_json import JsonLines
+
+_MOST_PRINTED: Final = 8 << 20
+"""Largest text that is read, in characters."""
+_DEEPEST: Final = 30
+"""Largest depth of brackets that is read."""
+_BEGINS: Final = re.compile(
+    r"(?:[\[({]\s*){0,30}(?:[A-Za-z_][\w.]*\s*)?[\[({]\s*"
+    r"(?::[A-Za-z][\w-]*\s|[A-Za-z_$][\w$]*\s*(?::(?!:)|=)|\[['\"]?\w+['\"]?\]\s*=|[A-Za-z_][\w.]*\s*[\[({])"
+)
+"""The beginning of a printed structure: "[Box3D { position:", "{:pack [", "Array ( [x] =>"."""
+_JSON_NAME: Final = re.compile(r'"[^"\n]*"\s*:')
+"""A name in JSON. A text with such names is JSON, perhaps damaged, and is not read here."""
+_OPEN: Final = re.compile(r"(?:Array\s*|#?([A-Za-z_][\w.:<>$]*)[ \t]*)?([\[({])")
+"""A bracket, perhaps behind a name. PHP begins a new line between both."""
+_CLOSES: Final = {"[": "]", "(": ")", "{": "}"}
+_GAP: Final = re.compile(r"[\s,;]*")
+_QUOTED: Final = re.compile(r"""\\?(?:"((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'|`([^`]*)`)""")
+_NAME: Final = re.compile(
+    r""":([A-Za-z][\w.?!/-]*)\s+"""  # EDN
+    r"""|\[\s*['"]?([^\]\[\n'"]+)['"]?\s*\]\s*=>?\s*"""  # PHP, Lua
+    r"""|:?['"]?([A-Za-z_$][\w$.-]*)['"]?\s*(?:=>|=(?!=)|:(?!:))\s*"""
+)
+_WORD: Final = re.compile(r"[^\s,;\[\](){}]+")
+_TEXT: Final = re.compile(r"[^,;\[\](){}\n]{0,1000}?(?=\s{0,9}(?:[,;\])}\n]|$)|\s{1,9}:?[A-Za-z_]\w{0,99}(?::|=)\S)")
+"""A value behind a name, which may have several words. It ends before a separator, a bracket or the next name."""
+_CONSTANTS: Final = {"true": True, "false": False, **dict.fromkeys(("nil", "null", "none", "undefined"), None)}
+_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?[fFdDmMlL]?")
+_PAIR: Final = re.compile(r"([A-Za-z][\w .#/-]{0,40}?) ?[:=]\s{0,9}")
+_LONGEST_LINE: Final = 2_000
+"""Longest line that is read as named values, in characters."""
+_SEARCHED: Final = 40
+"""Number of lines at the beginning of a text that show whether it has lines of named values."""
+_LEAST_PAIRS: Final = 5
+"""Fewest named values of a line that describes a box."""
+
+
+def printed_values(text: str) -> Any:
+    """The values in a text that a program has printed: a structure, or one structure in each line. None for other
+    texts.
+
+    Raises:
+        InputError: the text begins as a structure, but is damaged. The error names the line, but not the file.
+    """
+    if len(text) > _MOST_PRINTED or _BEGINS.match(text) is None or _JSON_NAME.search(text):
+        return None
+    values = JsonLines()
+    at, line = _behind_gap(text, 0), 1
+    while at < len(text):
+        if _OPEN.match(text, at) is None:
+            raise _fault(text, at, "there is text behind a structure")
+        values.lines.append(line)
+        value, end = _value(text, at, 0)
+        values.append(value)
+        end = _behind_gap(text, end)
+        at, line = end, line + text.count("\n", at, end)
+    return values[0] if len(values) == 1 else values
+
+
+def values_of_lines(text: str) -> JsonLines | None:
+    """The values in lines of named values, "Item: A, Position: (0, 0, 0), Dimensions: 40 x 30 x 20"; None for other
+    texts. Lines above and below are left out.
+
+    Raises:
+        InputError: a line between two such lines is none. The error names the line.
+    """
+    lines = text.splitlines()
+    first = [line for line in lines[:_SEARCHED] if line.strip()]
+    if sum(len(re.findall("[:=]", line)) >= _LEAST_PAIRS for line in first) * 2 <= len(first):
+        return None
+    records = [_pairs_of_line(line) for line in lines]
+    used = [index for index, record in enumerate(records) if len(record) >= _LEAST_PAIRS]
+    if len(used) < 2 or len(used) * 2 <= sum(map(bool, map(str.strip, lines))):
+        return None
+    names = {name for index in used for name in records[index]}
+    if sum(meaning is not None for meaning in column_meanings(sorted(names))) < 2:
+        return None
+    values = JsonLines()
+    for index in range(used[0], used[-1] + 1):
+        if not lines[index].strip():
+            continue
+        if len(records[index]) < _LEAST_PAIRS:
+            raise InputError(f"line {index + 1}: is no box: {printable_name(lines[index].strip())}")
+        values.append(records[index])
+        values.lines.append(index + 1)
+    return values
+
+
+def _pairs_of_line(line: str) -> Mapping[str, Any]:
+    """The named values of a line; empty if it also has other values, or a damaged one."""
+    pairs: dict[str, Any] = {}
+    at, end = len(line) - len(line.lstrip()), len(line) if len(line) <= _LONGEST_LINE else 0
+    while at < end:
+        if (match := _PAIR.match(line, at)) is None or match.end() == end or match[1] in pairs:
+            return {}
+        try:
+            pairs[match[1]], at = _value_of_name(line, match.end(), 0)
+        except InputError:
+            return {}
+        if (gap := _GAP.match(line, at)) is not None:
+            at = gap.end()
+    return pairs
+
+
+def _value(text: str, at: int, depth: int) -> tuple[Any, int]:
+    """The value at a position of a text, and the position behind it."""
+    if depth > _DEEPEST:
+        raise _fault(text, at, "brackets are nested too deeply")
+    if (opened := _OPEN.match(text, at)) is not None:
+        value, end = _inside(text, opened.end(), _CLOSES[opened[2]], depth)
+        # Some(5) of Rust is 5
+        return (value[0] if opened[1] == "Some" and isinstance(value, list) and len(value) == 1 else value), end
+    if (quoted := _QUOTED.match(text, at)) is not None:
+        return next(part for part in quoted.groups() if part is not None), quoted.end()
+    word = _WORD.match(text, at)
+    if word is None:
+        raise _fault(text, at, "a value is missing")
+    return _scalar(word[0]), word.end()
+
+
+def _value_of_name(text: str, at: int, depth: int) -> tuple[Any, int]:
+    """The value behind a name."""
+    if _OPEN.match(text, at) is not None or _QUOTED.match(text, at) is not None:
+        return _value(text, at, depth)
+    if (words := _TEXT.match(text, at)) is None:
+        raise _fault(text, at, "a value has no end")
+    return _scalar(words[0].strip()), words.end()
+
+
+def _inside(text: str, at: int, close: str, depth: int) -> tuple[Any, int]:
+    """The values in brackets, and the position behind the brackets: an object if they have names, else a list."""
+    pairs: dict[str, Any] = {}
+    items: list[Any] = []
+    begin = at
+    while True:
+        at = _behind_gap(text, at)
+        if at == len(text):
+            raise _fault(text, begin, "a bracket is not closed")
+        if text[at] in "])}":
+            if text[at] != close:
+                raise _fault(text, at, f"{text[at]} closes no bracket")
+            break
+        if (name := _NAME.match(text, at)) is not None:
+            key = next(filter(None, name.groups()))
+            if key in pairs:
+                raise _fault(text, at, f"{printable_name(key)} stands twice")
+            pairs[key], at = _value_of_name(text, name.end(), depth + 1)
+        else:
+            value, at = _value(text, at, depth + 1)
+            items.append(value)
+    if pairs and items:
+        raise _fault(text, begin, "a value has no name")
+    return (pairs or items), at + 1
+
+
+def _scalar(text: str) -> Any:
+    """A number, true, false or nothing; else the text."""
+    if text.lower() in _CONSTANTS:
+        return _CONSTANTS[text.lower()]
+    if _NUMBER.fullmatch(text):
+        text = text.rstrip("fFdDmMlL")
+        return float(text) if re.search(r"[.eE]", text) else int(text) if len(text) < 20 else float(text)
+    return text
+
+
+def _behind_gap(text: str, at: int) -> int:
+    """The position of the first character that is neither white space nor a separator."""
+    match = _GAP.match(text, at)
+    assert match is not None  # the gap may be empty
+    return match.end()
+
+
+def _fault(text: str, at: int, why: str) -> InputError:
+    line = text.count("\n", 0, at) + 1
+    return InputError(f"not readable at line {line}, column {at - text.rfind(chr(10), 0, at)} ({why})")
