@@ -32,6 +32,15 @@ _WORDS: Final = {
     "": None, "~": None, "null": None, "true": True, "false": False, "yes": True, "no": False,
     ".nan": float("nan"), ".inf": float("inf"), "-.inf": float("-inf"),
 }  # fmt: skip
+_ANSWERS: Final = ("yes", "no")
+"""Words that stay text in lists: an id may be "no", and programs write true and false."""
+_LAST_CODE_POINT: Final = 0x10FFFF
+_ESCAPED: Final = re.compile(r"\\(x[\da-fA-F]{2}|u[\da-fA-F]{4}|U[\da-fA-F]{8}|.)", re.DOTALL)
+_ESCAPES: Final = {
+    **{letter: letter for letter in '"/\\ '}, "0": "\0", "a": "\a", "b": "\b", "e": "\x1b", "f": "\f", "n": "\n",
+    "r": "\r", "t": "\t", "v": "\v", "N": "\x85", "_": "\xa0", "L": "\u2028", "P": "\u2029",
+}  # fmt: skip
+"""Letter behind a backslash in double quotes → what both stand for."""
 _DEEPEST: Final = 50
 """Largest depth of values that are read."""
 _FORMATS: Final = {".toml": "TOML", ".yaml": "YAML", ".yml": "YAML"}
@@ -125,20 +134,22 @@ class _Reader:
     def _fault(self, line: _Line, why: str) -> InputError:
         return InputError(f"not YAML at line {line.number} ({why})")
 
-    def _block(self, indent: int, depth: int) -> Any:
-        """The mapping or sequence that begins at the next line, whose lines have this indent."""
+    def _block(self, indent: int, depth: int, key: str = "") -> Any:
+        """The mapping or sequence that begins at the next line, whose lines have this indent. The key is that of
+        :meth:`_scalar`."""
         line = self.lines[self.next]
         if depth > _DEEPEST:
             raise self._fault(line, "nested too deeply")
         if _ITEM.match(line.text):
-            return self._sequence(indent, depth)
+            return self._sequence(indent, depth, key)
         if _KEY.match(line.text):
             return self._mapping(indent, depth)
         self.next += 1
         return self._scalar(line, line.text)
 
-    def _sequence(self, indent: int, depth: int) -> list[Any]:
+    def _sequence(self, indent: int, depth: int, key: str) -> list[Any]:
         values = []
+        key = key if _names(key) else ""
         while self.next < len(self.lines) and self.lines[self.next].indent == indent:
             line = self.lines[self.next]
             match = _ITEM.match(line.text)
@@ -154,7 +165,7 @@ class _Reader:
                 values.append(self._block(inner, depth + 1))
             else:
                 self.next += 1
-                values.append(self._scalar(line, rest))
+                values.append(self._scalar(line, rest, key if rest[0] not in "[{" else ""))
         return values
 
     def _mapping(self, indent: int, depth: int) -> dict[str, Any]:
@@ -164,28 +175,28 @@ class _Reader:
             match = _KEY.match(line.text)
             if match is None:
                 raise self._fault(line, "is no key and value")
-            key, rest = match[1].strip("\"'"), (match[2] or "").strip()
+            key, rest = self._plain(line, match[1]), (match[2] or "").strip()
             if key in values:
                 raise self._fault(line, f"{key} occurs twice")
             self.next += 1
-            values[key] = self._scalar(line, rest, key) if rest else self._inner(indent, depth, of_key=True)
+            values[key] = self._scalar(line, rest, key) if rest else self._inner(indent, depth, key)
         return values
 
-    def _inner(self, indent: int, depth: int, *, of_key: bool = False) -> Any:
-        """The value in the lines below a key or a dash; None if there are none."""
+    def _inner(self, indent: int, depth: int, key: str = "") -> Any:
+        """The value in the lines below a key, or below a dash (no key); None if there are none."""
         if self.next == len(self.lines):
             return None
         line = self.lines[self.next]
         # the items below a key may have the indent of the key
-        if line.indent > indent or (of_key and line.indent == indent and _ITEM.match(line.text)):
-            return self._block(line.indent, depth + 1)
+        if line.indent > indent or (key and line.indent == indent and _ITEM.match(line.text)):
+            return self._block(line.indent, depth + 1, key)
         return None
 
     def _scalar(self, line: _Line, text: str, key: str = "") -> Any:
         """A value in one line, or a flow mapping or sequence, which may go on in the next lines.
 
         Args:
-            key: the key of the value; "": the value is an item of a sequence.
+            key: the key of the value, or of the sequence of which the value is an item; "": there is no key.
         """
         if text[0] in "[{":
             texts, unclosed = [text], _unclosed(text)
@@ -196,13 +207,44 @@ class _Reader:
                 unclosed += _unclosed(texts[-1])
                 self.next += 1
             text = " ".join(texts)
-            value, end = self._flow(line, text, 0, 0)
+            value, end = self._flow(line, text, 0, 0, key)
             if text[end:].strip():
                 raise self._fault(line, "there is text behind a bracket")
             return value
         if text[0] in "&*!|>%@`":
             raise self._fault(line, f"petmjx does not read values that begin with {text[0]}")
-        return _plain(text, key)
+        return self._typed(line, text, key)
+
+    def _plain(self, line: _Line, text: str) -> str:
+        """The text of a scalar, without its quotes and escapes."""
+        if len(text) < 2 or text[0] != text[-1] or text[0] not in "\"'":
+            return text
+        if text[0] == "'":
+            return text[1:-1].replace("''", "'")
+
+        def escaped(match: re.Match[str]) -> str:
+            code = match[1]
+            if code in _ESCAPES:
+                return _ESCAPES[code]
+            if len(code) == 1 or int(code[1:], 16) > _LAST_CODE_POINT:
+                raise self._fault(line, f"unknown escape {match[0]}")
+            return chr(int(code[1:], 16))
+
+        return _ESCAPED.sub(escaped, text[1:-1])
+
+    def _typed(self, line: _Line, text: str, key: str) -> Any:
+        """The value of a scalar. The key is that of :meth:`_scalar`."""
+        plain = self._plain(line, text)
+        if plain != text:
+            return plain
+        value = _WORDS.get(text.lower(), text)
+        if value is not None and _names(key):
+            return text
+        if value is not text:
+            return text if not key and text.lower() in _ANSWERS else value
+        if _NUMBER.match(text):
+            return float(text) if re.search(r"[.eE]", text) else int(text) if len(text) < 20 else float(text)
+        return text
 
     def _flow(self, line: _Line, text: str, start: int, depth: int, key: str = "") -> tuple[Any, int]:
         """The value at a position of a text, and the position behind it. The key is that of :meth:`_scalar`."""
@@ -212,21 +254,22 @@ class _Reader:
         if text[at] not in "[{":
             match = _FLOW_SCALAR.match(text, at)
             assert match is not None
-            return _plain(match[1].strip(), key), match.end()
+            return self._typed(line, match[1].strip(), key), match.end()
         end, items = {"[": "]", "{": "}"}[text[at]], []
         pairs: dict[str, Any] = {}
+        key = key if _names(key) else ""
         at = _behind_space(text, at + 1)
         while not text.startswith(end, at):
             if end == "}":
                 match = _FLOW_KEY.match(text, at)
                 if match is None:
                     raise self._fault(line, "is no key and value")
-                name = match[1].strip("\"'")
+                name = self._plain(line, match[1])
                 if name in pairs:
                     raise self._fault(line, f"{name} occurs twice")
                 pairs[name], at = self._flow(line, text, match.end(), depth + 1, name)
             else:
-                value, at = self._flow(line, text, at, depth + 1)
+                value, at = self._flow(line, text, at, depth + 1, key if text[at : at + 1] not in ("[", "{") else "")
                 items.append(value)
             at = _behind_space(text, at)
             if text.startswith(",", at):
@@ -234,6 +277,12 @@ class _Reader:
             elif not text.startswith(end, at):
                 raise self._fault(line, "a bracket is not closed")
         return (pairs if end == "}" else items), at + 1
+
+
+def _names(key: str) -> bool:
+    """Whether the values of a key are names or ids."""
+    (meaning,) = column_meanings((key,))
+    return meaning is not None and meaning.kind in _NAMES
 
 
 def _unclosed(text: str) -> int:
@@ -246,18 +295,3 @@ def _behind_space(text: str, start: int) -> int:
     match = _SPACE.match(text, start)
     assert match is not None
     return match.end()
-
-
-def _plain(text: str, key: str) -> Any:
-    """The value of a scalar. The key is that of ``_Reader._scalar``."""
-    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
-        return text[1:-1].replace("''", "'") if text[0] == "'" else text[1:-1]
-    value = _WORDS.get(text.lower(), text)
-    (meaning,) = column_meanings((key,))
-    if value is not None and meaning is not None and meaning.kind in _NAMES:
-        return text
-    if value is not text:
-        return value
-    if _NUMBER.match(text):
-        return float(text) if re.search(r"[.eE]", text) else int(text) if len(text) < 20 else float(text)
-    return text

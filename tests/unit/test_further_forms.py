@@ -803,6 +803,8 @@ def test_fractions_of_inches(cell: str, value: float, unit: str) -> None:
         ("boxes:\n- x: 1\n  y: 2\n - z: 3\n", "not YAML at line 4 (it fits no line above)"),
         ("a: 1\nb: [1, {c: 2\nd: 3\n", "not YAML at line 2 (a bracket is not closed)"),
         ("a: 1\nb: 2\nb: 3\n", "not YAML at line 3 (b occurs twice)"),
+        ('a: 1\nb: "\\q"\nc: 3\n', "not YAML at line 2 (unknown escape \\q)"),
+        ('a: 1\nb: "\\UFFFFFFFF"\nc: 3\n', "not YAML at line 2 (unknown escape \\UFFFFFFFF)"),
         ("a: &b 1\nc: 2\nd: 3\n", "not YAML at line 1 (petmjx does not read values that begin with &)"),
         ("a: 1\nb: 2\nc: 3\n", "is YAML without a list of boxes"),
         ("[[box]]\nx = 1\ny = \n", "not TOML: "),
@@ -812,6 +814,17 @@ def test_damaged_yaml_and_toml_are_one_line(text: str, fault: str, tmp_path: Pat
     (skipped,) = load(tmp_path, "pile.yaml", text).skipped
     assert fault in skipped.message
     assert "\n" not in skipped.message
+
+
+def test_names_in_lists_and_escapes_of_yaml(tmp_path: Path) -> None:
+    """In YAML 1.1, "no" is false; in a list of names, it is a name."""
+    text = (
+        'sku: [no, "\\u00e4\\x41\\tb"]\nid:\n- 0012\n- 1e5\nx: [0, 400]\ny: [0, 0]\nz: [0, 0]\nlength: [400, 400]\n'
+        "width: [300, 300]\nheight: [200, 200]\nweight: [5, 6]\n"
+    )
+    (plan,) = load(tmp_path, "pile.yaml", text, up="z", units="mm").plans
+    assert plan.articles == ("no", "äA\tb")
+    assert plan.item_ids == ("0012", "1e5")
 
 
 FLOW = "x: 0, y: 0, length: 400, width: 300, height: 200, weight: 5"
