@@ -220,7 +220,7 @@ class RunOptions(CheckedRecord):
         "and z; centre; base-centre, the centre of its base; far-corner, the one with the largest x, y and z; or "
         "top-centre, the centre of its top",
     )
-    up: Annotated[Literal["y", "z"] | None, CliFlag("--up", "y|z", default=_BY_FILE)] = Field(
+    up: Annotated[Literal["x", "y", "z"] | None, CliFlag("--up", "x|y|z", default=_BY_FILE)] = Field(
         None, description="the vertical axis of files of other tools"
     )
     sizes: Annotated[Literal["placed", "item"] | None, CliFlag("--sizes", "placed|item", default=_BY_FILE)] = Field(

@@ -138,6 +138,11 @@ TITLE_WORDS: Final = PALLET_WORDS | word_set(
     "stack"
 )
 """Words in titles of sections that hold the boxes of one plan."""
+_UNPLACED: Final = word_set(
+    "unfit unfitted unpacked unplaced unassigned unloaded leftover leftovers remaining rejected failed unused "
+    "notpacked notplaced"
+)
+"""Words in names of lists and in titles of sections whose boxes are not part of the plan."""
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "weight": word_set(
         "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wg wgt bruttogewicht kg "
@@ -333,6 +338,13 @@ def unknown_density_unit(name: str) -> str:
     return "" if density_unit(name) else _quotient(name)
 
 
+def names_unplaced(name: str) -> bool:
+    """Whether the name of a list, or the title of a section, says that its boxes are not part of the plan."""
+    words = words_of(name.replace("_", " "))
+    text = " ".join(words)
+    return bool(_UNPLACED.intersection(words)) or "not placed" in text or "not packed" in text
+
+
 def is_unit(text: str) -> bool:
     """Whether a text is only a unit, as in a line of units below the headers: "mm", "[kg]"."""
     word = plain_text(text).strip(" []().").lower()
@@ -379,6 +391,11 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
         for base, column in halves.items():
             unit = split_unit(names[column])[1]
             meanings[column] = ColumnMeaning("size", base[1], unit if unit in LENGTH_UNITS else "", half=True)
+    along = {match[1].lower(): index for index, base in enumerate(bases) if (match := _PLACED_AXIS.fullmatch(base))}
+    kinds = {meaning.kind for index, meaning in enumerate(meanings) if meaning and index not in along.values()}
+    if len(along) == 3 and "position" in kinds and not kinds & {"size", "high"}:
+        for axis, column in along.items():
+            meanings[column] = ColumnMeaning("size", axis, split_unit(names[column])[1], placed=True)
     if {"Lg", "lg"} <= set(bases):  # longueur and largeur
         small = bases.index("lg")
         meanings[small] = ColumnMeaning("size", "width", split_unit(names[small])[1])
@@ -419,6 +436,8 @@ def _letter_of_weight(single: Mapping[int, str]) -> int | None:
     return None
 
 
+_PLACED_AXIS: Final = re.compile(r"(?:packed|placed|rotated|oriented)[\s_.-]?([xyz])", re.IGNORECASE)
+"""The size of a placed box along an axis, if other columns have its place: "PACKEDX"."""
 _NUMBERED: Final = re.compile(r"^(.*?[A-Za-z])[\s_.-]?([0-3])$")
 """A name that ends in a number: "dim1", "DIM-2", "size_3"."""
 

@@ -22,7 +22,8 @@ LEAST_KNOWN: Final = 2
 """A row counts as a header only if at least this number of its cells are known names."""
 
 
-_NUMERIC: Final = re.compile(r"\s*[+-]?[.,]?\d")
+_NUMERIC: Final = re.compile(r"\s*[+-]?[.,]?\d|.*=\s*[+-]?[.,]?\d")
+"""A cell that is no name of a column: a number, or a name with its value, "X=1200"."""
 
 
 def count_known_names(cells: Sequence[Any]) -> int:

@@ -18,7 +18,7 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.box_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
-from petmjx.plans.column_names import column_meanings, word_set, words_of
+from petmjx.plans.column_names import column_meanings, names_unplaced, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_names
 from petmjx.plans.json_reader import DuplicateFieldObject, any_integer, json_fault, json_object
 from petmjx.plans.nested_containers import (
@@ -36,11 +36,6 @@ from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, not_placed, un
 
 _DEEPEST: Final = 12
 """Largest depth of nesting that is searched."""
-_UNPLACED: Final = word_set(
-    "unfit unfitted unpacked unplaced unassigned unloaded leftover leftovers remaining rejected failed unused "
-    "notpacked notplaced"
-)
-"""Words in names of lists whose boxes are not part of the plan."""
 _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
 
 
@@ -112,8 +107,8 @@ def box_lists(value: Any) -> list[BoxList]:
     lists = [boxes for path, members in groups.items() if (boxes := _box_list(path, members)) is not None]
     if isinstance(value, JsonLines):
         lists = [_by_lines(boxes, value.lines) for boxes in lists]
-    unplaced = [boxes for boxes in lists if _is_unplaced(boxes.path)]
-    placed = _side_by_side(_outermost([boxes for boxes in lists if not _is_unplaced(boxes.path)]))
+    unplaced = [boxes for boxes in lists if names_unplaced(boxes.path)]
+    placed = _side_by_side(_outermost([boxes for boxes in lists if not names_unplaced(boxes.path)]))
     left = sum(len(boxes.table.rows) for boxes in unplaced)
     ranked = sorted(placed, key=lambda boxes: (boxes.has_places, boxes.has_sizes, len(boxes.table.rows)), reverse=True)
     return [replace(boxes, left_out=(*boxes.left_out, *not_placed(left))) for boxes in ranked]
@@ -198,11 +193,6 @@ def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
     return replace(boxes, table=replace(boxes.table, places=places))
 
 
-def _is_unplaced(path: str) -> bool:
-    words = words_of(path.replace("_", " "))
-    return bool(_UNPLACED.intersection(words)) or "not placed" in " ".join(words) or "not packed" in " ".join(words)
-
-
 def _members(
     value: Any, path: str, place: str, around: tuple[tuple[str, Mapping[str, Any]], ...], depth: int
 ) -> Iterator[tuple[str, NestedBox]]:
@@ -281,7 +271,7 @@ def _is_plan_key(value: Mapping[str, Any]) -> bool:
         return False
     if not all(isinstance(inner[0], Mapping) and _alike([inner[0], lists[0][0]]) for inner in lists):
         return False
-    return not any(_is_unplaced(str(name)) for name in value)
+    return not any(names_unplaced(str(name)) for name in value)
 
 
 def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:

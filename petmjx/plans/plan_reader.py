@@ -78,7 +78,7 @@ def load_plans(
     carrier_extent_mm: tuple[float, float] | None = None,
     units: str | None = None,
     anchor: Anchor | None = None,
-    up: Literal["y", "z"] | None = None,
+    up: Literal["x", "y", "z"] | None = None,
     sizes: Literal["placed", "item"] | None = None,
     columns: Mapping[str, str] | str | None = None,
     density: float | None = None,

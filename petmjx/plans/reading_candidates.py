@@ -32,6 +32,12 @@ _FIRM: Final = 3.0
 """Cost of a reading that contradicts a known fact about a form."""
 
 
+_UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0)}
+"""The file's vertical axis → the file's axes (by their numbers) along the plan's x, y and z."""
+UNUSUAL_UP: Final = 2.5
+"""Cost of a reading with x upwards, before any numbers are considered."""
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """One possible reading of a geometry, before units are chosen."""
@@ -48,8 +54,7 @@ class Candidate:
     @property
     def along(self) -> tuple[str, str, str]:
         axes = [self.geometry.axes[index] for index in self.pair]
-        order = (0, 1, 2) if self.up == "z" else (0, 2, 1)
-        names = [role_of(axes[index]) for index in order]
+        names = [role_of(axes[index]) for index in _UP[self.up]]
         return names[0], names[1], names[2]
 
 
@@ -68,7 +73,8 @@ def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
         return np.take_along_axis(geometry.size, turns.letters, axis=1)
     codes = np.maximum(turns.codes, 0)
     if candidate.rule in ("swap", "swap back", "degrees"):
-        level = (1, 0, 2) if candidate.up == "z" else (2, 1, 0)
+        first, second, _ = _UP[candidate.up]
+        level = [{first: second, second: first}.get(axis, axis) for axis in range(3)]
         odd = codes % 2 == (candidate.rule != "swap back")
         return np.where(odd[:, None], size[:, level], size)
     first = 1 if candidate.rule.endswith("from 1") else 0
@@ -80,7 +86,7 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     """The boxes of a candidate along the plan's axes, in the unit of coordinates."""
     size = turned_sizes(columns, candidate) * candidate.scale
     place = candidate.geometry.place
-    order = [0, 1, 2] if candidate.up == "z" else [0, 2, 1]
+    order = _UP[candidate.up]
     size, place = size[:, order], place[:, order]
     low = place - np.array(ANCHORS[candidate.anchor]) * size
     return Layout(low, size, _container_along(candidate, container or {}, order))
@@ -128,7 +134,9 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
         return [(up, 0.0 if up == axis else _FIRM) for up in ("z", "y")]
     if form.rule == "py3dbp" or set(geometry.axes) == {"width", "height", "depth"}:
         return [("z", 0.2), ("y", 0.2)]
-    return [("z", 0.0), ("y", 1.0)]
+    usual = [("z", 0.0), ("y", 1.0)]
+    # the container shows whether x is the vertical
+    return [*usual, ("x", UNUSUAL_UP)] if columns.source.boxes.containers else usual
 
 
 def _turning_axis(turn: FloatArray) -> str:
@@ -154,7 +162,7 @@ def _pairs(
     if len(wishes.along) == 3:
         names = [role_of(axis) for axis in axes]
         if sorted(names) == sorted(wishes.along):
-            order = (0, 1, 2) if up == "z" else (0, 2, 1)
+            order = _UP[up]
             along = [names.index(wishes.along[order.index(axis)]) for axis in range(3)]
             return [((along[0], along[1], along[2]), 0.0)]
     if not set(axes) <= set(SIZE_WORDS):
@@ -163,7 +171,7 @@ def _pairs(
         return [((0, 1, 2), 0.0), ((1, 0, 2), 2.2), ((0, 2, 1), 1.6)]
     upright = "height" if "height" in axes else "depth"
     pairs = []
-    vertical = 2 if up == "z" else 1
+    vertical = _UP[up][2]
     for pair in permutations(range(3)):
         pair_axes = [axes[index] for index in pair]
         level = [name for name in pair_axes if name != upright]

@@ -28,7 +28,7 @@ from petmjx.plans.plausibility import (
     same_layouts,
     side_cost,
 )
-from petmjx.plans.reading_candidates import Candidate, candidates, layout_of
+from petmjx.plans.reading_candidates import UNUSUAL_UP, Candidate, candidates, layout_of
 from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, overlap_text, tie_text
 
 TIE: Final = 1.5
@@ -40,6 +40,9 @@ as plausible as the right one by chance."""
 WEAK: Final = 5.0
 """A reading is weak if the cost of its layout exceeds this value. A layout has this cost if a fifth of its boxes
 overlap, or if a quarter of them float."""
+_POOR: Final = 0.8 * WEAK
+"""If every reading has a layout with a higher cost than this, unusual readings are tried: x upwards, and coordinates in
+another unit than sizes."""
 WEAK_LEAD: Final = 3.0
 """A weak reading wins only if its cost is lower than the cost of every other reading by at least this value. If a plan
 really has odd boxes, even more boxes are odd in wrong readings."""
@@ -291,8 +294,15 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
             break
         judged.append(_judge(columns, wishes, candidate, sample))
         lowest = min(lowest, judged[-1].cost)
+    best = min((one.layout_cost for one in judged), default=0.0)
+    if best > _POOR and not (wishes.up or columns.source.form.up):
+        plain = {id(one.candidate.geometry): one for one in sorted(judged, key=lambda one: one.candidate.prior)[::-1]}
+        for one in plain.values():
+            sideways = replace(one.candidate, up="x", prior=one.candidate.prior + UNUSUAL_UP)
+            other = _judge(columns, wishes, sideways, sample)
+            judged += [other] if other.layout_cost <= _POOR else []
     unnamed = not wishes.units and not any(geometry.size_unit or geometry.place_unit for geometry in columns.geometries)
-    if unnamed and judged and min(one.layout_cost for one in judged) > 0.8 * WEAK:
+    if unnamed and judged and min(one.layout_cost for one in judged) > _POOR:
         base = sorted(judged, key=lambda one: one.candidate.prior)[:8]
         for factor in (10.0, 0.1, 1000.0, 0.001, 25.4, 100.0, 0.01):
             for one in base:

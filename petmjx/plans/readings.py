@@ -92,7 +92,7 @@ class Reading:
         units: unit of lengths; masses: unit of masses. If sizes and coordinates have different units, ``units`` is, for
             example, "cm/mm".
         anchor: the point of a box that coordinates describe.
-        up: the file's vertical axis, "y" or "z".
+        up: the file's vertical axis, "x", "y" or "z".
         along: names of the sizes that lie along the plan's x, y and z, before boxes are turned.
         sizes: "placed": sizes of boxes as placed; "item": sizes before boxes are turned.
         rule: how boxes are turned (``ROTATION_RULES``).
@@ -225,7 +225,7 @@ def _column_words(reading: Reading) -> str:
 _DIFFERENCES: Final = (
     (("units",), "--units", _length_words),
     (("masses",), "--units", lambda reading: f"weights in {UNIT_WORDS.get(reading.masses, reading.masses)}"),
-    (("up",), "--up", lambda reading: f"{reading.up} upwards"),
+    (("up",), "--up (x, y or z)", lambda reading: f"{reading.up} upwards"),
     (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
     (("sizes", "rule"), "--sizes", _size_words),
 )
@@ -283,7 +283,7 @@ function, the file is refused without a question."""
 
 _TEXTS: Final = {
     "anchor": tuple(ANCHORS),
-    "up": ("z", "y"),
+    "up": ("z", "y", "x"),
     "sizes": ("placed", "item"),
     "rule": tuple(ROTATION_RULES),
     "origin": ORIGINS,

@@ -14,7 +14,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.column_names import TITLE_WORDS, plain_text, words_of
+from petmjx.plans.column_names import TITLE_WORDS, names_unplaced, plain_text, words_of
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.header_and_total_rows import (
     count_known_names,
@@ -29,7 +29,7 @@ from petmjx.plans.header_and_total_rows import (
     with_groups,
 )
 from petmjx.plans.raw_cells import cell_text, decimal_of, is_number
-from petmjx.plans.raw_tables import RawTable
+from petmjx.plans.raw_tables import RawTable, not_placed
 
 
 def tables_of_rows(
@@ -150,6 +150,7 @@ def _sections(
     trailing: list[str] = []
     short_titles: dict[str, str] = {}
     remarks: list[tuple[tuple[Any, ...], str]] = []
+    n_unplaced = 0
     for index in range(first, end):
         row, place = rows[index], f"row {index + begin}"
         filled = [cell for cell in row if cell is not None]
@@ -165,6 +166,9 @@ def _sections(
         if _is_title(row, geometric, names_pallets):
             short_titles[_line(row)] = _short_title(filled)
             trailing.append(_line(row))
+            continue
+        if trailing and _are_unplaced(trailing[-1]):
+            n_unplaced += 1
             continue
         if is_remark:
             remarks.append((row, place))
@@ -184,7 +188,7 @@ def _sections(
             sections.append((trailing[-1], []))
             trailing = []
         sections[-1][1].append((tuple(row[:width]), place))
-    notes += _remark_notes(remarks)
+    notes += [*_remark_notes(remarks), *not_placed(n_unplaced)]
     if len(set(short_titles.values())) == len(short_titles):
         sections = [(short_titles.get(name, name), body) for name, body in sections]
     return [section for section in sections if section[1]], tuple(lost), trailing
@@ -206,16 +210,23 @@ def _remark_notes(remarks: Sequence[tuple[tuple[Any, ...], str]]) -> list[str]:
 
 
 def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequence[int]) -> bool:
-    """Whether a row of several cells is the title of a section: it begins with a text that has a word for pallets or
-    orders, and most sizes and places are missing.
+    """Whether a row of several cells is the title of a section: it has no number, and says that boxes are not placed;
+    or it begins with a text that has a word for pallets or orders, and most sizes and places are missing.
 
     Args:
         pallet_columns: columns whose cells name pallets in every row, so that a cell there is no title.
     """
+    if not any(map(is_number, row)) and _are_unplaced(_line(row)):
+        return True
     begin = next((index for index, cell in enumerate(row) if cell is not None), None)
     if begin is None or begin in pallet_columns or not isinstance(row[begin], str):
         return False
     return bool(TITLE_WORDS.intersection(words_of(row[begin]))) and _n_numbers(row, geometric) * 2 < len(geometric)
+
+
+def _are_unplaced(title: str) -> bool:
+    """Whether the boxes below a title are not part of a plan. A pallet of leftovers is a plan."""
+    return names_unplaced(title) and not TITLE_WORDS.intersection(words_of(title))
 
 
 def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:

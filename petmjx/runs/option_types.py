@@ -260,7 +260,7 @@ class RunOptionsGiven(TypedDict, total=False):
     limit: int | None
     units: str | None
     anchor: Literal["corner", "centre", "base-centre", "far-corner", "top-centre"] | None
-    up: Literal["y", "z"] | None
+    up: Literal["x", "y", "z"] | None
     sizes: Literal["placed", "item"] | None
     columns: dict[str, str] | str | None
     density: float | None
