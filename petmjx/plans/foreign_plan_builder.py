@@ -23,10 +23,12 @@ from petmjx.plans.placed_boxes import (
     far_cells,
     fault_of_rows,
     first_bad_row,
+    height_fault,
     masses_kg,
     pallet_rows,
     placed_boxes,
     range_faults,
+    rows_below_deck,
 )
 from petmjx.plans.placement_table import RefusedPlan, Table, as_column
 from petmjx.plans.plan_rows import PalletSearch, packing_order, plan_names, repeated_number
@@ -76,6 +78,8 @@ class PlanBuilder:
             self.notes.append(f"{printable_name(reading.columns[LAST_CELLS])} and its like are the last cells of boxes")
         self._note_quantities()
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
+        for row in rows_below_deck(low, plans, size):
+            self.faults.setdefault(row, height_fault(reading, candidate, row))
         self.decks = pallet_rows(self.columns, plans, size, low)
         for row, fault in range_faults(self.columns, reading, candidate).items():
             self.faults.setdefault(row, fault)

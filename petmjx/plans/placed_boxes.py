@@ -29,7 +29,7 @@ from petmjx.plans.plan_fields import (
 )
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.plans.raw_cells import cell_number, thousands_faults
-from petmjx.plans.reading_candidates import Candidate, layout_of
+from petmjx.plans.reading_candidates import Candidate, axis_up, layout_of
 from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
@@ -108,7 +108,8 @@ def _deck_heights(
     the plan's own lowest box (half the container's height below 0).
     """
     small = {name: _LEVEL * float(np.nanmedian(size[rows, 2])) for name, rows in plans.items()}
-    lowest = {name: float(np.nanmin(low[rows, 2])) for name, rows in plans.items()}
+    below = rows_below_deck(low, plans, size)
+    lowest = {name: float(np.nanmin(low[[row for row in rows if row not in below], 2])) for name, rows in plans.items()}
     of_middle = {
         name for name, z in lowest.items() if abs(z) > small[name] and abs(z + containers[name][2] / 2) <= small[name]
     }
@@ -116,6 +117,19 @@ def _deck_heights(
     begins = any(abs(z) <= small[name] for name, z in others.items())
     level = 0.0 if begins else min(others.values(), default=0.0)
     return {name: z if name in of_middle or abs(z - level) <= small[name] else level for name, z in lowest.items()}
+
+
+def rows_below_deck(low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray) -> set[int]:
+    """Numbers of the rows of boxes below the deck, whose heights are probably wrong. A plan's deck is at 0 if boxes
+    are at 0 that the boxes below 0 cannot carry: they have less than half of the area."""
+    below: set[int] = set()
+    area = size[:, 0] * size[:, 1]
+    for rows in plans.values():
+        small = _LEVEL * float(np.nanmedian(size[rows, 2]))
+        lower, at_0 = (rows[where] for where in (low[rows, 2] < -small, np.abs(low[rows, 2]) <= small))
+        if np.nansum(area[lower]) < np.nansum(area[at_0]) / 2:
+            below |= {*lower.tolist()}
+    return below
 
 
 def _move(
@@ -350,6 +364,13 @@ def first_bad_row(columns: BoxColumns, wishes: Wishes) -> tuple[int, str] | None
         name = _size_names(geometries[0], geometries[0].columns)[axis]
         faults.setdefault(row, f"{name} must be > 0, got {geometries[0].size[row, axis]:g}")
     return min(faults.items(), default=None)
+
+
+def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
+    """The error text for a box below the deck, with the name of the column of heights."""
+    axis = axis_up(candidate.up)
+    height = candidate.geometry.place[row, axis]
+    return f"{_place_names(reading.columns)[axis]} is below the deck, on which other boxes stand, got {height:g}"
 
 
 def range_faults(columns: BoxColumns, reading: Reading, candidate: Candidate) -> dict[int, str]:

@@ -34,6 +34,13 @@ _FIRM: Final = 3.0
 
 _UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0)}
 """The file's vertical axis → the file's axes (by their numbers) along the plan's x, y and z."""
+
+
+def axis_up(up: str) -> int:
+    """The number of the file's vertical axis."""
+    return _UP[up][2]
+
+
 UNUSUAL_UP: Final = 2.5
 """Cost of a reading with x upwards, before any numbers are considered."""
 
@@ -171,7 +178,7 @@ def _pairs(
         return [((0, 1, 2), 0.0), ((1, 0, 2), 2.2), ((0, 2, 1), 1.6)]
     upright = "height" if "height" in axes else "depth"
     pairs = []
-    vertical = _UP[up][2]
+    vertical = axis_up(up)
     for pair in permutations(range(3)):
         pair_axes = [axes[index] for index in pair]
         level = [name for name in pair_axes if name != upright]

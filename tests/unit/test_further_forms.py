@@ -718,6 +718,75 @@ def test_documents_in_further_conventions(name: str, tmp_path: Path) -> None:
     check_pile(plan)
 
 
+def test_x_may_be_the_vertical(tmp_path: Path) -> None:
+    """The deck shows that x or z is the vertical, and the user tells which of them."""
+    boxes = [
+        {"name": name, "origin": dict(zip("yzx", box[:3], strict=True)), "weight": box[6],
+         "dimensions": dict(zip("yzx", box[3:6], strict=True))}
+        for name, box in zip(NAMES, PILE, strict=True)
+    ]  # fmt: skip
+    content = json.dumps({"boxes": [{"box": {"dimensions": {"x": 2000, "y": 1200, "z": 800}, "items": boxes}}]})
+    (skipped,) = load(tmp_path, "pile.json", content).skipped
+    assert "can be read in two ways: x upwards" in skipped.message
+    assert "say which with --up (x, y or z)" in skipped.message
+    (plan,) = load(tmp_path, "pile.json", content, up="x").plans
+    check_pile(plan)
+
+
+def test_a_box_below_the_deck_is_named(tmp_path: Path) -> None:
+    low = boxes_by(plain)
+    low[6]["z"] = -300.0
+    (skipped,) = load(tmp_path, "pile.json", json.dumps(low), up="z", anchor="corner").skipped
+    assert skipped.message.endswith("[6] (g): z is below the deck, on which other boxes stand, got -300")
+
+
+def test_lines_around_numbers_without_a_header(tmp_path: Path) -> None:
+    """The first line may have words, or the sizes of the container. A column may separate pallets."""
+    rows = "".join(" ".join(map(str, box[:6])) + "\n" for box in PILE)
+    for above in ("solved\n", "1200 800 1500\n"):
+        plan_set = load(tmp_path, "pile.txt", above + rows, up="z", units="mm")
+        check_pile(plan_set.plans[0], weights=False)
+        assert f"row 1 is no box: {above.strip()}" in notes_of(plan_set)
+    trucks = "solved\n" + "".join(f"{truck} {' '.join(map(str, two_corners(box)))}\n" for truck in "01" for box in PILE)
+    (skipped,) = load(tmp_path, "trucks.txt", trucks, units="mm").skipped
+    assert "boxes overlap, but not if column 1 separates pallets; say which with --columns" in skipped.message
+    for plan in load(tmp_path, "trucks.txt", trucks, units="mm", columns={"plan": "column 1"}).plans:
+        check_pile(plan, weights=False)
+
+
+REPORT = """
+*** REPORT ***
+WHILE PALLET ORIENTATION  : X=1200; Y=800; Z=1500
+---------------------------------------------------------
+  NO: DIM-1 DMEN-2 DMEN-3 COOR-X COOR-Y COOR-Z PACKEDX PACKEDY PACKEDZ
+---------------------------------------------------------
+"""
+
+
+def test_sizes_beside_places_and_boxes_that_are_not_placed(tmp_path: Path) -> None:
+    rows = "".join(
+        f"{number:5d} {box[5]:6d} {box[3]:6d} {box[4]:6d} "
+        f"{' '.join(f'{value:6d}' for value in (*box[:3], *box[3:6]))}\n"
+        for number, box in enumerate(PILE, start=1)
+    )
+    unplaced = "\n *** LIST OF UNPACKED BOXES ***\n    9   300   200   100\n   10   300   200   100\n"
+    plan_set = load(tmp_path, "report.txt", REPORT + rows + unplaced, up="z", units="mm")
+    check_pile(plan_set.plans[0], weights=False)
+    assert "2 boxes are not placed, and left out" in notes_of(plan_set)
+
+
+def test_text_of_bp3d_has_letters_of_rotations_and_empty_bins(tmp_path: Path) -> None:
+    """Sizes are width, height and depth; x, y and z are their axes, and y is the vertical."""
+    rows = []
+    for name, (x, y, z, length, width, height, kg) in zip(NAMES, PILE, strict=True):
+        sizes, turn = ((width, length), "DHW (d,h,w)") if name in "beh" else ((length, width), "WHD (w,h,d)")
+        first, last = sizes
+        rows.append(f"   {name}({first}x{height}x{last}, weight: {kg}) pos({x},{z},{y}) rt(RotationType_{turn})\n")
+    text = "Small(10x15x20, max_weight:100)\n packed items:\nEuro(1200x1500x800, max_weight:1000)\n packed items:\n"
+    (plan,) = load(tmp_path, "pile.txt", text + "".join(rows)).plans
+    check_pile(plan)
+
+
 def test_scenes_without_weights_or_with_meshes_that_are_scaled(tmp_path: Path) -> None:
     plan_set = load(tmp_path, "scene.json", json.dumps(three_js(instances=True)))
     check_pile(plan_set.plans[0], weights=False)
@@ -934,9 +1003,8 @@ def test_values_that_would_be_lost_in_silence_are_named(tmp_path: Path) -> None:
 
 def test_a_height_below_the_floor_does_not_turn_the_pile(tmp_path: Path) -> None:
     wrong = table(f"name,x,y,z,{SIZES},mass", lambda k, box: [NAMES[k], *box[:2], -310 if k == 7 else box[2], *box[3:]])
-    plan_set = load(tmp_path, "pile.csv", wrong)
-    assert "z upwards" in notes_of(plan_set)
-    assert len(plan_set.warnings) == 1
+    (skipped,) = load(tmp_path, "pile.csv", wrong).skipped
+    assert skipped.message.endswith("row 9 (h): z is below the deck, on which other boxes stand, got -310")
 
 
 def test_pallets_in_an_array_of_their_own(tmp_path: Path) -> None:
