@@ -24,6 +24,7 @@ LENGTHS_MM: Final[Mapping[str, tuple[float, str]]] = {
     "cm": (10.0, "centimetres"),
     "m": (1000.0, "metres"),
     "in": (25.4, "inches"),
+    "ft": (304.8, "feet"),
 }
 MASSES_KG: Final[Mapping[str, tuple[float, str]]] = {
     "kg": (1.0, "kilograms"),

@@ -211,8 +211,8 @@ class RunOptions(CheckedRecord):
         str | None, AfterValidator(_units), CliFlag("--units", "LENGTH,MASS", default=f"{PLAN_UNITS}; {_OR_BY_FILE}")
     ] = Field(
         None,
-        description="unit of the lengths (mm, cm, m or in) and unit of the masses (kg, g, lb or t) in the plans; one "
-        "of them or both, as in cm,g",
+        description="unit of the lengths (mm, cm, m, in or ft) and unit of the masses (kg, g, lb or t) in the plans; "
+        "one of them or both, as in cm,g",
     )
     anchor: Annotated[Anchor | None, CliFlag("--anchor", "POINT", default=f"corner; {_OR_BY_FILE}")] = Field(
         None,

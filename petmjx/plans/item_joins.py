@@ -28,6 +28,7 @@ _MEASURES: Final = word_set(
 )
 """Kinds of columns that cannot name the item of a box. If a box and an item have equal numbers in such columns, this is
 chance."""
+_OF_WEIGHT: Final = word_set("weight density")
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
 _MOST_BESIDE: Final = 20
 """If a file of plans has only places, at most this number of files in its folder are tried as files of items."""
@@ -50,6 +51,10 @@ def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | No
         return best if path is None else _with_articles_beside(best, path)
     if best.form == PACKINGSOLVER and path is not None:
         return _with_items_beside(best, path)
+    if best.boxes.has_places and not best.boxes.kinds & _OF_WEIGHT:
+        for other in sources[1:]:
+            if (joined := _with_weights_of(best, other)) is not None:
+                return joined
     return best
 
 
@@ -132,6 +137,37 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
     joined = replace(table, header=header, rows=cells)
     note = f"sizes and weights from {name}" if not by_number else f"weights from {name}"
     return replace(best, boxes=replace(best.boxes, table=joined), notes=(*best.notes, note))
+
+
+def _with_weights_of(best: BoxSource, items: BoxSource) -> BoxSource | None:
+    """Boxes that have sizes, with the weights of another list of the same file; None if the names and sizes of both
+    lists do not agree."""
+    table, other = best.boxes.table, items.boxes.table
+    weights = [index for index, meaning in enumerate(items.boxes.meanings) if meaning and meaning.kind in _OF_WEIGHT]
+    rows = _rows_by_name(table, other) if weights and items.boxes.has_sizes else None
+    if rows is None:
+        return None
+    one, two = _sorted_sizes(table), _sorted_sizes(other)
+    pairs = [(one[row], two[item]) for row, item in enumerate(rows) if item is not None]
+    alike = sum(len(a) == len(b) and bool(np.allclose(a, b)) for a, b in pairs)
+    if alike < _MATCHED * len(rows):
+        return None
+    header = (*table.header, *(other.header[index] for index in weights))
+    cells = [
+        (*row, *(None if item is None else other.rows[item][index] for index in weights))
+        for row, item in zip(table.rows, rows, strict=True)
+    ]
+    joined = replace(best.boxes, table=replace(table, header=header, rows=cells))
+    return replace(best, boxes=joined, notes=(*best.notes, f"weights from {items.boxes.path or 'the other table'}"))
+
+
+def _sorted_sizes(table: RawTable) -> list[list[float]]:
+    """For each row, the numbers in columns of sizes, in ascending order."""
+    indices = [
+        index for index, meaning in enumerate(column_meanings(table.header)) if meaning and meaning.kind == "size"
+    ]
+    numbers = [[cell_number(row[index]) for index in indices] for row in table.rows]
+    return [sorted(number.value for number in row if number is not None) for row in numbers]
 
 
 def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None:

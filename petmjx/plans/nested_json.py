@@ -19,7 +19,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.box_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.column_names import column_meanings, names_unplaced, word_set, words_of
-from petmjx.plans.header_and_total_rows import geometric_names
+from petmjx.plans.header_and_total_rows import geometric_columns, geometric_names
 from petmjx.plans.json_reader import DuplicateFieldObject, any_integer, json_fault, json_object
 from petmjx.plans.nested_containers import (
     CONTAINERS,
@@ -258,7 +258,7 @@ _FORM_WORDS: Final = word_set(
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
     """Whether the names of an object's fields are names of plans. The names are taken as names of plans if every field
     holds a list, and no name has a word of ``_FORM_WORDS``. A list may be empty if its name differs from that of
-    another list only in its number."""
+    another list only in its number. If only some lists have places, the others are lists of items."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if not lists or not all(isinstance(inner, list) for inner in value.values()):
         return False
@@ -270,6 +270,9 @@ def _is_plan_key(value: Mapping[str, Any]) -> bool:
     if len(lists) == 1 and _FORM_WORDS.intersection(words_of(next(iter(value)))):
         return False
     if not all(isinstance(inner[0], Mapping) and _alike([inner[0], lists[0][0]]) for inner in lists):
+        return False
+    headers = [[str(name) for name in inner[0]] for inner in lists]
+    if len({frozenset(header[index] for index in geometric_columns(header)) for header in headers}) > 1:
         return False
     return not any(names_unplaced(str(name)) for name in value)
 

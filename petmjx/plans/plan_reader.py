@@ -103,7 +103,7 @@ def load_plans(
         carrier_extent_mm: extent of the carrier along x and y. Boxes that reach beyond this extent are reported as
             outside.
             None: the extent of the plan's boxes.
-        units: unit of the plans' lengths (mm, cm, m or in) and unit of their masses (kg, g, lb or t), such as "cm,g";
+        units: unit of lengths (mm, cm, m, in or ft) and unit of masses (kg, g, lb or t) in the plans, such as "cm,g";
             None: mm and kg, or for files of other tools the most plausible units.
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
             ``base-centre``, ``far-corner`` (with the largest x, y and z) or ``top-centre``; None: the corner, or for

@@ -192,7 +192,8 @@ def repeated_number(columns: BoxColumns, rows: NDArray[np.int64]) -> str | None:
             return f"{places[row]}: {name} must be a whole number, got {value:g}"
         if value in first_rows:
             plans = "" if columns.plan else "; several plans? then name their column: --columns plan=NAME"
-            return f"{places[first_rows[value]]} and {places[row]}: {name} {value:g} occurs twice{plans}"
+            unused = f"no packing order? then --columns sequence={IGNORED}"
+            return f"{places[first_rows[value]]} and {places[row]}: {name} {value:g} occurs twice{plans}; {unused}"
         first_rows[value] = row
     return None
 

@@ -301,8 +301,8 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
             sideways = replace(one.candidate, up="x", prior=one.candidate.prior + UNUSUAL_UP)
             other = _judge(columns, wishes, sideways, sample)
             judged += [other] if other.layout_cost <= _POOR else []
-    unnamed = not wishes.units and not any(geometry.size_unit or geometry.place_unit for geometry in columns.geometries)
-    if unnamed and judged and min(one.layout_cost for one in judged) > _POOR:
+    no_sizes_unit = not wishes.units and not any(geometry.size_unit for geometry in columns.geometries)
+    if no_sizes_unit and judged and min(one.layout_cost for one in judged) > _POOR:
         base = sorted(judged, key=lambda one: one.candidate.prior)[:8]
         for factor in (10.0, 0.1, 1000.0, 0.001, 25.4, 100.0, 0.01):
             for one in base:

@@ -733,6 +733,34 @@ def test_x_may_be_the_vertical(tmp_path: Path) -> None:
     check_pile(plan)
 
 
+def test_feet_are_a_unit_that_the_user_can_name(tmp_path: Path) -> None:
+    in_feet = [dict(zip(FIELDS, [*(value / 304.8 for value in box[:6]), box[6]], strict=True)) for box in PILE]
+    content = json.dumps({"placed": [{"id": name, **box} for name, box in zip(NAMES, in_feet, strict=True)]})
+    (plan,) = load(tmp_path, "pile.json", content, up="z", units="ft,kg").plans
+    check_pile(plan)
+
+
+def test_sizes_in_another_unit_than_places(tmp_path: Path) -> None:
+    """Only the places name their unit."""
+    header = "SKU,Length,Width,Height,X (cm),Y (cm),Z (cm)"
+    content = table(header, lambda k, box: [NAMES[k], *box[3:6], *(value / 10 for value in box[:3])])
+    plan_set = load(tmp_path, "pile.csv", content)
+    check_pile(plan_set.plans[0], weights=False)
+    assert "sizes in mm, coordinates in cm" in notes_of(plan_set)
+
+
+def test_weights_of_another_list_belong_to_boxes_of_the_same_sizes(tmp_path: Path) -> None:
+    items = [{"id": name, **dict(zip(FIELDS[3:], box[3:], strict=True))} for name, box in zip(NAMES, PILE, strict=True)]
+    boxes = [{name: value for name, value in box.items() if name != "weight"} for box in boxes_by(plain)]
+    plan_set = load(tmp_path, "pile.json", json.dumps({"cargo": items, "placed": boxes}), up="z", units="mm")
+    check_pile(plan_set.plans[0])
+    assert "weights from cargo[]" in notes_of(plan_set)
+    items[0] |= {"height": 310, "length": 500}
+    items[1] |= {"height": 310}
+    other_sizes = load(tmp_path, "other.json", json.dumps({"cargo": items, "placed": boxes}), up="z", units="mm")
+    assert "no weights: 300 kg/m³" in notes_of(other_sizes)
+
+
 def test_a_box_below_the_deck_is_named(tmp_path: Path) -> None:
     low = boxes_by(plain)
     low[6]["z"] = -300.0

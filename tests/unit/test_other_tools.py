@@ -93,6 +93,7 @@ def test_a_packing_order_that_repeats_is_no_plan(tmp_path: Path) -> None:
     rows = [row | {"step": number} for row, number in zip(tower(), (1, 2, 2), strict=True)]
     (skipped,) = petmjx.load_plans(write(tmp_path / "load.json", rows)).skipped
     assert "plan load, [1] and [2]: step 2 occurs twice; several plans?" in skipped.message
+    assert skipped.message.endswith("; no packing order? then --columns sequence=-")
 
 
 def test_bed_bpp_in_centimetres_keeps_the_order_of_its_list(tmp_path: Path) -> None:
