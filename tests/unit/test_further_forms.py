@@ -564,6 +564,10 @@ PRINTED = {
         "Box { Name = %(name)s, X = %(x)s, Y = %(y)s, Z = %(z)s, Length = %(length)s, Width = %(width)s, "
         "Height = %(height)s, Weight = %(weight)s }, "
     ),
+    "Lua": (
+        '{\n  ["name"] = "%(name)s",\n  ["position"] = { %(x)s, %(y)s, %(z)s },\n  ["length"] = %(length)s,\n'
+        '  ["width"] = %(width)s,\n  ["height"] = %(height)s,\n  ["weight"] = %(weight)s\n},\n'
+    ),
     "Clojure": (
         '{:name "%(name)s", :position [%(x)s %(y)s %(z)s], :length %(length)s, :width %(width)s, :height %(height)s, '
         ":weight %(weight)s}\n "
@@ -597,7 +601,8 @@ def test_values_as_programs_print_them(language: str, tmp_path: Path) -> None:
     elif language == "lines":
         text = "\n".join(("2 pallets, 1 used", *(LINE % box for box in boxes)))
     else:
-        text = f"[{''.join(PRINTED[language] % box for box in boxes)}]\n"
+        start, end = "{}" if language == "Lua" else "[]"
+        text = f"{start}{''.join(PRINTED[language] % box for box in boxes)}{end}\n"
     plan_set = load(tmp_path, "pile.txt", text)
     assert not plan_set.skipped
     (plan,) = plan_set.plans
