@@ -15,6 +15,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.column_extraction import IGNORED
 from petmjx.plans.known_forms import PACKINGSOLVER
 from petmjx.plans.placed_boxes import (
     assumed_density,
@@ -130,6 +131,8 @@ class PlanBuilder:
         """
         faults = {**empty_rows(self.columns), **far_cells(self.columns, self.wishes), **self.columns.faults}
         self.columns = replace(self.columns, faults=faults)
+        if self.wishes.exact.get("plan") == IGNORED:
+            self._join_parts()
         search = PalletSearch(self.columns, self.wishes)
         unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
         if unsaid and self.columns.plan is None and not any(self.boxes.parts):
@@ -155,11 +158,16 @@ class PlanBuilder:
         apart = unsaid and len(plans) > 1 and not lost
         if apart and self._float(reading, candidate, plans) and search.are_parts_of_one():
             self.notes.append(f"{first_names(list(plans))} are one plan: some of them would begin above the deck")
-            self.boxes = replace(self.boxes, parts=())
-            self.columns = replace(self.columns, source=replace(self.columns.source, boxes=self.boxes))
+            self._join_parts()
             names = plan_names(self.columns, self.source, self.notes)
             reading, candidate = choose_reading(self.columns, rows_by_name(names), self.wishes)
+            reading = replace(reading, columns={**reading.columns, "plan": IGNORED})
         return names, lost, reading, candidate
+
+    def _join_parts(self) -> None:
+        """Make one plan of the parts of the file."""
+        self.boxes = replace(self.boxes, parts=())
+        self.columns = replace(self.columns, source=replace(self.columns.source, boxes=self.boxes))
 
     def _float(self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]) -> bool:
         """Whether there is a plan in which no box stands on the deck."""

@@ -325,11 +325,12 @@ def far_cells(columns: BoxColumns, wishes: Wishes) -> dict[int, tuple[str, str]]
     geometry, form = columns.geometries[0], columns.source.form
     faults: dict[int, tuple[str, str]] = {}
     size_names, place_names = _size_names(geometry, geometry.columns), _place_names(geometry.columns)
-    for values, smallest, largest, names, named_unit, fault_of in (
-        (geometry.size, SMALLEST_MM, LARGEST_MM, size_names, geometry.size_unit, positive_fault),
-        (geometry.place, -FARTHEST_MM, FARTHEST_MM, place_names, geometry.place_unit, coordinate_fault),
+    sizes, places = wishes.length_units
+    for values, smallest, largest, names, unit, fault_of in (
+        (geometry.size, SMALLEST_MM, LARGEST_MM, size_names, geometry.size_unit or sizes, positive_fault),
+        (geometry.place, -FARTHEST_MM, FARTHEST_MM, place_names, geometry.place_unit or places, coordinate_fault),
     ):
-        limits = limits_in(smallest, largest, named_unit or wishes.units or form.units or "mm")
+        limits = limits_in(smallest, largest, unit or form.units or "mm")
         for row, axis in np.argwhere(np.abs(values) > limits.largest).tolist():
             text = fault_of(names[axis], float(values[row, axis]), *limits)
             if text is not None:

@@ -13,6 +13,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, role_of
+from petmjx.plans.column_names import LENGTH_UNITS
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plausibility import Layout
 from petmjx.plans.readings import Wishes
@@ -119,6 +120,8 @@ def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
     """Yield all readings that names, the form and the caller allow. Each has a prior: its cost before any numbers are
     considered."""
     form = columns.source.form
+    sizes, places = wishes.length_units
+    scale = LENGTH_UNITS[sizes] / LENGTH_UNITS[places] if sizes != places else 1.0
     for geometry in columns.geometries:
         for up, up_prior in _ups(geometry, columns, wishes):
             for pair, pair_prior in _pairs(geometry, up, columns, wishes):
@@ -127,7 +130,7 @@ def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
                         continue
                     for anchor, anchor_prior in _anchors(geometry, form.anchor, wishes):
                         prior = geometry.prior + up_prior + pair_prior + rule_prior + anchor_prior
-                        yield Candidate(geometry, pair, up, anchor, rule, prior)
+                        yield Candidate(geometry, pair, up, anchor, rule, prior, scale)
 
 
 def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[str, float]]:

@@ -187,9 +187,9 @@ def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]
     form, geometry = columns.source.form, judged.candidate.geometry
     size = np.concatenate([layout.size for layout in judged.layouts])
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
-    size_unit = wishes.units or geometry.place_unit or geometry.size_unit or form.units
-    lengths = {size_unit: 0.0} if size_unit else dict(_UNIT_PRIOR)
-    if not size_unit and not columns.source.boxes.table.has_header:
+    unit = wishes.length_units[1] or geometry.place_unit or geometry.size_unit or form.units
+    lengths = {unit: 0.0} if unit else dict(_UNIT_PRIOR)
+    if not unit and not columns.source.boxes.table.has_header:
         lengths["dm"] = 0.3
     masses: dict[str, float] = {"kg": 0.0}
     unit_density = math.nan  # in the file's units

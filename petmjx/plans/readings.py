@@ -133,8 +133,7 @@ class Reading:
     @property
     def length_units(self) -> tuple[str, str]:
         """The units of sizes and of coordinates."""
-        sizes, _, places = self.units.partition("/")
-        return sizes, places or sizes
+        return _length_units(self.units)
 
     def line(self) -> str:
         """The reading as one line of text."""
@@ -174,7 +173,7 @@ class Wishes:
     Attributes:
         columns: role → name of the column, for roles that can be chosen.
         exact: all columns, if they come from a written reading; else empty.
-        units: unit of lengths; masses: unit of masses.
+        units: unit of lengths, as in ``Reading``; masses: unit of masses.
         anchor, up, sizes, origin: as in ``Reading``.
         along: names of the sizes along x, y and z; rule: how boxes are turned. ``along`` and ``rule`` can only come
             from a written reading.
@@ -194,6 +193,16 @@ class Wishes:
     rule: str = ""
     density_kg_m3: float | None = None
     deck_mm: tuple[float, float] | None = None
+
+    @property
+    def length_units(self) -> tuple[str, str]:
+        """The units of sizes and of coordinates; "": chosen by plausibility."""
+        return _length_units(self.units)
+
+
+def _length_units(units: str) -> tuple[str, str]:
+    sizes, _, places = units.partition("/")
+    return sizes, places or sizes
 
 
 class AmbiguousFile(InputError):
@@ -340,7 +349,8 @@ def read_reading(path: Path) -> Wishes:
         if key in table and table[key] not in allowed_values:
             raise InputError(f"{name}: {key} must be one of {', '.join(allowed_values)}, {shown_value(table[key])}")
     units = table.get("units", "")
-    if not isinstance(units, str) or not set(filter(None, units.split("/"))) <= LENGTH_UNITS.keys():
+    parts = units.split("/") if isinstance(units, str) and units else []
+    if not isinstance(units, str) or len(parts) > 2 or not set(parts) <= LENGTH_UNITS.keys():
         raise InputError(f"{name}: units must be a unit of length, such as mm, {shown_value(units)}")
     along = table.get("along", [])
     if not (isinstance(along, list) and len(along) in (0, 3) and all(isinstance(axis, str) for axis in along)):

@@ -22,6 +22,7 @@ import petmjx
 from petmjx.common.units import FloatArray
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.raw_cells import cell_number
+from petmjx.plans.readings import reading_toml
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
 
@@ -752,6 +753,18 @@ def test_sizes_in_another_unit_than_places(tmp_path: Path) -> None:
     plan_set = load(tmp_path, "pile.csv", content)
     check_pile(plan_set.plans[0], weights=False)
     assert "sizes in mm, coordinates in cm" in notes_of(plan_set)
+    check_pile(load_again(tmp_path / "pile.csv", plan_set), weights=False)
+    without_units = load(tmp_path, "pile.csv", content.replace(" (cm)", ""))
+    check_pile(load_again(tmp_path / "pile.csv", without_units), weights=False)
+
+
+def load_again(file: Path, plan_set: petmjx.PlanSet) -> petmjx.Plan:
+    """The plan of a file by the written reading of an earlier load."""
+    ((source, reading),) = plan_set.readings.items()
+    written = file.with_name("reading.toml")
+    written.write_text(reading_toml(reading, source))
+    (plan,) = petmjx.load_plans(file, reading=written).plans
+    return plan
 
 
 def test_weights_of_another_list_belong_to_boxes_of_the_same_sizes(tmp_path: Path) -> None:
@@ -764,6 +777,16 @@ def test_weights_of_another_list_belong_to_boxes_of_the_same_sizes(tmp_path: Pat
     items[1] |= {"height": 310}
     other_sizes = load(tmp_path, "other.json", json.dumps({"cargo": items, "placed": boxes}), up="z", units="mm")
     assert "no weights: 300 kg/m³" in notes_of(other_sizes)
+
+
+def test_a_written_reading_keeps_that_parts_are_one_plan(tmp_path: Path) -> None:
+    """The containers of a program are spaces of one pallet."""
+    boxes = boxes_by(plain)
+    groups = [{"name": "lower", "places": boxes[:4]}, {"name": "upper", "places": boxes[4:]}]
+    plan_set = load(tmp_path, "pile.json", json.dumps({"containers": groups}), up="z", units="mm")
+    assert "are one plan: some of them would begin above the deck" in notes_of(plan_set)
+    check_pile(plan_set.plans[0])
+    check_pile(load_again(tmp_path / "pile.json", plan_set))
 
 
 def test_a_box_below_the_deck_is_named(tmp_path: Path) -> None:

@@ -245,6 +245,7 @@ def test_a_bad_written_reading_is_one_line(tmp_path: Path) -> None:
         ('anchor = "edge"', "anchor must be one of corner, centre, base-centre, far-corner, top-centre, got .edge."),
         ('colour = "red"', "unknown field colour"),
         ('units = "miles"', "units must be a unit of length, such as mm, got .miles."),
+        ('units = "mm/cm/m"', "units must be a unit of length, such as mm, got .mm/cm/m."),
     ):
         with pytest.raises(InputError, match=f"as.toml: {message}"):
             read_reading(write(tmp_path / "as.toml", text))
