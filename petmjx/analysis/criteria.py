@@ -233,9 +233,9 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
 
 
 def load_tipping_g(contacts: PlanContacts) -> FloatArray:
-    """(n,) for each box, the horizontal acceleration, in g, at which the load tips as one rigid body, where the load is
-    this box and all boxes placed before it. The base of this body is the bounding rectangle of the boxes that stand on
-    the carrier."""
+    """(n,) for each box, the horizontal acceleration, in g, at which the load tips. The load is this box and all boxes
+    placed before it, taken as one rigid body. The base of this body is the bounding rectangle of the boxes that stand
+    on the carrier."""
     low, high = np.full((contacts.n_boxes, 2), np.inf), np.full((contacts.n_boxes, 2), -np.inf)
     on_carrier = contacts.lower == CARRIER
     np.minimum.at(low, contacts.upper[on_carrier], contacts.low_mm[on_carrier])
@@ -255,13 +255,14 @@ MOST_POINTS: Final = {
     "overhang": 15.0,
     "order": 15.0,
 }
-"""Property of a load → the largest number of points that the property can add to the score of 0 to 100 by which a
-seller rates loads. ``load_points`` explains the properties. The seller publishes these numbers and ``LEAST_POINTS`` but
-no formulas. The formulas of ``load_points`` are assumptions: the points for a property are a linear function of a
-value, from the worst to the best possible value."""
+"""Property of a load → largest number of points for this property. A seller rates loads with such points, from 0 to 100
+in all. ``load_points`` explains the properties; docs/criteria.md counts ``fill`` and ``interlock`` as one rule. The
+seller publishes these numbers and ``LEAST_POINTS``, but no formulas. The formulas of ``load_points`` are assumptions:
+the points for a property are a linear function of a value, from the worst to the best possible value."""
 
 LEAST_POINTS: Final = 75.0
-"""The seller of ``load_points`` calls a load stable if the load has this number of points or more."""
+"""A load with this number of points or more is stable, according to the seller whose points ``load_points``
+imitates."""
 
 
 def load_points(contacts: PlanContacts) -> dict[str, float]:
@@ -517,18 +518,19 @@ class CriteriaOptions(CheckedRecord):
     )
     carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE", default="that of the run, or footprint")] = Field(
         Carrier.FOOTPRINT,
-        description="what the boxes stand on, as for petmjx score, and by default that of the run: boards bear, gaps "
-        "do not; one without boards reaches under all boxes",
+        description="carrier on which the boxes stand, as for petmjx score; by default that of the run. Gaps between "
+        "boards bear nothing; a carrier without boards reaches under all boxes",
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
     only: tuple[str, ...] | None = Field(None, description="names of criteria; by default all")
     processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
     p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
         0.5,
-        description="of a run of a chain: a plan counts as standing if at least this share of its worlds arrives",
+        description="share of a plan's worlds that must arrive so that the plan counts as standing, if the run is that "
+        "of a chain",
     )
     seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(
-        0, description="of the halves of the plans and of the bootstrap"
+        0, description="seed for the division of the plans into halves, and for the bootstrap"
     )
 
     @property

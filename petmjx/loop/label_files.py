@@ -49,8 +49,8 @@ CARD: Final = "card.json"
 README: Final = "README.md"
 
 _ROWS: Final = 10_000
-"""Number of labels in a part (a file written while labels are made), and in a row group of a table. A part may also
-have fewer labels."""
+"""Number of labels in a part (a file that is written while labels are made), and number of labels in a row group of a
+table. A part may also have fewer labels."""
 
 SECONDS_PER_PART: Final = 60.0
 """Longest time after which the labels of finished episodes (orders packed to the end) are written as a part, s."""
@@ -348,23 +348,23 @@ def _page(card: dict[str, Any]) -> str:
         "",
         "## What",
         "",
-        "Each row is a box that is put onto a pallet of other boxes, and what a score of the pallet with it says "
-        "(`petmjx score`): whether it stands, what fails first, and the forces on all boxes. "
-        + (f"`share` is of {errors} worlds in which a robot places the box inexactly." if errors else "")
+        "Each row is a box that is put onto a pallet of other boxes, and the result of a score (`petmjx score`) of the "
+        "pallet with this box: whether the pallet stands, which box fails first, and the forces on all boxes. "
+        + (f"`share` is a share of {errors} worlds in which a robot places the box inexactly." if errors else "")
         + "",
         "",
         "## From which orders, and how",
         "",
-        f"Orders come from {source}. Boxes come in the order's sequence. {100 * options['explore']:g} % of them go to "
-        "a random place first (an extreme point inside the carrier at which the box would rest, whatever bears it), "
-        "all others to one of the four lowest places with three quarters of the base borne (`careful`). Where the "
-        "pallet does not stand, the box is taken back and tried once at such a place. So pallets are neither random "
-        "nor a packer's.",
+        f"Orders come from {source}. Boxes come in the order's sequence. {100 * options['explore']:g} % of them are "
+        "first put to a random place: an extreme point inside the carrier at which the box rests on something. All "
+        "other boxes are put to a careful place (`careful`): one of the four lowest places at which three quarters of "
+        "the base are borne. If the pallet does not stand, the box is taken back; after a random place, it is tried "
+        "once more, at a careful place. So pallets are neither random nor like those of a packer.",
         "",
         "## Splits",
         "",
-        "An order is in one split by its boxes, in any sequence and turned in any way. Orders with the same boxes are "
-        "in one split, so that no split has seen an order of another.",
+        "The split of an order depends only on its boxes, not on their sequence or orientation. So orders with the "
+        "same boxes are in the same split, and no order of one split occurs in another.",
         "",
         "| split | labels | orders | stand | fall | without a verdict |",
         "| --- | ---: | ---: | ---: | ---: | ---: |",
@@ -376,11 +376,12 @@ def _page(card: dict[str, Any]) -> str:
     lines += [f"| `{name}` | {of['type']} | {of['meaning']} |" for name, of in card["columns"].items()]
     lines += ["", "## Baselines", ""]
     if not card["baselines"]:
-        return "\n".join([*lines, "Not judged: the split test has no labels of both kinds.", ""])
+        return "\n".join([*lines, "No rule is judged: in the split test, no placement stands, or none falls.", ""])
     first = next(iter(card["baselines"].values()))
     lines += [
-        f"On {count_text(first['labels'], 'label')} of the split test: the shares of standing and of falling "
-        "placements that are found, and their mean (0.5: a guess).",
+        f"On {count_text(first['labels'], 'label')} of the split test: the share of the standing placements that a "
+        "rule accepts, the share of the falling placements that it refuses, and the mean of both (0.5: as good as a "
+        "guess).",
         "",
         "| baseline | standing | falling | mean |",
         "| --- | ---: | ---: | ---: |",

@@ -24,7 +24,7 @@ class Wrap(CheckedRecord):
         0.0, description="turns of stretch film around every part of a pallet when it is shaken; 0: it is not wrapped"
     )
     force_n: Annotated[float, within(0, 10_000), CliFlag("--wrap-force-n", "N")] = Field(
-        50.0, description="tension of one turn across the width of the film, N"
+        50.0, description="tension of one turn of film over its whole width, N"
     )
     film_mm: Annotated[float, within(10, 5000)] = Field(500.0, description="width of the film, mm")
     friction: Annotated[float, within(0, 10)] = Field(0.3, description="friction between film and boxes")

@@ -48,7 +48,9 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
         InputError: no plan can be simulated; or, with ``options.strict``, a plan would be skipped.
     """
     if isinstance(plans, Mapping):
-        raise InputError(f"plans must be {_SOURCES}, got a table (of a plan file? give its path)")
+        raise InputError(
+            f"plans must be {_SOURCES}, got a dict (if it is the content of a plan file, give the path of the file)"
+        )
     usual = InputConventions.checked(options.units, options.anchor) == USUAL_CONVENTIONS
     if not (usual or plans is None or isinstance(plans, str | PathLike | SupportsArrow)):
         given: Any = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", object, _SOURCES)

@@ -29,7 +29,7 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
     yield ""
     yield _confusion_table(comparison)
     if comparison.n_not_stable:
-        of = f"of {count_text(comparison.n_not_stable, 'world')} that neither calls stable"
+        of = f"of {count_text(comparison.n_not_stable, 'world')} that neither run calls stable"
         yield line(f"{of}: same reason {comparison.same_reason:,}, same first box {comparison.same_culprit:,}")
     if len(comparison.flips):
         yield ""

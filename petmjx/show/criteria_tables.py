@@ -58,8 +58,9 @@ def criteria_tables(results: CriteriaResults, out: Path | None = None) -> Iterat
 
 
 def _says_table(results: CriteriaResults) -> FittedTable:
-    """A table of the number of plans and boxes that each criterion accepts, and the plan with the smallest slack (how
-    far a rule is from being broken)."""
+    """A table with one row for each criterion: how many plans and boxes the criterion accepts, the median and the
+    smallest slack over all plans, and the plan with the smallest slack. A slack is a number whose sign shows whether
+    the criterion's rule holds."""
     plans, boxes = results.plans, results.boxes
 
     def slack(criterion: Criterion) -> pd.Series[float]:
@@ -124,8 +125,8 @@ def _thresholds_table(thresholds: pd.DataFrame) -> FittedTable:
         TableColumn("threshold", number_of("threshold")),
         TableColumn("published", number_of("published")),
         TableColumn("", lambda row: _unit(row["unit"]), "left"),
-        TableColumn("MCC there", _with_interval("mcc"), "left"),
-        TableColumn("MCC as\npublished", number_of("mcc_published", ".2f")),
+        TableColumn("MCC at\nthreshold", _with_interval("mcc"), "left"),
+        TableColumn("MCC at\npublished", number_of("mcc_published", ".2f")),
         TableColumn("precision", _with_interval("precision"), "left", spare=2),
         TableColumn("recall", _with_interval("recall"), "left", spare=1),
         title=f"thresholds found on {int(thresholds['n_found_on'].max()):,} of the plans, judged on the other "

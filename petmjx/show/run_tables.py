@@ -76,8 +76,8 @@ def _nominal(results: RunResults) -> FittedTable | None:
 
 
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
-    """The tables of a score with confidence: the worlds without errors, and the shares of worlds with errors that
-    stand; and lines that name the plans that need attention."""
+    """The tables and lines of a score with confidence. One table has the worlds without errors. Another table has, for
+    each plan, the share of worlds with errors in which the plan stands. Lines name the plans that need attention."""
     # runs of earlier versions do not have these columns
     since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}
     summary = summary.assign(**since)
@@ -98,12 +98,12 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
 
 
 def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
-    """Lines that name the plans for which, in most failed worlds, a box could not be placed, and the plans whose share
-    of standing worlds depends on how boxes are placed."""
+    """Lines with the names of two kinds of plans. Plans of the first kind fail in most cases because a box cannot be
+    placed. For plans of the second kind, the share of standing worlds depends on how boxes are placed."""
     missed = summary["n_not_placed"] > summary["n_fell"]
     if missed.any():
         plan_names = _plan_id_list(summary.loc[missed, "plan_id"].tolist())
-        yield line(f"most worlds that do not stand have a box that could not be placed: {plan_names}", style="yellow")
+        yield line(f"in most worlds that do not stand, a box could not be placed: {plan_names}", style="yellow")
     if "placing_matters" not in summary:
         return
     for placing, way in (("carried", ">"), ("exact", "<")):
@@ -212,7 +212,8 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
 
 def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The table of counts of a search: numbers of placements, answers and tests.
+    """The table of counts of a search: numbers of placements (finished pallets before they are shaken), of answers (one
+    for each search on a placement that stands), and of tests (levels that were simulated).
 
     Verdicts are not counted, since the verdicts of single tests only show which levels the search tried.
 
@@ -293,8 +294,9 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 
 
 def _critical_edge(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> KnifeEdge | None:
-    """The load of a box in one world that set the flag ``knife-edge``; without this flag, the load nearest to an edge
-    of the box's supports.
+    """The load because of which a world has the flag ``knife-edge``. If the world does not have this flag, the result
+    is the load with the smallest distance from an edge of its box's supports; this distance is negative beyond the
+    edge.
 
     Args:
         row: the world's row of the table ``worlds``.

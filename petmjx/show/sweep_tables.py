@@ -40,15 +40,15 @@ MAX_VALUES: Final = 50
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
 _DOUBTS: Final = {
-    "monotone": "* a level above the smallest that failed was survived",
-    "moving": "~ boxes still moved there when the longest wait was over",
+    "monotone": "* a level above the smallest failed level was survived",
+    "moving": "~ after the longest wait, boxes still moved at this or the smallest failed level",
 }
-"""Name of each column in a search's summary that can make an answer doubtful → footnote of the table. The first letter
-of a footnote is its mark."""
+"""Name of a column in a search's summary that can make an answer doubtful → footnote of the table. The first character
+of a footnote is the mark of doubtful answers."""
 
 _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
-"""Columns of axes: those that every table of a search shows, and those whose largest survived value is the answer of
-the search."""
+"""The axes (columns of the summary) that need no column of their own in the table of answers. The table always shows
+profile and direction. The largest survived level or scale is the answer."""
 
 _PLAN: Final = name_column("plan", "plan_id", least=20)
 _PROFILE: Final = name_column("profile", "profile", least=11)
@@ -194,8 +194,8 @@ def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable:
-    """A table with one row per plan: the share of worlds in which the plan arrives; for each leg, the share that stands
-    after this leg, of the worlds that reached it; and the leg with the most failures."""
+    """A table with one row per plan: the share of worlds in which the plan arrives; for each leg, the share of worlds
+    that stand after this leg among the worlds that reached it; and the leg with the most failures."""
     shares = shares_by_leg(summary)
     drawn = bool(of_plans["low"].notna().any())
 
@@ -333,8 +333,8 @@ def laboratory_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def levels_passed_table(levels: pd.DataFrame) -> FittedTable:
-    """A table with one row for each plan and level of a grid with EUMOS's test: the values that a laboratory reports,
-    each the worst over all worlds of the level, for example over directions.
+    """A table about EUMOS's test at each level of a grid, with one row for each plan and level: the values that a
+    laboratory reports. Each value is the worst among all worlds of the level, for example among all directions.
 
     If the grid has levels at which laboratories test, only these levels are shown.
 

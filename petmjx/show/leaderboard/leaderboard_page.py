@@ -31,9 +31,10 @@ MOST_ORDERS: Final = 200
 MOST_SENTENCES: Final = 15
 
 RATING: Final = (
-    "Rating: boxes on plans that stand in the simulation, as a share of all boxes ordered. Plans that fall, orders "
-    "without a plan, plans without a valid simulation, and boxes that were left out score nothing, nor do boxes that "
-    "were not ordered, or not so often, or with another size, mass or property, or that are not on the order's target."
+    "Rating: boxes on plans that stand in the simulation, as a share of all ordered boxes. A box does not count if its "
+    "plan falls or has no valid simulation, if the box is not on the order's target, or if it was not ordered, was "
+    "ordered less often, or was ordered with another size, mass or property. Boxes that were left out, and orders "
+    "without a plan, lower the rating."
 )
 
 _MEANS: Final = {
@@ -119,7 +120,7 @@ class Board:
         if not self.orders:
             lines.append(
                 "made without orders (--orders): what was ordered is taken from the packers' own plans and runs, so "
-                "the rating of one depends on the others"
+                "the rating of a packer depends on the other packers"
             )
         if lost:
             lines.append(f"the plans of {', '.join(lost)} were not found again: no stories, and no file of plans")

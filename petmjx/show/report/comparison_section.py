@@ -126,8 +126,8 @@ def _two(runs: Sequence[ReportRun], pair: Comparison, n_plans: int) -> Markup:
     notes = [element("li", note) for note in pair.notes]
     text = ""
     if pair.n_not_stable:
-        text = f"Of {count_text(pair.n_not_stable, 'world')} that neither calls stable, {pair.same_reason:,} have the "
-        text += "same reason"
+        text = f"Of {count_text(pair.n_not_stable, 'world')} that neither run calls stable, {pair.same_reason:,} have "
+        text += "the same reason"
         text += "." if pair.other_plans else f" and {pair.same_culprit:,} the same first box."
     differ = _how_plans_differ(len(pair.other_plans), n_plans)
     return joined_markup(

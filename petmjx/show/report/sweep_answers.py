@@ -43,9 +43,9 @@ MOST_VALUES: Final = 60
 MOST_NAMED: Final = 12
 
 MATTERS: Final = (
-    "Range: largest less smallest share of an axis’s values, each over all values of the other axes. Explained: part "
-    "of the variance of “stands” between the values of that axis (η², the correlation ratio squared); “plan” is how "
-    "much plans differ among themselves."
+    "There is a share of worlds that stand for each value of an axis, over all values of the other axes. Range: "
+    "difference of the largest and the smallest of these shares. Explained: part of the variance of “stands” that lies "
+    "between the values of the axis (η², the squared correlation ratio). The row “plan” shows how much plans differ."
 )
 ROSE: Final = "Line: the median plan; band: half of the plans. None survived counts as 0."
 
@@ -149,9 +149,9 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
     Returns:
         A table with the columns ``axis``, ``spread`` and ``explained``. For each value of the axis, there is a share of
         worlds that stand; ``spread`` is the difference between the largest and the smallest of these shares.
-        ``explained`` is the correlation ratio η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)), where pᵥ is the share that stands of
-        the nᵥ worlds with value v, and p that of all n worlds. The ratio is NaN if all worlds stand, or if no world
-        stands. Sources: Pearson 1905; Fisher's one-way analysis of variance.
+        ``explained`` is the squared correlation ratio η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)), where pᵥ is the share that
+        stands of the nᵥ worlds with value v, and p that of all n worlds. The ratio is NaN if all worlds stand, or if no
+        world stands. Sources: Pearson 1905; Fisher's one-way analysis of variance.
     """
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     stands = (judged["verdict"] == Verdict.STABLE.value).astype("float64")
@@ -171,8 +171,8 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
 
 
 def correlation_ratio(values: pd.Series, keys: pd.Series) -> float:
-    """The correlation ratio η² of values in groups: variance between groups / total variance. The ratio is NaN if all
-    values are equal.
+    """The squared correlation ratio η² of values in groups: variance between groups / total variance. The ratio is NaN
+    if all values are equal.
 
     Args:
         keys: the group of each value.
