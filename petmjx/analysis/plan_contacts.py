@@ -257,9 +257,9 @@ def find_contacts(
     """Find the contacts of a plan: the rectangles on which its boxes lie, and the body below each rectangle.
 
     Args:
-        tolerance_mm: largest vertical gap or overlap of two boxes that touch, and width up to which contacts are
-            ignored, mm. The default, half a millimetre, is the rounding error of whole millimetres, as in warnings
-            about plans.
+        tolerance_mm: largest vertical gap or overlap of two boxes that touch, mm. A contact that is not wider than this
+            length is ignored. The default, half a millimetre, is the rounding error of whole millimetres, as in
+            warnings about plans.
         deck_mm: (b, 2, 2) lowest and highest x and y of each board of the carrier's deck. If ``deck_mm`` is None, the
             carrier extends under all boxes.
         room: the room between the carrier's walls. If ``room`` is None, the carrier has no walls.

@@ -45,7 +45,8 @@ def shortened_text(text: str) -> str:
 
 
 def first_names(names: Sequence[str], most: int = 5) -> str:
-    """A text with the first of many names from files, in the form that messages show, such as "a, b and 3 more"."""
+    """A text that lists the first ``most`` of these names, and states how many more there are, such as "a, b and 3
+    more". Names from files become printable and are shortened, as messages show them."""
     more_text = f" and {len(names) - most:,} more" if len(names) > most else ""
     return ", ".join(map(printable_name, names[:most])) + more_text
 

@@ -46,9 +46,9 @@ STANDS: Final = 1
 FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
-"""Loads that a placement does not change need not act as far inside the edges of their bearings as loads that the
-placement changes, but only this fraction of that distance. If a load acts nearer to the edge than required, the box may
-seem to rest while it already begins to turn."""
+"""A load that a placement changes must act inside the edges of its bearing at a certain distance from them
+(``_least_margin``). For all other loads, this fraction of the distance is enough. If a load acts nearer to the edge
+than required, the box may seem to rest while it already begins to turn."""
 
 MOST_LOAD: Final = 100.0
 """Largest load on a box that carries the new box, as a multiple of the carrying box's own mass. Contacts are soft: a
@@ -70,7 +70,7 @@ this length, mm. The larger of this length and of the distance that ``HANGING_SH
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
 """A box is lost if, before a body catches it, it turns by ``TURN_DEG``, or its middle moves down and sideways by
-``GONE_MM``. The weight of a lost box is farther beyond the edge than at first, so the box does not come back.
+``GONE_MM``. The weight of a lost box acts farther beyond the edge than at the beginning, so the box does not come back.
 ``TURN_DEG`` exceeds the largest allowed tilt threshold by a quarter, and ``GONE_MM`` exceeds the largest allowed shift
 threshold by a half."""
 
@@ -383,9 +383,9 @@ class _Rests:
         return falls
 
     def _turn_straight(self, turns: _Turns, least: FloatArray) -> NDArray[np.bool_]:
-        """(r,) whether each box turns about a single edge along x or y, without turning sideways at the same time. For
-        a turn about a single edge, the edge must extend on both sides of the weight by more than ``least`` (r,), so
-        that the box is balanced along the edge."""
+        """(r,) whether each box turns straight: about a single edge along x or y, without turning sideways at the same
+        time. A box turns straight only if it is balanced along the edge: the edge must extend by more than ``least``
+        (r,) on both sides of the point at which the weight acts."""
         middle = (self.start[turns.rows, :2] + self.end[turns.rows, :2]) / 2
         foot = middle - turns.outside[:, None] * turns.towards
         edges = self.edges[turns.rows]
@@ -434,8 +434,9 @@ class _Rests:
         return caught
 
     def _hold_too_little(self, turns: _Turns, wall: NDArray[np.bool_], friction: float) -> NDArray[np.bool_]:
-        """(r, k) whether each wall (a neighbouring box) is beside or behind a box that turns straight, and cannot hold
-        the turning box by friction.
+        """(r, k) whether each wall (a neighbouring box) is beside or behind a turning box, and cannot hold the turning
+        box by friction. The turning boxes must turn straight, that is, about a single edge along x or y (see
+        ``_turn_straight``).
 
         The force between a wall and the box is at most the friction under the box, which is μ times the box's weight.
         The friction at the wall is at most μ times the force between the wall and the box. The lever arm of the

@@ -34,7 +34,7 @@ class PlacementResults:
         tilt_deg: (m,) largest tilt of any box since it was placed.
         n_boxes: (m,) number of boxes on the pallet, including the new box.
         ended: (m,) whether the pallet has fallen or its simulation has failed, so that no more boxes can be placed.
-        moving: (m,) whether boxes were still moving when the longest waiting time was over.
+        moving: (m,) whether boxes on the pallet were still moving when the longest waiting time was over.
         top_force_n: (m, k) force on the top of each box in the last step, N.
         middle_mm: (m, k, 3) centres of the boxes, mm; ``quat``: (m, k, 4) orientations of the boxes, as quaternions (w,
             x, y, z).

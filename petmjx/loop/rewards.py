@@ -17,7 +17,7 @@ from petmjx.loop.placement_results import PlacementResults
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The inputs of the terms of the reward, for m boxes that were placed.
+    """The inputs from which the terms of the reward are computed, for m boxes that were placed.
 
     Attributes:
         volume_mm3: (m,) volume of each placed box; ``mass_kg``: (m,) total mass of the boxes on each box's pallet.

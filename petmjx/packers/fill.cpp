@@ -1,10 +1,11 @@
 // Fills a packing up, best fit after best fit: what Packing.filled does (packing_state.py), in machine code.
 //
-// Every number that decides comes from the same operations in the same order as in candidate_points.py and
-// packing_state.py, so that packings are the same to the last bit. Balances (pile_balance.py) differ in their last bits,
-// and some are so near to their limits that these bits decide: often the balance of the new box itself, whose weight
-// acts on the very edge. Then the code asks Python, and continues from the answer. For a box below, the result is
-// UNSURE, and Packing.filled packs from the beginning.
+// Every number on which a decision depends is computed by the same operations, in the same order, as in
+// candidate_points.py and packing_state.py, so packings are the same to the last bit. Only balances (pile_balance.py)
+// may differ from Python's in their last bits. A balance may be so near to its limit that these bits would decide. Often
+// this is the balance of the new box itself, whose weight acts exactly at an edge. Then the code asks Python, and
+// continues with the answer. If it is the balance of a box below, the result is UNSURE, and Packing.filled packs from
+// the beginning.
 //
 // Names in capitals that are not defined here, and the tables, are those of packing_tables.py.
 
@@ -13,9 +14,9 @@ namespace petmjx {
 // Differences of balances that rounding may make, kg·m. Pallets have loads of some 100 kg·m.
 const double ROUNDING_KG_M = 4e-10;
 
-const double NONE = 1e300;  // cost of what is no candidate
+const double NONE = 1e300;  // cost of an entry that is not a candidate
 
-// A box at a candidate: its supports.
+// A candidate's box on its supports.
 struct Rest {
     int under = 0;   // boxes below it, in t.under
     int planes = 0;  // edges of their hull, in t.new_planes
@@ -30,7 +31,7 @@ struct Filling {
     int boxes = t.counts.data[BOXES], points = t.counts.data[POINTS], shapes = t.counts.data[SHAPES];
     int planes = t.counts.data[PLANES], made = t.counts.data[MADE];
     bool full = false;  // there is no room for more points or planes
-    // of Python's constants and options
+    // constants and options of Python
     const double highest = t.numbers.data[HIGHEST], per_overhang = t.numbers.data[PER_OVERHANG];
     const double per_distance = t.numbers.data[PER_DISTANCE];
     const double extent_x = t.numbers.data[EXTENT_X], extent_y = t.numbers.data[EXTENT_Y];
@@ -152,7 +153,7 @@ struct Filling {
             for (int j = 0; j < 4; ++j) side[j] = rint(rectangles[4 * i + j] * decimals) / decimals;
             for (int corner = 0; corner < 4; ++corner) {
                 const double x = side[corner & 2 ? 2 : 0], y = side[corner & 1 ? 3 : 1];
-                int place = found;  // sorted by x, then y; each once
+                int place = found;  // corners are sorted by x, then by y, without repetitions
                 while (place > 0 && (corners[2 * place - 2] > x ||
                                      (corners[2 * place - 2] == x && corners[2 * place - 1] > y)))
                     --place;
@@ -179,7 +180,8 @@ struct Filling {
         return ring;
     }
 
-    // The load of a box at a candidate on each box below, into t.new_passed, and the boxes that the load reaches.
+    // Computes how a candidate's box loads each box below, into t.new_passed, and which boxes this load reaches, into
+    // t.reached.
     CUDA_CALLABLE void pass_on(const Rest& rest, const double* rectangles) const {
         double *sum = t.new_passed.data, total[9] = {};
         for (int i = 0; i < 9 * boxes; ++i) sum[i] = 0.0;
@@ -205,19 +207,20 @@ struct Filling {
             double share[9] = {};
             if (rest.under > 1)
                 multiply(moments + 9 * i, inverse, share);
-            else  // which takes the whole load
+            else  // the only box below takes the whole load
                 share[0] = share[4] = share[8] = 1.0;
             for (int box = 0; box <= under[i]; ++box) {
                 const double* from = passed(under[i], box);
-                if (from[0] == 0.0 && from[1] == 0.0 && from[2] == 0.0) continue;  // nothing of any force
+                if (from[0] == 0.0 && from[1] == 0.0 && from[2] == 0.0) continue;  // no part of the load
                 multiply(from, share, sum + 9 * box);
                 t.reached.data[box] = 1;
             }
         }
     }
 
-    // Whether a box at a candidate keeps the balance, or it or a box below TIPS over. UNKNOWN: the balance of the box
-    // itself (`own`) is too near; NEAR: the balance of a box below is.
+    // KEEPS: the pile keeps its balance with a candidate's box. TIPS: this box or a box below tips over. UNKNOWN: the
+    // balance of this box is too near to its limit. NEAR: the balance of a box below is. `own` is the answer for this
+    // box alone, or UNKNOWN.
     CUDA_CALLABLE int balance(int point, int shape, int own, Rest& rest) const {
         const double *at = t.points.data + 2 * point, *size = t.own_base.data + 2 * shape;
         const double z = t.z.data[(size_t)point * most_shapes + shape], mass = t.weight.data[shape];
@@ -249,7 +252,7 @@ struct Filling {
         most = -NONE;
         for (int i = 0; i < planes; ++i) {
             const int owner = t.owner.data[i];
-            if (!t.reached.data[owner]) continue;  // its load is as before
+            if (!t.reached.data[owner]) continue;  // the load of this box is as before
             double after[3];
             for (int j = 0; j < 3; ++j) after[j] = t.load.data[3 * owner + j];
             load_on(t.new_passed.data + 9 * owner, rest.load, after);
@@ -339,8 +342,9 @@ struct Filling {
         return least < NONE;
     }
 
-    // Place boxes until an end. `how` and `own` belong to the first box, which is at `point` unless how is WITH_BEST;
-    // `own`: whether it keeps its own balance. If the end is ASKS, `point` and `shape` are the candidate's.
+    // Places boxes until one of the ends. `how` and `own` are about the first box: it is the candidate `point`,
+    // `shape`, unless `how` is WITH_BEST, and `own` is the answer whether it keeps its own balance. If the end is ASKS,
+    // `point` and `shape` are set to the candidate about which Python must decide.
     CUDA_CALLABLE int fill(int& point, int& shape, int how, int own) {
         if (how != WITH_ANSWER) begin();
         bool chosen = how != WITH_BEST;

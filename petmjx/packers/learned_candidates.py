@@ -177,7 +177,7 @@ class FourSidedStream(ItemStream):
         return NextCandidate(point, shape, (x, y, z), rest)
 
     def still_open(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) whether each candidate is still possible, which it is unless ``keeps_balance`` has refused it."""
+        """(c,) whether each candidate is still possible. A candidate is possible until ``keeps_balance`` refuses it."""
         return np.array([point not in self._refused for point in places.point.tolist()], dtype=bool)
 
     def put(self, chosen: NextCandidate) -> None:

@@ -28,7 +28,7 @@ class PackedOrder:
         order_id: id of the order and of its plan.
         n_items: number of boxes in the order.
         taken: the chosen packing; None if there is no place for any box.
-        tried: number of packings among which the packing was chosen, which are all packings up to the first good one.
+        tried: number of packings among which the packing was chosen: all packings up to the first good one.
         n_simulated: number of simulated worlds, which may depend on other orders.
         good: whether the plan stands as often as requested.
         left_out: items that the packing leaves out; None if it leaves out no item.

@@ -292,7 +292,7 @@ def as_placements(placed: Iterable[PlacedBox]) -> list[Placement]:
 
 
 def _seldom(item: Item) -> dict[str, Any]:
-    """The properties of an item that only few orders give."""
+    """Those properties of an item that most orders do not state: centre of mass, stiffness and kind."""
     fields: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
     fields |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
     return fields | ({"kind": item.kind} if item.kind else {})

@@ -17,9 +17,9 @@ _LEAST_COLUMNS: Final = 5
 
 
 def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
-    """The rows of an object that stores them by column: lists of the same length, or pandas' forms (``columns`` and
-    ``data``, or objects with one value per row), or lists of values, with the names of the values in a further field.
-    None if the object has another form."""
+    """The rows of an object that stores a table in one of three forms: a list for each column; an object for each
+    column, with one value per row; or the names of all columns in one field, and in another field a list of values for
+    each row (such as ``columns`` and ``data`` of pandas). None if the object has another form."""
     names = _names_in(value)
     for data in value.values() if names else ():
         rows = list(data.values()) if isinstance(data, Mapping) else data

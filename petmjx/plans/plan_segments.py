@@ -128,7 +128,9 @@ def joined(contents: Sequence[SegmentContent], extent_mm: tuple[float, float] | 
     if len(whole.numbers) < len(whole.plans) or len(whole.skipped) > MOST_LINES:
         return None
     whole.notes.extend(unread.notes())
-    # without odd plans, no segment has a line about conventions, and neither has the whole file
+    # ``conventions`` has a line for each convention that plans appear to follow instead of petmjx's, such as metres.
+    # Only plans that are odd, for example because boxes float or overlap, lead to such a line. If no segment has a
+    # warning about an odd plan, or a line about a convention, the whole file has no such line either.
     if any(chain.from_iterable((plan_set.warnings, plan_set.conventions) for plan_set, _ in contents)):
         whole.conventions.extend(find_conventions(whole.plans, whole.warnings, extent_mm))
     return whole

@@ -109,7 +109,7 @@ class _Loads(NamedTuple):
         box: (k,) the boxes, sorted.
         step: (k,) first step at which the load is beyond an edge; some step if it is always inside.
         least_mm, last_mm: (k,) smallest and last distance from the edge, mm; negative beyond.
-        is_sure: (k,) whether the load is beyond an edge under each sharing of loads.
+        is_sure: (k,) whether the load is beyond an edge however supports share the loads on them.
     """
 
     box: IntArray

@@ -203,8 +203,8 @@ SAME_COST: Final = 0.1
 cheap repairs, the one that is likelier to stand with errors is chosen."""
 
 SAME_WEAKNESS: Final = 0.25
-"""Plans whose weakness differs by less than this count as equally weak. Of equally weak plans, the cheaper one is
-better."""
+"""Plans whose weakness differs by less than this count as equally weak. Of equally weak plans, the one whose changes
+cost less is better."""
 
 
 @dataclass(eq=False)

@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""Name of a table → the table in which petmjx looks up the number of the file that has a given world, since files of
-both tables with the same number hold the same worlds. For a table without an entry here, ``worlds`` is searched."""
+"""Name of a table → name of the table that is searched to find the file with a given world. In the two tables, files
+with the same number hold the same worlds. For a table without an entry here, ``worlds`` is searched."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:

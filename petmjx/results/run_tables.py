@@ -114,8 +114,8 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
-        """A copy of this list of files, without those files of ``worlds``, ``boxes`` and the other tables with rows
-        about worlds whose numbers are in ``numbers``."""
+        """A copy of this list of files, without the files that have one of these numbers and belong to a table with
+        rows about worlds, such as ``worlds`` and ``boxes``."""
         removed_names = {part_name(number) for number in numbers}
         remaining = {
             table: {

@@ -41,7 +41,7 @@ _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max
 
 _DOUBTS: Final = {
     "monotone": "* a level above the smallest failed level was survived",
-    "moving": "~ after the longest wait, boxes still moved at this or the smallest failed level",
+    "moving": "~ boxes still moved after the longest wait",
 }
 """Name of a column in a search's summary that can make an answer doubtful → footnote of the table. The first character
 of a footnote is the mark of doubtful answers."""

@@ -74,8 +74,9 @@ MOST_SIDESTEPS: Final = 8
 way of the start, the start is moved up instead."""
 
 ASIDE_SHARE: Final = 2.0
-"""Largest distance by which the start of a path is moved aside, as a multiple of the usual horizontal distance between
-start and place. The multiple is larger than 1, since the position errors of two boxes may add up."""
+"""Largest distance by which the start of a path is moved aside, as a multiple of the option ``placing.side_mm``, the
+horizontal distance between start and place. The multiple is larger than 1, since the position errors of two boxes may
+add up."""
 
 CLEARANCE_M: Final = 0.001
 """Height of a box's bottom above the highest obstacle, m, if the box must start above obstacles."""

@@ -41,10 +41,11 @@ POINTS_PER_BED: Final = 4
 """Number of contacts between two faces that press on one another, if at least one of the boxes is compliant."""
 
 EDGE_SHARE: Final = 2 / 3
-"""Down to this share, the stiffness of a contact falls with the pressed share of the common area of the two faces. If
-less of the area is pressed, the springs are as stiff as if ``EDGE_SHARE`` of the area were pressed. Without this limit,
-a load near an edge would sink without limit. A real carton spreads such a load, and its edges carry more than its
-middle. The limit has no effect if the load acts at most 0.28 × the width away from the middle of the area."""
+"""Share of the common area of two faces. As long as a larger share of this area is pressed, the stiffness of the
+contact is proportional to the pressed share. If less of the area is pressed, the springs are as stiff as if
+``EDGE_SHARE`` of the area were pressed. Without this limit, a load near an edge would sink without limit. A real carton
+spreads such a load, and its edges carry more than its middle. The limit has no effect if the load acts at most 0.28 ×
+the width away from the middle of the area."""
 
 OUTWARD: Final = 0.6
 """Factor by which the pressure on a face moves outward if only a small share of the face is pressed. If the pressed

@@ -122,9 +122,9 @@ factor ``RELAXATION``, the iteration also converges for p up to 1.5, and otherwi
 the whole change."""
 
 ENOUGH_M_S2: Final = 0.1
-"""The iteration ends when no reference acceleration along a normal changes by more than this value, m/s²: a hundredth
-of gravity. With a limit of 5 m/s², a box that tipped against its neighbour slid twice as far as with 0.1 m/s². With a
-limit of 1 m/s², this box slid 3 % less far than with 0.1 m/s²."""
+"""The iteration that finds the excesses (see the module's docstring) ends when no reference acceleration along a normal
+changes by more than this value, m/s²: a hundredth of gravity. With a limit of 5 m/s², a box that tipped against its
+neighbour slid twice as far as with 0.1 m/s². With a limit of 1 m/s², this box slid 3 % less far than with 0.1 m/s²."""
 
 MOST_ROUNDS: Final = 6
 """Largest number of iterations per step. An iteration updates the excess between two calls of a solver. Bricks that

@@ -1,9 +1,9 @@
 """Distances of boxes' loads from the edges of their supports, for complete plans and for plans while they are built.
 docs/metrics.md, section "Edges", explains the distances.
 
-A box that holds down other boxes may be placed too late, when these have already fallen. So a plan may fall while it is
-built, although all loads of the complete plan are inside. Therefore, the load of every box is checked after each
-placement that changes this load.
+A box that would hold down another box may be placed too late, when the other box has already fallen. So a plan may fall
+while it is built, although all loads of the complete plan are inside. Therefore, the load of every box is checked after
+each placement that changes this load.
 
 As long as no support would have to pull, the part of one box's weight that another box carries does not depend on any
 third box. So the weight of each box is distributed to the boxes below only once. The load of a box after a placement is
@@ -43,8 +43,9 @@ class Edges(NamedTuple):
     The distance is NaN if the box has no support or is not placed.
 
     Attributes:
-        by_weight: (n,) distance at which each box's own weight alone acts from the nearest edge.
-        by_load: (n,) distance at which each box's load, which includes its own weight, acts from the nearest edge.
+        by_weight: (n,) distance from the nearest edge to the point at which each box's own weight alone acts.
+        by_load: (n,) distance from the nearest edge to the point at which each box's load acts, which includes its own
+            weight.
     """
 
     by_weight: FloatArray

@@ -41,7 +41,7 @@ def scaled_pairs(
     """(k, k) the table of friction, multiplied by a factor for boxes and a factor for the carrier.
 
     An entry for a box and the carrier is multiplied by the larger of the two factors, since a contact without an entry
-    has the larger of two coefficients.
+    has the larger one of its two bodies' coefficients.
 
     Args:
         table: (k, k) the table of friction. If ``table`` is None, the result is None.

@@ -23,7 +23,8 @@ class Record:
     Attributes:
         interval_s: time between frames, s, rounded to whole steps. In addition, a frame is recorded whenever a box is
             placed, and at the end.
-        details: whether to also record accelerations, penetrations and contacts; only the engine ``mujoco`` can.
+        details: whether to also record accelerations, penetrations and contacts, which only the engine ``mujoco`` can
+            record.
     """
 
     interval_s: float

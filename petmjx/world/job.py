@@ -111,9 +111,9 @@ class Job:
             Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
         pauses_after: number of boxes, fewer than the scene has, after which the placement pauses: the world ends when
             the next box would be placed, and the outcome has its state. The state serves as ``start`` of all jobs whose
-            worlds begin alike up to there (``petmjx.engines.warp.beginnings``). The outcome has no state if the world
-            ended earlier. For worlds without a drive whose boxes are placed one by one, as soon as the other boxes are
-            at rest, on engines with ``Capability.PAUSES``.
+            worlds are equal up to this moment (``petmjx.engines.warp.beginnings``). The outcome has no state if the
+            world ended earlier. A placement can pause only on engines with ``Capability.PAUSES``, in worlds without a
+            drive in which each box is placed as soon as the other boxes are at rest.
         poses: (n, 7) middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
             rest at these poses. So a drive can continue from the poses that another drive left, on any engine. The
             carrier is where the placement left it, since accelerations clamp it. If ``poses`` is None, the boxes, too,
@@ -127,7 +127,8 @@ class Job:
             fall (``petmjx.engines.metrics.CONFIRM_S``).
         stiff: time constant of this world's contacts, as a share of the time constant in the run's options; the world
             has the options of ``petmjx.engines.contact_penetration.stiffened``. None: the world has the run's options.
-            For worlds that are simulated again together with others, on engines with ``Capability.STIFF_JOBS``.
+            ``stiff`` is set only on engines with ``Capability.STIFF_JOBS``, for a world that is simulated again
+            together with other worlds.
     """
 
     scene: Scene

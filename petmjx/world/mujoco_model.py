@@ -183,9 +183,9 @@ def _declare_pairs(
 ) -> None:
     """Declare a contact pair between each geom of ``these`` and each geom of ``other_partners``.
 
-    MuJoCo allows friction with a time constant of its own only in declared pairs. If friction has no time constant of
-    its own, no pairs are declared. A pair has the larger friction coefficient of its two geoms, unless the table of
-    surfaces has an entry for the pair.
+    Only for declared pairs does MuJoCo allow the friction of a contact to have another time constant than the contact's
+    pressure. If friction has no time constant of its own, no pairs are declared. A pair has the larger friction
+    coefficient of its two geoms, unless the table of surfaces has an entry for the pair.
     """
     if not physics.has_own_friction:
         return

@@ -186,12 +186,12 @@ class Bearing:
         return weights
 
     def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
-        """(k, 3) the part of the upper box's load that each of the contacts ``together`` carries: mass, kg, and first
-        moments along x and y, kg·m.
+        """(k, 3) for each contact in ``together``, the part of the upper box's load that the contact carries: mass, kg,
+        and first moments along x and y, kg·m.
 
         Args:
             load: (n, 3 or 4) loads of all boxes, as in ``loads``.
-            together: (k,) all contacts of some boxes that have several supports, in order.
+            together: (k,) numbers of all contacts below some of the boxes that have several supports, in order.
         """
         upper, low, high = self.upper[together], self.low.take(together, axis=0), self.high.take(together, axis=0)
         under = load.take(upper, axis=0)[:, :3]
@@ -375,8 +375,8 @@ class Bearing:
 
     @cached_property
     def levels(self) -> list[IntArray]:
-        """The contacts between boxes, in groups from the top of the pile downwards. Once the loads at the contacts of
-        all earlier groups are known, the loads of a group's upper boxes are known."""
+        """Numbers of the contacts between boxes, in groups from the top of the pile downwards. The loads of a group's
+        upper boxes are known as soon as the forces at the contacts of all earlier groups are known."""
         between = np.flatnonzero(self.lower != CARRIER)
         between = between[np.argsort(-self.boxes.bottom[self.upper[between]], kind="stable")]
         level = self.level[self.upper[between]]
@@ -401,8 +401,9 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels``, all contacts of those upper boxes that have several supports. Contacts with the
-        carrier are included."""
+        """For each group of ``levels``, numbers of contacts. Of the group's upper boxes, those with several supports
+        are chosen; the numbers are those of all contacts below the chosen boxes, including contacts with the
+        carrier."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:
@@ -413,13 +414,13 @@ class Bearing:
 
     @cached_property
     def together(self) -> IntArray:
-        """(k,) numbers of the contacts of boxes with several supports, in order."""
+        """(k,) numbers of all contacts below boxes that have several supports, in order."""
         return np.flatnonzero((self.n_supports > 1)[self.upper])
 
     @cached_property
     def shares(self) -> FloatArray:
-        """(k, 3, 3) a matrix for each of the k contacts ``together``. The matrix maps the load of the upper box (mass
-        and first moments) to the part of the load that the contact carries."""
+        """(k, 3, 3) a matrix for each contact whose number is in ``together``. The matrix maps the load of the upper
+        box (mass and first moments) to the part of this load that the contact carries."""
         boxes, upper = self.boxes, self.upper[self.together]
         # Places are relative to the upper box's middle, in units of its half extents. Relative coordinates keep the 3 ×
         # 3 systems well conditioned.
@@ -505,10 +506,10 @@ def find_bearings(
 ) -> Bearing:
     """The contacts between boxes and their supports in several scenes, in one ``Bearing``, scene after scene.
 
-    A box lies on a board of the carrier's deck if the box's bottom is not above the deck. A box lies on another box if
-    the other box's bottom is lower, and its top is at the height of the first box's bottom. Both rules have the
-    tolerance ``TOUCH_M``, and require that the two bodies overlap along x and y. A box above a sheet or a pallet lies
-    on the pieces of the sheet, or on the boards of the pallet's deck.
+    A box lies on a board of the carrier's deck if the box's bottom is not above the deck. Box A lies on box B if B's
+    bottom is lower than A's bottom, and B's top is at the height of A's bottom. Both rules have the tolerance
+    ``TOUCH_M``, and require that the two bodies overlap along x and y. A box above a sheet or a pallet lies on the
+    pieces of the sheet, or on the boards of the pallet's deck.
 
     Args:
         targets: (n, 3) middles of the boxes in each scene, m.

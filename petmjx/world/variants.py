@@ -241,8 +241,8 @@ MIN_FRICTION_FRACTION = 0.1
 positive."""
 
 STEP_TOLERANCE_M = 0.01
-"""Largest height of one box's planned top above another box's planned bottom, m, at which the second box is set down on
-the first, if the two overlap horizontally. If the top is higher, the first box counts as a wall beside the second."""
+"""Box B is set down on box A, if the two overlap seen from above, even if A's planned top is above B's planned bottom
+by up to this length, m. If A's planned top is higher, A counts as standing beside B."""
 
 MOST_SPREADS: Final = 5.0
 """Largest distance of a random error from its mean that is considered, in standard deviations. One normal error in 2

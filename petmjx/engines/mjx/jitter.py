@@ -12,8 +12,8 @@ from petmjx.engines.mjx.world_state import State
 from petmjx.options.simulation import Simulation
 
 TREMBLES, STAYS = 1, 2
-"""Values of ``State.trembles`` for a box that trembled, or stayed at its place, in the last measured period. In both
-cases, the box did not get anywhere; the path of a box that trembled was longer."""
+"""Values of ``State.trembles`` for a box that trembled, or stayed at its place, in the last complete period of
+measurement. In both cases, the box did not get anywhere; the path of a box that trembled was longer."""
 
 
 def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
@@ -25,15 +25,17 @@ def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
 def stay_mask(
     state: State, sim: Simulation, moved: Float[Array, "world box"] | float = 0.0
 ) -> Bool[Array, "world box"]:
-    """Whether each box stays: it stayed in the last measured period, and has stayed since. As with ``jitter_mask``, no
-    box counts as staying right after a placement. ``moved``: other distances by which boxes have moved since, m."""
+    """Whether each box stays. A box stays if it stayed near its place in the last complete period of measurement, and
+    has been near its place in the present period until now. As with ``jitter_mask``, no box counts as staying right
+    after a placement. ``moved``: distances by which boxes have moved since then, as measured by the caller, m. The
+    larger of this distance and ``tremble_away`` counts."""
     stayed = (state.trembles != 0) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
     return stayed & (jnp.maximum(state.tremble_away, moved) < _most_away(state.tremble_path, sim))
 
 
 def _most_away(path: Float[Array, "world box"], sim: Simulation) -> Float[Array, "world box"]:
-    """Limits of distances, m: a box that has travelled its path since the beginning of the measured period trembles or
-    stays only if it was always nearer than the limit to its pose at that beginning."""
+    """Limits of distances, m: a box that has travelled this path since the beginning of a period of measurement
+    trembles or stays only if it has always been nearer than the limit to its pose at that beginning."""
     rule = sim.quiet
     still = rule.still_m_s * rule.tremble_looks * rule.poll_steps * sim.physics.timestep_s
     return rule.tremble_share * jnp.maximum(path, still)

@@ -19,8 +19,8 @@ def _no_boxes() -> NDArray[np.bool_]:
 
 
 def _most_away_m(sim: Simulation, path_m: FloatArray | float) -> FloatArray:
-    """Distances by which boxes that have travelled paths of these lengths may have been away from their places, if they
-    stay, m."""
+    """Upper limits of distances, m. A box that has travelled a path of this length counts as staying if it has always
+    been nearer to its place than the limit."""
     rule = sim.quiet
     still_m = rule.still_m_s * rule.tremble_looks * rule.poll_steps * sim.physics.timestep_s
     return np.asarray(rule.tremble_share * np.maximum(path_m, still_m))
@@ -33,11 +33,11 @@ class Jitter:
 
     Attributes:
         boxes: (n,) whether each box trembles. n is the number of placed boxes at the looks since the last placement.
-        stayed: (n,) whether each box stayed in the last measured period.
+        stayed: (n,) whether each box stayed near its place in the last complete period of measurement.
         looks: number of looks with this number of boxes.
-        home: (n, 7) poses of the boxes at the beginning of the measured period.
-        path_m: (n,) length of each box's path since the first look of the period, m.
-        away_m: (n,) largest distance of each box from ``home`` in the period, m.
+        home: (n, 7) poses of the boxes at the beginning of the present period of measurement.
+        path_m: (n,) length of each box's path since the first look of the present period, m.
+        away_m: (n,) largest distance of each box from ``home`` in the present period, m.
     """
 
     boxes: NDArray[np.bool_] = field(default_factory=_no_boxes)
@@ -54,11 +54,13 @@ class Jitter:
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 
     def staying(self, moved_m: FloatArray, sim: Simulation) -> NDArray[np.bool_]:
-        """(n,) whether each of the n placed boxes stays: it stayed in the last measured period, and has stayed since.
-        As with ``which``, no box counts as staying shortly after a placement.
+        """(n,) whether each of the n placed boxes stays. A box stays if it stayed near its place in the last complete
+        period of measurement (``stayed``), and has been near its place in the present period until now. As with
+        ``which``, no box counts as staying shortly after a placement.
 
         Args:
-            moved_m: (n,) other distances by which the boxes have moved since, m.
+            moved_m: (n,) distances by which the boxes have moved since then, as measured by the caller, m. The larger
+                of this distance and ``away_m`` counts.
         """
         if len(self.boxes) != len(moved_m):
             return np.zeros(len(moved_m), bool)

@@ -72,7 +72,7 @@ class BlockPools:
         return self._growth.get((run.sim.physics.cone, size), 1)
 
     def _boxes_of_room(self, run: TableRun, size: int) -> int:
-        """Number of boxes for whose contacts and pairs the current buffers of a world of this size have room."""
+        """Largest number of boxes whose contacts and pairs fit into the current buffers for a world of this size."""
         return min(self._growth_of(run, size) * (run.needs.widths[size] + MORE_BOXES), most_room(size))
 
     def _of_size(self, run: TableRun, size: int, boards: int) -> BlockPool:

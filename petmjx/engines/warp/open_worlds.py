@@ -253,7 +253,8 @@ _jitted_fork = jax.jit(fork)
 
 @jax.jit
 def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> OpenState:
-    """Copies of these worlds. Only the first ``count`` copies can continue."""
+    """Copies of these worlds. Only the first ``count`` copies can continue. The others only fill up the table, and get
+    the status ``FINISHED``."""
     return OpenState(take_rows(open_.worlds, rows), _without_padding(take_rows(open_.state, rows), count))
 
 
@@ -263,6 +264,7 @@ def _coarsely_padded(count: int) -> int:
 
 
 def _without_padding(state: State, count: int | Int[Array, ""]) -> State:
-    """The states, changed so that only the first ``count`` worlds can continue."""
+    """The states, changed so that only the first ``count`` worlds can continue. All other worlds get the status
+    ``FINISHED``."""
     padding = jnp.arange(len(state.status)) >= count
     return state._replace(status=jnp.where(padding, Status.FINISHED, state.status))

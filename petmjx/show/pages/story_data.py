@@ -21,8 +21,8 @@ from petmjx.world.job import FORCE
 
 _FAR_M: Final = 0.8
 _FAR_SHARE: Final = 0.5
-"""The view must show the boxes that are nearer to the planned load at the end than ``_FAR_M`` + this share of the
-load's height."""
+"""The view must show those boxes that, at the end, are nearer to the planned load than ``_FAR_M`` + this share × the
+height of the load."""
 _LOST_M: Final = 50.0
 """Distance from the origin beyond which boxes are not drawn, m. Boxes so far away occur in simulations that became
 numerically unstable. If boxes so far away were drawn, all other positions would be stored less precisely."""

@@ -91,8 +91,8 @@ def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tu
 def _fitting_rows(
     table: pd.DataFrame, rows: NDArray[np.int64], sizes: NDArray[np.int64], most: int
 ) -> tuple[NDArray[np.int64], int]:
-    """Those of some rows of the table that are kept if the sum of their sizes may be ``most``, and the number of the
-    other rows. Worlds that stand are left out first.
+    """Leave out rows until the sum of the sizes of the other rows is at most ``most``. Worlds that stand are left out
+    first. Returns the numbers of the rows that are kept, and the number of rows that are left out.
 
     Args:
         rows: numbers of the rows from which the kept rows are chosen.

@@ -4,9 +4,9 @@ import { corners } from "./carrier.js";
 import { roundedUp, shareOf } from "./colours.js";
 import { norm, scaled, sub, unit } from "./vectors.js";
 
-const LENGTH = 0.2; // m, length of the arrow of the force that the scale names
+const LENGTH = 0.2; // m, length of the arrow for the force `scale_n`
 const RADIUS = 0.008; // m
-const LEAST = 0.03; // share of that force below which a contact has no arrow
+const LEAST = 0.03; // share of `scale_n` below which a contact has no arrow
 const G_LENGTH = 0.45; // m, length of the arrow of 1 g
 const DRIVE_RADIUS = 0.014;
 const ORANGE = [0.9, 0.35, 0.05];

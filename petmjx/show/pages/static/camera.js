@@ -14,9 +14,9 @@ export class Camera {
     this.frame([-1, -1, -1], [1, 1, 1], LOOK.view.azimuth, LOOK.view.elevation);
   }
 
-  // Looks at the box from `low` to `high`, from the nearest place with all of the box in view. A corner c, from the
-  // box's middle, is in the picture if |c·side − target·side| ≤ slope (distance + c·forward), for both sides of the
-  // picture.
+  // Looks at the box with the corners `low` and `high`, from the nearest place from which the whole box is visible. A
+  // corner c, measured from the box's middle, is in the picture if |c·side − target·side| ≤ slope (distance +
+  // c·forward), for both sides of the picture.
   frame(low, high, azimuth = this.azimuth, elevation = this.elevation) {
     Object.assign(this, { low, high, azimuth, elevation, home: { azimuth, elevation }, moved: false });
     this.target = scaled(add(low, high), 0.5);

@@ -31,7 +31,7 @@ export class Card {
     if (run.nominalSizes) this.element.append(hint("Sizes are the plan’s; this world’s errors of size are not drawn."));
   }
 
-  // Call it once the element is in the page: a canvas without a size cannot be drawn on.
+  // Call this method when the element is in the page: before that, the canvas has no size, and cannot be drawn on.
   start() {
     this.viewer = createViewer(this.canvas, { ...this.world, floorZ: this.run.floorZ });
     if (!this.viewer) {
@@ -156,7 +156,7 @@ function hint(text) {
   return make("p", { class: "hint" }, text);
 }
 
-// The rank, for each box, of its article by number of boxes.
+// For each box, the rank of its article, from 0. The article with the most boxes comes first.
 function ranked(articles) {
   const counts = new Map();
   for (const article of articles) counts.set(article, (counts.get(article) ?? 0) + 1);

@@ -1,5 +1,5 @@
-// The carrier of boxes: {pos: [x, y, z], boards: …, walls}, with 6 numbers a board, its whole extents and its place seen
-// from `pos`. The last `walls` boards are walls, through which one sees. Lengths are metres.
+// The carrier of boxes: {pos: [x, y, z], boards: …, walls}, with 6 numbers per board: its whole extents, and its place
+// relative to `pos`. The last `walls` boards are walls, which are drawn transparent. Lengths are metres.
 
 import { add, turned } from "./vectors.js";
 

@@ -3,7 +3,7 @@
 
 const CLICK_PIXELS = 5; // a press that moves less is a click
 const TURN = 0.008; // radians a pixel
-const WHEEL = 0.0012; // share of the distance a pixel of wheel
+const WHEEL = 0.0012; // change of the camera's distance, as a share, per pixel of the wheel
 
 // actions: turn(right, up), pan(right, up) in shares of the height, zoom(factor), click(x, y) in pixels of the page.
 // Returns a function that stops listening.
@@ -39,7 +39,8 @@ export function listen(canvas, actions) {
     else actions.turn(right * TURN, down * TURN);
   }
 
-  // Each finger moves half of the picture; the change of their distance zooms.
+  // Each of two fingers moves the picture by half of its own motion. If the distance between the fingers changes, the
+  // picture is zoomed.
   function pinch(id, before, now, step) {
     const other = [...fingers].find(([key]) => key !== id)[1];
     const span = (point) => Math.hypot(point[0] - other[0], point[1] - other[1]) || 1;

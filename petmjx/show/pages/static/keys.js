@@ -38,7 +38,8 @@ export function listenToKeys({ player, viewer, toSign, faster, choose }) {
   });
 }
 
-// Keys that the element with the focus needs: lists theirs, buttons and ticks the space, scrolled tables the arrows.
+// Whether the element with the focus needs this key itself. Selection lists need all keys, buttons and check boxes need
+// the space bar and Enter, and scrolled tables and legends need all keys but the space bar.
 function taken({ key, target }) {
   if (target.matches("select")) return true;
   if (target.matches("button, summary, input[type=checkbox]")) return key === " " || key === "Enter";

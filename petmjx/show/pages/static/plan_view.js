@@ -92,7 +92,7 @@ export class PlanView {
   howToSeeItMove(id, variant, row) {
     const one = this.rows.column("variant") ? ` --variant ${variant}` : "";
     const [named, options] = [`${quoted(id)} ${this.runOf(row).folder}`, `${one} --html story.html`];
-    // After --, an id that begins with a dash is not an option.
+    // An id that begins with a dash stands after "--", where it does not count as an option.
     const command = `petmjx show${id.startsWith("-") ? `${options} -- ${named}` : ` ${named}${options}`}`;
     const line = make("p", { class: "hint" }, "To see it move: ", make("code", {}, command));
     if (this.rows.arrays.replay[row] < 0) {

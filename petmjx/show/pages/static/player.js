@@ -21,7 +21,7 @@ export class Player {
   step(frames) {
     const { time, count } = this.frames;
     const here = this.frames.at(this.time);
-    // a step back from between two frames leads to the earlier frame
+    // if the time is between two frames, a step back leads to the earlier frame
     const behind = frames < 0 && this.time > time[here] + 1e-6 ? 1 : 0;
     this.seek(time[Math.min(Math.max(here + frames + behind, 0), count - 1)]);
   }

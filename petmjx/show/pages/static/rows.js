@@ -1,6 +1,6 @@
 // The rows of a report's table (petmjx/show/report/plan_rows.py): filters them and sorts them.
 
-const OPEN = ["plan", "variant", "of"]; // name the selected plan, and filter nothing
+const OPEN = ["plan", "variant", "of"]; // these keys name the selected plan, and are no filters
 const MINUS = "−";
 
 export class Rows {
@@ -97,7 +97,7 @@ export class Rows {
     });
   }
 
-  // Numbers that order rows as their texts: "plan 9" before "plan 10".
+  // For each row, a number. The numbers sort the rows by their texts, with "plan 9" before "plan 10".
   sortable({ key, kind }) {
     if (kind === "number") return this.arrays[key];
     if (!this.ranks.has(key)) {
@@ -117,7 +117,7 @@ function bound(text) {
   return Number.isFinite(value) ? value : null;
 }
 
-// A state with the selected plan and nothing else of another state. "Clear" sets it.
+// A state that keeps only the selected plan of another state. The button "Clear" sets this state.
 export function onlyOpen(state) {
   return new URLSearchParams([...state].filter(([key]) => OPEN.includes(key)));
 }

@@ -59,7 +59,8 @@ void main() {
   gl_Position = clip * vec4(place, 1.0);
 }`;
 
-// `edge` is the colour of the lines along edges and their width in pixels, which a pixel's place on the face tells.
+// `edge` is the colour of the lines along a box's edges, and their width in pixels. The place of a pixel on its face
+// determines whether the pixel is on such a line.
 export const BOX_FRAGMENT = `#version 300 es
 precision highp float;
 in vec3 on_box, place, facing;

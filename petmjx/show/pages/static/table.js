@@ -11,7 +11,7 @@ import { make } from "./dom.js";
 
 const ROW_PIXELS = 30;
 const SPARE = 8; // rows above and below the visible ones
-const LETTER = 8.8; // pixels, rather too much
+const LETTER = 8.8; // estimated width of a letter, pixels; it may be too large, but not too small
 const PADDING = 24;
 const NARROWEST = 6; // letters
 const WIDEST = 30;
@@ -142,7 +142,7 @@ export class Table {
     this.onOpen(this.order[at]);
   }
 
-  // Makes a place in the order the start of keys, and scrolls it into sight.
+  // Makes the row at a place in the order the row from which keys move on, and scrolls this row into sight.
   move(at, focus) {
     this.at = Math.max(0, Math.min(this.order.length - 1, at));
     const head = this.heads[0].offsetHeight;

@@ -206,7 +206,8 @@ class Viewer {
     return { pos: slice(this.pos, 3), quat: slice(this.quat, 4), half: slice(this.half, 3) };
   }
 
-  // Distance along a line of sight at which a box begins; Infinity if the line misses it or it has no place yet.
+  // Distance along a line of sight at which a box begins; Infinity if the line misses the box, or if the box has no
+  // place yet.
   distanceTo({ pos, quat, half }, from, along) {
     if (Number.isNaN(pos[0])) return Infinity;
     const start = turnedBack(quat, sub(from, pos));
