@@ -13,8 +13,8 @@ save time without changing the result:
 - A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
   balance the load with vertical forces. Such a box is treated as part of the carrier, so it belongs to no structure.
 - Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes.
-  Friction can help, for example if another box lies across a box and its neighbour, and so holds the box. If friction
-  is considered, the slack is the larger one of the slack without friction and the slack with friction.
+  Friction can help, for example if a third box lies across a box and its neighbour, and so holds the first box. If
+  friction is considered, the slack is the larger one of the slack without friction and the slack with friction.
 - For a structure of one box, a closed form (``_slack_alone``) gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without

@@ -122,8 +122,9 @@ class Comparison:
 
     @property
     def flips_within(self) -> float | None:
-        """How near to a threshold all worlds with different verdicts are: the smallest x for which each of these worlds
-        has a ``margin`` between -x and x in at least one run. The result is None if none of these worlds has a margin.
+        """How near to a threshold the worlds with different verdicts are: the smallest x such that each of these worlds
+        has a ``margin`` between -x and x in at least one of the two runs. The result is None if none of these worlds
+        has a margin.
         """
         nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()
         return None if pd.isna(nearer) else float(nearer)

@@ -23,11 +23,11 @@ LARGEST_GAP_MM: Final = 1_000.0
 """Largest allowed free space between boxes. A larger space would leave no room for boxes on a pallet."""
 
 _AT_ONCE: Final = 100_000
-"""Number of pairs of a point and a box that are compared at a time. For this number of pairs, the tables fit into the
+"""Number of pairs (a point and a box) that are compared at a time. For this number of pairs, the tables fit into the
 cache of a CPU core."""
 
 _WORTH_A_THREAD: Final = 50_000
-"""Smallest number of pairs of a point and a box for which another thread is started."""
+"""Smallest number of pairs (a point and a box) for which another thread is started."""
 
 _WORTH_COMPILING: Final = 256
 """Smallest number of requested boxes for which compiled code is used, if Warp is installed. Compiling takes a second,

@@ -44,8 +44,8 @@ LOWEST: Final = 4
 """The careful packer chooses at random from this number of lowest places."""
 
 SCORING_SHARE: Final = 8
-"""The next boxes are placed when at most 1 / ``SCORING_SHARE`` of the pallets still wait for their label. So a pallet
-whose simulation must be repeated does not delay all other pallets."""
+"""The next boxes are placed as soon as at most 1 / ``SCORING_SHARE`` of the pallets wait for a label. So a pallet whose
+simulation must be repeated does not delay all other pallets."""
 
 MOST_EPISODES: Final = 4
 """Largest number of episodes that are running, or are over but wait for an earlier episode, as a multiple of the number

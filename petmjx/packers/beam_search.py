@@ -4,7 +4,7 @@ The search keeps ``width`` packings. Every step extends each kept packing by its
 candidate, the packing with this candidate is filled up by best fit, as in ``balanced`` (the pilot method: Duin, Voß
 1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
 Networks 34, 181–191). Of all extended packings, the best ``width`` are kept. Filling up is aborted as soon as the
-packing is higher than each of the ``width`` best packings that have been found in this step. In large orders, a step of
+packing is higher than all of the ``width`` best packings that this step has found so far. In large orders, a step of
 the search places several boxes: first the candidate, then further boxes by best fit.
 
 The search is deterministic, and does not depend on computing time.

@@ -2,8 +2,8 @@
 for cartons are level.
 
 A packer that sees only the next box does not know the boxes after it, but it can expect typical cartons. For each
-candidate (a place for the next box), the box is put on a coarse height map of the pile. This map shows the lowest place
-for each typical carton, and the volume of air under the carton at this place.
+candidate (a place for the next box), the next box is put on a coarse height map of the pile. The map then shows the
+lowest place for each typical carton, and the volume of air that would be under the carton.
 """
 
 from __future__ import annotations

@@ -202,9 +202,9 @@ def pack_learned(
 def placement_stability(plan: Plan) -> FloatArray:
     """(n,) probability of each box of a plan to stand if a robot places all boxes inexactly.
 
-    A box counts as standing if it stands to the end of the simulation, or if another box fails before it. So the
-    product of all probabilities is the probability that the whole plan stands. The probability of a box is 0 if nothing
-    touches its bottom, or if its bottom is below the carrier's top.
+    A box counts as standing if it stands until the end of the simulation, or if another box fails first. So the product
+    of all probabilities is the probability that the whole plan stands. The probability of a box is 0 if nothing touches
+    its bottom, or if its bottom is below the carrier's top.
 
     A network estimates the probabilities without a simulation, in a millisecond per box. To simulate the plan instead,
     call ``petmjx.score(plan, confidence=64)``. docs/packers.md states how reliable the estimate is.

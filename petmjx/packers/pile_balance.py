@@ -6,9 +6,9 @@ static mechanical equilibrium constraints", Transportation Research Part B 91, 5
 resultant of its own weight and of all forces on its top. The load must act inside the convex hull of the areas on which
 the box stands. This module also requires a margin: the load must act some distance inside the edges of the hull.
 Statics does not determine how a box distributes its load among the boxes below. This module assumes that the pressure
-under a box's base is linear, p = a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die Lehre von der
-Elasticität und Festigkeit"). The force and the moments of this pressure balance the load. On two narrow supports, this
-assumption gives the lever rule.
+under a box's base is a linear function of x and y, p = a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die
+Lehre von der Elasticität und Festigkeit"). The force and the moments of this pressure balance the load. On two narrow
+supports, this assumption gives the lever rule.
 
 A load is a vector (F, F·x, F·y), where (x, y) is the point at which the force F acts. The load that a box passes to a
 box below is a linear function of its own load: a 3 × 3 matrix. ``Balance`` stores the products of these matrices, from

@@ -2,9 +2,9 @@
 the network predicts it.
 
 The network was trained with simulations in which all boxes are placed with the errors of a robot
-(examples/train_packer). The plans were made by rules, and partly at random. A box counts as standing if it stands to
-the end of the simulation, or if another box fails before it. So the product of the probabilities over all boxes of a
-plan is the probability that the whole plan stands.
+(examples/train_packer). The plans were made by rules, and partly at random. A box counts as standing if it stands until
+the end of the simulation, or if another box fails first. So the product of the probabilities over all boxes of a plan
+is the probability that the whole plan stands.
 """
 
 from __future__ import annotations

@@ -34,9 +34,9 @@ BEYOND_M: Final = 1e-6
 solver's tolerance is a tenth of this distance."""
 
 _OUTSIDE: Final = 10.0
-"""The programme has a gain per metre that a load is inside an edge, and a cost per metre that a load is beyond an edge.
-The cost is ``_OUTSIDE`` times the gain. The cost per metre of an unbalanced moment (moment / load) is ``_OUTSIDE``
-times the cost per metre beyond an edge."""
+"""The programme has a gain per metre by which the load nearest to an edge is inside its edges, and, for each load
+beyond an edge, a cost per metre. The cost is ``_OUTSIDE`` times the gain. The cost per metre of an unbalanced moment
+(moment / load) is ``_OUTSIDE`` times the cost per metre beyond an edge."""
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Inward normals of a rectangle's edges: of the two edges at the lowest corner, then of the two at the highest."""

@@ -33,7 +33,7 @@ errors."""
 
 NEAR_EDGE_M: Final = 0.0005
 """Distance inside an edge, m, below which ``beyond_and_near_edges`` counts a load as near the edge. Of 44 worlds that
-were simulated again in stiffer contacts, 33 have such a load; of all worlds, one in nine has one."""
+were simulated again with stiffer contacts, 33 have a load near an edge; of all worlds, one in nine has."""
 
 
 class Edges(NamedTuple):
@@ -44,8 +44,8 @@ class Edges(NamedTuple):
 
     Attributes:
         by_weight: (n,) distance from the nearest edge to the point at which each box's own weight alone acts.
-        by_load: (n,) distance from the nearest edge to the point at which each box's load acts, which includes its own
-            weight.
+        by_load: (n,) distance from the nearest edge to the point at which each box's load (including its own weight)
+            acts.
     """
 
     by_weight: FloatArray
@@ -55,8 +55,8 @@ class Edges(NamedTuple):
     def least(self) -> FloatArray:
         """(n,) ``by_weight`` or ``by_load`` of each box, whichever is smaller.
 
-        If a box would tip over by its own weight, but is held down by its load, the value is ``by_load``. Whether such
-        a box would fall before its load is placed is checked by ``building_edges``.
+        If a box would tip over by its own weight, but the boxes on it hold it down, the value is ``by_load``.
+        ``building_edges`` checks whether such a box would fall before the boxes on it are placed.
         """
         held = (self.by_weight < 0) & (self.by_load >= 0)
         nearer: FloatArray = np.where(held, self.by_load, np.fmin(self.by_weight, self.by_load))
@@ -140,7 +140,7 @@ def rebalanced_loads(
 
 def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(n,) whether each box is below a box with several supports, so that its load depends on how these supports share
-    the load.
+    the load of the upper box.
 
     Args:
         bearing: the contacts between boxes and their supports.

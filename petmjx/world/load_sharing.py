@@ -1,10 +1,11 @@
 """Load sharing: the forces with which several supports carry a box, if supports can push but not pull.
 
-The pressure of a box on a bed of equal springs is a linear function of x and y (petmjx.world.supports), here called a
-plane. If a load is far from the middle of the supports, this pressure is negative at the opposite end, where springs
-would pull. Real supports only push. So the forces are those pushing forces, each within its contact area, that balance
-the load with the least energy of the springs (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans
-les systèmes élastiques"). If the plane's pressure is nowhere negative, its forces already have the least energy.
+The pressure of a box on a bed of equal springs is a linear function of x and y (petmjx.world.supports), called the
+pressure plane in this module. If a load is far from the middle of the supports, this pressure is negative at the
+opposite end, where springs would pull. Real supports only push. So the forces are those pushing forces, each within its
+contact area, that balance the load with the least energy of the springs (Menabrea 1858, "Nouveau principe sur la
+distribution des tensions dans les systèmes élastiques"). If the pressure plane is nowhere negative, its forces already
+have the least energy.
 
 A contact has the force F and the moments Mx, My about the middle of its area A, whose half lengths are a and b. The
 energy is
@@ -35,8 +36,8 @@ PULL: Final = 1e-9
 area, m, that count as rounding errors. Beyond these values, the support counts as pulling."""
 
 ON_EDGE_M: Final = 1e-6
-"""Distance from the hull's edge, m, within which a load counts as on the edge. For a load on an edge, the plane of
-pressure would be infinitely steep."""
+"""Distance from the hull's edge, m, within which a load counts as on the edge. For a load on an edge, the pressure
+plane would be infinitely steep."""
 
 _ROOT: Final = math.sqrt(3.0)
 _MOST_STEPS: Final = 60

@@ -306,8 +306,8 @@ class SoftFriction:
 
 
 def soft_friction(scene: Scene) -> SoftFriction:
-    """Coefficients for boxes and carrier that give each contact of a soft box the friction of its two surfaces, which
-    the scene's table lists for each pair of surfaces.
+    """Coefficients for boxes and carrier. With these coefficients, each contact of a soft box has the friction that the
+    scene's table lists for the two surfaces that touch.
 
     Raises:
         InputError: for some pair, the table has a coefficient that is not the larger one of the coefficients of the two

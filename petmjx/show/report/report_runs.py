@@ -160,8 +160,8 @@ class ReportRun:
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
         """Id of a plan → articles of the plan's boxes, in packing order. Articles come from the plan or, if the plan
-        was not found, from the table ``boxes``. An id is missing
-        in the result if its plan was not found and the table has no rows of it."""
+        was not found, from the table ``boxes``. An id is missing in the result if its plan was not found and the table
+        has no rows of it."""
         articles_by_plan: dict[str, Sequence[str]] = {
             plan_id: plan.articles for plan_id, plan in self.plan_files.plans.items() if plan_id in plan_ids
         }

@@ -29,7 +29,8 @@ class Window:
 
     ``offset_s`` is the time in a chain at which the window's profile begins. The window stores a duration instead of an
     end, because sums must be computed in the order of the reference implementation: profile's start + offset + window's
-    start + duration. Another order can change the last digit of the sum, and so the step to which the sum is truncated.
+    start + duration. Another order can change the last digit of the sum, and so change the step to which the sum is
+    truncated.
     """
 
     start_s: float
