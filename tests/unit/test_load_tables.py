@@ -18,7 +18,8 @@ from support.runs import keep_nothing, leave_unfinished
 
 import petmjx
 from petmjx.common.units import STANDARD_GRAVITY
-from petmjx.plans.articles import Article, Strength, read_articles
+from petmjx.plans.articles import Article, read_articles
+from petmjx.plans.carton_strength import CartonStrength
 from petmjx.show.load_tables import load_tables
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
@@ -36,7 +37,7 @@ def table(*rows: str, header: str = HEADER, name: str = "articles.csv") -> Path:
 def test_mckee_by_hand() -> None:
     """McKee's formula, computed by hand. A box of 400 × 300 mm, made of board with 5 kN/m and 4 mm, has a strength of
     5.87 · 5 · √(4 · 1400) N. The formula holds in imperial units as well."""
-    strength = Strength(ect_kn_m=5.0, thickness_mm=4.0, safety_factor=4.0).of_box(400, 300)
+    strength = CartonStrength(ect_kn_m=5.0, thickness_mm=4.0, safety_factor=4.0).of_box(400, 300)
     assert strength == pytest.approx(5.87 * 5 * math.sqrt(5600) / 4)
     inch_mm, pound_n = 25.4, 4.4482216
     pounds = 5.87 * (5 * inch_mm / pound_n) * math.sqrt(4 / inch_mm * 1400 / inch_mm)
@@ -46,8 +47,11 @@ def test_mckee_by_hand() -> None:
 def test_all_forms_say_the_same() -> None:
     rows = ("milk,,900,,,", ",dairy products,,5,4,3", "jam,,1200,,,2")
     expected = read_articles(table(*rows))
-    assert expected.by_article == {"milk": Article(Strength(900)), "jam": Article(Strength(1200, safety_factor=2))}
-    assert expected.by_group == {"dairy products": Article(Strength(None, 5, 4, 3))}
+    assert expected.by_article == {
+        "milk": Article(CartonStrength(900)),
+        "jam": Article(CartonStrength(1200, safety_factor=2)),
+    }
+    assert expected.by_group == {"dairy products": Article(CartonStrength(None, 5, 4, 3))}
     write(
         Path("articles.toml"),
         "[articles.milk]\nstrength_n = 900\n[articles.jam]\nstrength_n = 1200\nsafety_factor = 2\n"
@@ -62,8 +66,8 @@ def test_all_forms_say_the_same() -> None:
 
 def test_the_article_counts_before_its_group() -> None:
     articles = read_articles(table("milk,,900,,,", ",dairy,500,,,"))
-    assert articles.find("milk", "dairy").strength == Strength(900)
-    assert articles.find("cheese", "dairy").strength == Strength(500)
+    assert articles.find("milk", "dairy").strength == CartonStrength(900)
+    assert articles.find("cheese", "dairy").strength == CartonStrength(500)
     assert articles.find("bread", "").strength is None
 
 
