@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from threading import Barrier
 from typing import Any
 
@@ -11,7 +12,7 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 import warp as wp
 
-from petmjx.common.warp_cpp import with_cpp
+from petmjx.common.warp_cpp import CPU_FLAGS, with_cpp
 from petmjx.engines.warp import block_launch
 from petmjx.engines.warp.block_launch import Launch, own_kernels
 from petmjx.engines.warp.block_pool import BlockPool
@@ -21,11 +22,33 @@ LONG_S = 60
 """Time limit for all threads to begin, s."""
 
 
-def _tiny(number: int, threads: int) -> Any:
+def _tiny(number: int, threads: int, **options: Any) -> Any:
     def fill(values: wp.array[int]) -> None:
         values[wp.tid()] = number  # type: ignore[call-overload]  # one number in a kernel of one dimension
 
-    return with_cpp(fill, f"// {number}\n", threads=threads)
+    return with_cpp(fill, f"// {number}\n", threads=threads, **options)
+
+
+@pytest.mark.parametrize(
+    ("flags", "level", "used"), [(None, None, ("-march=native", 3)), ("", 0, ("", 0)), ("-march=native -g", 1, None)]
+)
+def test_a_kernel_for_cpus_adds_flags_to_those_of_warps_configuration(
+    flags: str | None, level: int | None, used: tuple[str, int] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(wp.config, "cpu_compiler_flags", flags)
+    monkeypatch.setattr(wp.config, "optimization_level", level)
+    options = _tiny(1, 1, optimized_for_cpu=True).module.options
+    first, best = used or (flags, level)
+    assert (options["cpu_compiler_flags"], options["optimization_level"]) == (f"{first} {CPU_FLAGS}", best)
+
+
+@pytest.mark.filterwarnings("ignore:.*-march=native")
+def test_the_flags_for_cpus_are_known_to_warps_clang(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    kernel = _tiny(2, 1, optimized_for_cpu=True)
+    wp.compile_aot_module(kernel.module, device="cpu", module_dir=tmp_path)
+    assert list(tmp_path.rglob("*.o"))
+    printed = capfd.readouterr()
+    assert "unknown" not in printed.out + printed.err
 
 
 def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,8 @@ accordingly. Kernels that it has compiled before start sooner."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -107,3 +109,9 @@ def test_the_block_stands() -> None:
     (outcome,) = MujocoEngine(1).run([Job(build_scene(machine_speed.block(), SIM))], SIM)
     assert (outcome.verdict, outcome.n_boxes) == (Verdict.STABLE, machine_speed.SIDE**2 * machine_speed.LAYERS)
     assert machine_speed.block_s() > 0.0
+
+
+def test_measuring_the_machine_does_not_load_pandas() -> None:
+    code = "import sys\nfrom petmjx.engines.machine_speed import slowness\nslowness()\nprint('pandas' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"

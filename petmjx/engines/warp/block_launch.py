@@ -384,7 +384,8 @@ def _cpu_kernel(panels: int, pause_after: int) -> Any:
             state, work, frames, counts,
         )  # fmt: skip
 
-    return with_cpp(launcher, newton.text_for(panels, worlds=1, threads=1, pause_after=pause_after))
+    text = newton.text_for(panels, worlds=1, threads=1, pause_after=pause_after)
+    return with_cpp(launcher, text, optimized_for_cpu=True)
 
 
 @functools.cache

@@ -10,7 +10,7 @@ import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import cross, fused, prefix_sums, times, wait_for_all
 from petmjx.engines.warp.kernels.compliance import spring_law
-from petmjx.engines.warp.kernels.contact_rows import put_number
+from petmjx.engines.warp.kernels.contact_rows import is_new, put_number
 from petmjx.engines.warp.kernels.elimination_order import free_position
 from petmjx.engines.warp.kernels.motion import angular_velocity, body_of, center, first_geom, linear_velocity
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
@@ -36,20 +36,26 @@ def _frame_of(direction: wp.vec3) -> wp.mat33:
 
 
 @wp.func
-def _reference(model: Ref[Model], depth: float) -> wp.vec3:
-    """Stiffness, damping and impedance of a contact (MuJoCo's documentation, "Modeling", "Solver parameters")."""
+def _stiffness(model: Ref[Model]) -> wp.vec2:
+    """Stiffness and damping of contacts (MuJoCo's documentation, "Modeling", "Solver parameters")."""
+    high = wp.clamp(model.solimp[1], MIN_IMPEDANCE, MAX_IMPEDANCE)
+    time = model.solref[0]
+    ratio = model.solref[1]
+    if time <= 0.0:
+        return wp.vec2(-time / (high * high), -ratio / high)
+    time = wp.max(time, 2.0 * model.timestep)
+    return wp.vec2(1.0 / (high * high * time * time * ratio * ratio), 2.0 / (high * time))
+
+
+@wp.func
+def _impedance(model: Ref[Model], depth: float) -> float:
+    """Impedance of a contact (the same page)."""
     low = wp.clamp(model.solimp[0], MIN_IMPEDANCE, MAX_IMPEDANCE)
     high = wp.clamp(model.solimp[1], MIN_IMPEDANCE, MAX_IMPEDANCE)
     x = wp.min(wp.abs(depth) / wp.max(model.solimp[2], MIN_VALUE), 1.0)
     # MuJoCo's default midpoint 0.5 and power 2
     y = wp.where(x <= 0.5, 2.0 * x * x, 1.0 - 2.0 * (1.0 - x) * (1.0 - x))
-    impedance = low + y * (high - low)
-    time = model.solref[0]
-    ratio = model.solref[1]
-    if time <= 0.0:
-        return wp.vec3(-time / (high * high), -ratio / high, impedance)
-    time = wp.max(time, 2.0 * model.timestep)
-    return wp.vec3(1.0 / (high * high * time * time * ratio * ratio), 2.0 / (high * time), impedance)
+    return low + y * (high - low)
 
 
 @wp.func
@@ -130,20 +136,32 @@ def make_constraint(
     """
     block = at.block
     world = at.world
+    stiffness = _stiffness(model)
+    last_pair = int(-1)
+    first = int(0)
+    second = int(0)
+    body_one = int(0)
+    body_two = int(0)
+    friction = float(0.0)
+    weight = float(0.0)
+    axes = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for contact in range(at.thread, ncon, at.threads):
         pair = work.contact_pair[block, contact]
-        first = work.pair_geom1[block, pair]
-        second = work.pair_geom2[block, pair]
-        point = work.pair_points[block, pair, contact - work.pair_conadr[block, pair]]
-        axes = _frame_of(work.pair_normal[block, pair])
-        body_one = body_of(worlds, world, first)
-        body_two = body_of(worlds, world, second)
+        if is_new(pair, last_pair):
+            last_pair = pair
+            first = work.pair_geom1[block, pair]
+            second = work.pair_geom2[block, pair]
+            axes = _frame_of(work.pair_normal[block, pair])
+            body_one = body_of(worlds, world, first)
+            body_two = body_of(worlds, world, second)
+            friction = wp.max(_friction_of_pair(worlds, world, first, second), MIN_FRICTION)
+            weight = _pair_compliance(worlds, at, body_one) + _pair_compliance(worlds, at, body_two)
+            if model.pyramidal != 0:
+                weight = 2.0 * friction * friction * weight * (1.0 + friction * friction)
         one = body_one - at.held
         two = body_two - at.held
-        mu = wp.max(_friction_of_pair(worlds, world, first, second), MIN_FRICTION)
-        weight = _pair_compliance(worlds, at, body_one) + _pair_compliance(worlds, at, body_two)
-        if model.pyramidal != 0:
-            weight = 2.0 * mu * mu * weight * (1.0 + mu * mu)
+        mu = friction
+        point = work.pair_points[block, pair, contact - work.pair_conadr[block, pair]]
         touch = wp.vec3(point[0], point[1], point[2])
         arms_one = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         arms_two = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -156,7 +174,7 @@ def make_constraint(
             arms_two = _moment_arms(axes, touch - center(state, world, body_two), work.geom_xmat[block, second])
             along = axes * linear_velocity(state, world, body_two)
             velocity += along + arms_two * angular_velocity(state, world, body_two)
-        kbi = _reference(model, point[3])
+        kbi = wp.vec3(stiffness[0], stiffness[1], _impedance(model, point[3]))
         if at.gives != 0:
             spring = work.pair_spring[block, pair]
             if spring > 0.0:

@@ -14,3 +14,9 @@ def number_of(efc: wp.array3d[float], lane: int, contact: int, number: int) -> f
 
 @wp.func_native("petmjx::number_of(efc, lane, contact, number) = value;")
 def put_number(efc: wp.array3d[float], lane: int, contact: int, number: int, value: float) -> None: ...
+
+
+@wp.func_native("return petmjx::is_new(pair, last_pair);")
+def is_new(pair: int, last_pair: int) -> bool:
+    """Whether the data of a contact's pair must be computed. On a CPU: whether the thread's previous contact belongs to
+    another pair. On a GPU, where neighbouring threads have neighbouring contacts: always, as the compiler knows."""

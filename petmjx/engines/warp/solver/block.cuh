@@ -3,6 +3,7 @@
 // a world.
 //
 // PETMJX_ONCE: a function that is called at several places, but is in a GPU's program only once.
+// PETMJX_INLINED: a function that a CPU's compiler must inline, so that its results stay in registers.
 // PETMJX_WORLDS: worlds of a block.
 // PETMJX_THREADS: threads of a world.
 //
@@ -14,9 +15,11 @@
 #if defined(__CUDA_ARCH__)
 #define PETMJX_SHARED __shared__
 #define PETMJX_ONCE static __noinline__
+#define PETMJX_INLINED
 #else
 #define PETMJX_SHARED
 #define PETMJX_ONCE inline
+#define PETMJX_INLINED __attribute__((always_inline))
 #endif
 
 #if !defined(PETMJX_WORLDS)

@@ -59,12 +59,20 @@ inline CUDA_CALLABLE void relative(const Numbers& contact, const int* body, cons
 }
 #else
 inline void relative(const Numbers& contact, const int* body, const double* x, double* out) {
+    typedef double Four __attribute__((ext_vector_type(4)));
     const SixDoubles one = load_six_doubles(x, body[0]), two = load_six_doubles(x, body[1]);
+    Four four[3];
+    #pragma unroll
     for (int r = 0; r < 3; ++r) {
         const SixDoubles parts = as_doubles(load_six(contact, 1, r)) * two - as_doubles(load_six(contact, 0, r)) * one;
-        const auto four = parts.lo + parts.hi;
-        out[r] = (four.x + four.y) + (four.z + four.w);
+        four[r] = parts.lo + parts.hi;
     }
+    const Four pairs = __builtin_shufflevector(four[0], four[1], 0, 4, 2, 6)
+        + __builtin_shufflevector(four[0], four[1], 1, 5, 3, 7);
+    const auto sums = pairs.lo + pairs.hi;
+    out[0] = sums.x;
+    out[1] = sums.y;
+    out[2] = (four[2].x + four[2].y) + (four[2].z + four[2].w);
 }
 #endif
 
@@ -76,7 +84,7 @@ inline void relative(const Numbers& contact, const int* body, const double* x, d
 // `drag` (2,) is the friction as a share of the largest possible friction, with opposite sign, |drag| ≤ 1. It is an
 // unknown of its own for a sliding contact, and a result for other contacts; newton.py explains this. With `anew` it is
 // computed from the residual. Pyramidal cones have no drag.
-inline CUDA_CALLABLE void respond(
+inline PETMJX_INLINED CUDA_CALLABLE void respond(
     int pyramidal, double impratio_invsqrt, const double* j, const Numbers& contact, bool anew,
     float* drag, double* push, double* bend
 ) {
@@ -158,6 +166,19 @@ inline CUDA_CALLABLE bool correct(
     return true;
 }
 
+// Whether a contact may slide at residual j, by the conditions of `respond` without their roots. If it surely does not,
+// `respond` replaces its drag.
+inline CUDA_CALLABLE bool may_slide(double impratio_invsqrt, const double* j, const Numbers& contact) {
+#if defined(__CUDA_ARCH__)
+    return true;  // threads of a warp would wait for those whose contacts slide
+#else
+    const double MORE = 1.0 + 1e-9;  // by far more than rounding
+    const double mu = contact[31], m = mu * impratio_invsqrt, N = m * j[0];
+    const double square = MORE * mu * mu * (j[1] * j[1] + j[2] * j[2]);
+    return !(N < 0.0 ? m * m * N * N > square : N * N > m * m * square);
+#endif
+}
+
 // Updates `drag` for a whole step of Newton's method that changes the residual j by v. If the contact does not slide
 // afterwards, `respond` replaces this value.
 inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) {
@@ -171,7 +192,7 @@ inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) 
 
 // Adds the first and second derivative of a contact's cost with respect to `length`, at residual j + length·v. They
 // follow from the results of `respond` there, multiplied by v once and twice, but take fewer operations.
-inline CUDA_CALLABLE void respond_along(
+inline PETMJX_INLINED CUDA_CALLABLE void respond_along(
     int pyramidal, double impratio_invsqrt, const double* j, const double* v, double length, const Numbers& contact,
     double (&cost)[2]
 ) {

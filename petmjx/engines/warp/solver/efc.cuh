@@ -27,7 +27,13 @@ struct Numbers {
     inline Numbers(const float* efc, int, int contact) : first(efc + STRIDE * contact) {}
 #endif
 
-    inline CUDA_CALLABLE int place(int number) const { return number / 4 * apart + number % 4; }
+    inline CUDA_CALLABLE int place(int number) const {
+#if !defined(__CUDA_ARCH__)
+        // Each axis lies between its two moment arms. So the six numbers of a body's row are neighbours (six.cuh).
+        if (number < 27) return 9 * (number % 9 / 3) + (number < 9 ? 3 : number < 18 ? 0 : 6) + number % 3;
+#endif
+        return number / 4 * apart + number % 4;
+    }
 
     inline CUDA_CALLABLE void load(float* to, int part) const { load_four(to, first + part * apart); }
 
@@ -39,6 +45,15 @@ template <class Array>
 inline CUDA_CALLABLE float& number_of(const Array& efc, int lane, int contact, int number) {
     float* of_lane = efc.data + (size_t)lane * efc.shape[1] * EFC;
     return of_lane[Numbers::STRIDE * contact + Numbers(of_lane, efc.shape[1], contact).place(number)];
+}
+
+// See kernels/contact_rows.py.
+inline CUDA_CALLABLE bool is_new(int pair, int last_pair) {
+#if defined(__CUDA_ARCH__)
+    return true;
+#else
+    return pair != last_pair;
+#endif
 }
 
 }  // namespace petmjx

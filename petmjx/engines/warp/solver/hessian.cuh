@@ -113,26 +113,45 @@ inline CUDA_CALLABLE void pair_entries(const World& world, const System& system,
 }
 
 #else
-// A body's own entries as rows of six numbers, for the vector units of a CPU.
+// Eight entries of a 6 × 6 matrix, the sum of the products of three pairs of rows: x at the entry's column times y at
+// the entry's row.
+template <int... COLUMNS>
+struct Entries {
+    template <int... ROWS>
+    static inline Six of(const Six (&x)[3], const Six (&y)[3]) {
+        Six product[3];
+        #pragma unroll
+        for (int r = 0; r < 3; ++r)
+            product[r] = __builtin_shufflevector(x[r], x[r], COLUMNS...) * __builtin_shufflevector(y[r], y[r], ROWS...);
+        return product[0] + product[1] + product[2];
+    }
+};
+
+// A body's own entries: the upper triangle, column by column, in three vectors of eight numbers.
 inline void own_entries(const World& world, const System& system, int, int) {
     for (int b = 0; b < world.nfree; ++b) {
-        Six own[6] = {};
+        Six own[3] = {};
         for (int entry = world.body_conadr[b]; entry < world.body_conadr[b + 1]; ++entry) {
             const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
             const Numbers c = world.contact(k);
             const Six rows[3] = {load_six(c, side, 0), load_six(c, side, 1), load_six(c, side, 2)};
             Six bent[3];
             bend_six(world.curvature + 6 * k, rows, bent);
-            #pragma unroll
-            for (int q = 0; q < 6; ++q) own[q] += bent[0][q] * rows[0] + bent[1][q] * rows[1] + bent[2][q] * rows[2];
+            own[0] += Entries<0, 1, 1, 2, 2, 2, 3, 3>::of<0, 0, 1, 0, 1, 2, 0, 1>(bent, rows);
+            own[1] += Entries<3, 3, 4, 4, 4, 4, 4, 5>::of<2, 3, 0, 1, 2, 3, 4, 0>(bent, rows);
+            own[2] += Entries<5, 5, 5, 5, 5, 5, 5, 5>::of<1, 2, 3, 4, 5, 5, 5, 5>(bent, rows);
         }
+        float entries[24];
+        __builtin_memcpy(entries, own, sizeof entries);
         const int place = world.position[b];
         const Columns columns = system.columns(place);
+        int e = 0;
         #pragma unroll
         for (int q = 0; q < 6; ++q) {
-            own[q][q] += world.qM[6 * b + q];
+            float* column = &columns.entry(6 * place, q);
             #pragma unroll
-            for (int p = 0; p <= q; ++p) columns.entry(6 * place + p, q) = own[q][p];
+            for (int p = 0; p < q; ++p) column[p * B] = entries[e++];
+            column[q * B] = entries[e++] + world.qM[6 * b + q];
         }
     }
 }
@@ -160,11 +179,9 @@ inline void pair_entries(const World& world, const System& system, int pairs, in
         const Columns columns = system.columns(ahead ? lower : upper);
         #pragma unroll
         for (int p = 0; p < 6; ++p) {
+            float* column = &columns.entry(6 * (ahead ? upper : lower), p);
             #pragma unroll
-            for (int i = 0; i < 6; ++i) {
-                if (ahead) columns.entry(6 * upper + p, i) = shared[p][i];
-                else columns.entry(6 * lower + i, p) = shared[p][i];
-            }
+            for (int i = 0; i < 6; ++i) column[i * B] = ahead ? shared[i][p] : shared[p][i];
         }
     }
 }

@@ -295,7 +295,7 @@ inline CUDA_CALLABLE void newton(
         #pragma unroll 1
         for (int trial = 0; trial < model.ls_iterations; ++trial) {
             double cost[2];
-            sum_over_all(ncon, thread, partial, cost, [&](int k, double (&sums)[2]) {
+            sum_over_all(ncon, thread, partial, cost, [&](int k, double (&sums)[2]) PETMJX_INLINED {
                 if (k < ncon)
                     respond_along(pyramidal, impratio_invsqrt, Jaref + 3 * k, jv + 3 * k, length, world.contact(k), sums);
             });
@@ -314,8 +314,11 @@ inline CUDA_CALLABLE void newton(
         // iterations, otherwise 25.
         #pragma unroll 1
         for (int k = thread; k < ncon; k += threads) {
-            if (!pyramidal) follow(Jaref + 3 * k, jv + 3 * k, world.drag + 2 * k);
-            for (int i = 3 * k; i < 3 * k + 3; ++i) Jaref[i] += length * jv[i];
+            double* j = Jaref + 3 * k;
+            const double* v = jv + 3 * k;
+            const double after[3] = {j[0] + length * v[0], j[1] + length * v[1], j[2] + length * v[2]};
+            if (!pyramidal && may_slide(impratio_invsqrt, after, world.contact(k))) follow(j, v, world.drag + 2 * k);
+            for (int i = 0; i < 3; ++i) j[i] = after[i];
         }
         wait_for_all();
         // The decrease of the cost is about the length × the mean of the two derivatives.

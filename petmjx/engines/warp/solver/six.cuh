@@ -15,11 +15,9 @@ typedef double SixDoubles __attribute__((ext_vector_type(8)));
 // A body's part of a row of J: a contact's axis, and the moment arm about it. `side`: 0 for the contact's first body, 1
 // for its second.
 inline Six load_six(const Numbers& contact, int side, int r) {
-    typedef float Four __attribute__((ext_vector_type(4)));
-    Four axis, arm;
-    __builtin_memcpy(&axis, contact.first + 3 * r, sizeof axis);
-    __builtin_memcpy(&arm, contact.first + 9 + 9 * side + 3 * r, sizeof arm);
-    return __builtin_shufflevector(axis, arm, 0, 1, 2, 4, 5, 6, 3, 7);
+    Six six;
+    __builtin_memcpy(&six, contact.first + 9 * r + 3 * side, sizeof six);
+    return side ? six : __builtin_shufflevector(six, six, 3, 4, 5, 0, 1, 2, 6, 7);
 }
 
 inline SixDoubles as_doubles(const Six& six) { return __builtin_convertvector(six, SixDoubles); }
