@@ -247,26 +247,21 @@ class Candidates:
             leaves_out = Kind.LEAVE_OUT in kinds
             some = rebuilds(state.draft, self.rules, self.sim, causes, state.trial.n_held, leaves_out=leaves_out)
         else:
-            some = (p for cause in causes for p in proposals(state.draft, self.rules, cause, kinds, self.options))
-        drafts: list[Draft] = []
-        origins: list[Proposal] = []
-        for proposal in some:
-            draft = applied(state.draft, proposal)
-            if draft is None:
-                continue
-            key = key_of(draft)
-            if key not in self._seen:
-                self._seen.add(key)
-                drafts.append(draft)
-                origins.append(proposal)
-        allowed = np.flatnonzero(self.rules.allow(drafts)).tolist() if drafts else []
+            some = proposals(state.draft, self.rules, causes, kinds, self.options)
+        pairs = [(draft, p) for p in some if (draft := applied(state.draft, p)) is not None]
+        boxes = [{box for change in proposal for box in change.boxes} for _, proposal in pairs]
+        allowed = self.rules.allow([draft for draft, _ in pairs], state.draft, boxes)
+        new: dict[bytes, tuple[Draft, Proposal]] = {}
+        for number in np.flatnonzero(allowed).tolist():
+            new.setdefault(key_of(pairs[number][0]), pairs[number])
+        new = {key: pair for key, pair in new.items() if key not in self._seen}
+        self._seen.update(new)
         ranked = []
-        for number, after in zip(allowed, balances([drafts[k] for k in allowed], self.sim), strict=True):
-            proposal = origins[number]
+        balances_of_new = balances([draft for draft, _ in new.values()], self.sim)
+        for (draft, proposal), after in zip(new.values(), balances_of_new, strict=True):
             changes = state.changes
             for change in proposal:
                 changes = with_change(changes, change)
-            draft = drafts[number]
             if len(changes) < len(state.changes) + len(proposal):  # several changes became one
                 merged = applied(self._start, changes)
                 if merged is None or key_of(merged) != key_of(draft):

@@ -8,7 +8,7 @@ can be repaired step by step, but never becomes odder. A box that is moved aside
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -67,6 +67,11 @@ class Draft:
         return cls(plan, plan.size_mm, plan.corner_mm, np.zeros(n, bool), order, film_turns=film_turns)
 
     @cached_property
+    def rows(self) -> IntArray:
+        """(n,) ``order`` as an array."""
+        return np.array(self.order, np.intp)
+
+    @cached_property
     def rank(self) -> FloatArray:
         """(m,) position of each box in packing order; infinite if the box is left out."""
         rank = np.full(len(self.size_mm), np.inf)
@@ -92,6 +97,14 @@ class Draft:
     def is_bare(self) -> BoolArray:
         """(m,) whether nothing lies on a box."""
         return np.asarray(~self.on_top.any(axis=1))
+
+    @cached_property
+    def bears(self) -> BoolArray:
+        """(m, m) whether the column's box lies on the row's, directly or through others."""
+        bears = self.on_top
+        while not ((more := bears | bears @ self.on_top) == bears).all():
+            bears = more
+        return bears
 
     def above(self, box: int) -> list[int]:
         """Numbers of the boxes that lie on a box, directly or through others."""
@@ -152,7 +165,7 @@ class Draft:
 
     def as_plan(self, plan_id: str | None = None) -> Plan:
         """The draft as a plan. Without a change it equals the plan to the last bit."""
-        plan, rows = self.plan, np.array(self.order)
+        plan, rows = self.plan, self.rows
         n_sheets = len(self.sheet_kg)
         boxes = rows[rows < plan.n_boxes]
 
@@ -218,21 +231,77 @@ def _closure(leads_to: BoolArray, box: int) -> list[int]:
 
 
 class Oddities(NamedTuple):
-    """Faults of the layouts of c drafts with m boxes each.
+    """Faults of r boxes in the layouts of drafts. A pair is one of the r boxes and another box of its draft that covers
+    a part of the same area, seen from above.
 
     Attributes:
-        overlap_mm: (c, m, m) depth by which two boxes overlap, along the axis of least depth; 0: no overlap.
-        gap_mm: (c, m) height of each box above its support when it is placed.
-        blocked: (c, m, m) whether the row's box is placed before the column's, above its place.
-        outside_mm: (c, m) distance by which each box reaches beyond the limits of the rules.
-        through_mm: (c, m) depth by which each box reaches through a wall of the carrier.
+        row, other: (k,) the pairs: which of the r boxes, and the number of the other box.
+        overlap_mm: (k,) depth by which the two overlap, along the axis of least depth; at most 0: no overlap.
+        blocks: (k,) whether the box is placed before the other one, above its place.
+        is_blocked: (k,) whether the other box is placed before the box, above its place.
+        gap_mm: (r,) height of the box above its support when it is placed.
+        outside_mm: (r,) distance by which the box reaches beyond the limits of the rules.
+        through_mm: (r,) depth by which the box reaches through a wall of the carrier.
+    """
+
+    row: IntArray
+    other: IntArray
+    overlap_mm: FloatArray
+    blocks: BoolArray
+    is_blocked: BoolArray
+    gap_mm: FloatArray
+    outside_mm: FloatArray
+    through_mm: FloatArray
+
+
+class _Limits(NamedTuple):
+    """The faults that m boxes may have: those of the plan, or those that count as none.
+
+    Attributes:
+        overlap_mm: (m, m) depth by which two boxes may overlap.
+        gap_mm, through_mm: (m,) as in ``Oddities``.
+        blocked: (m, m) whether the row's box may be placed before the column's, above its place.
     """
 
     overlap_mm: FloatArray
     gap_mm: FloatArray
-    blocked: BoolArray
-    outside_mm: FloatArray
     through_mm: FloatArray
+    blocked: BoolArray
+
+
+class _Layouts(NamedTuple):
+    """The layouts of c drafts with m boxes each.
+
+    Attributes:
+        low, high: (3, c, m) lower and upper ends of the boxes along x, y and z, mm.
+        rank: (c, m) positions in packing order; infinite if the box is left out.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    rank: FloatArray
+
+    @classmethod
+    def of(cls, drafts: Sequence[Draft]) -> _Layouts:
+        low = np.stack([draft.corner_mm for draft in drafts])
+        high = low + np.stack([draft.size_mm for draft in drafts])
+        with_order = {id(draft.order): draft for draft in drafts}  # most drafts have the same order
+        rank = np.stack([with_order[id(draft.order)].rank for draft in drafts])
+        return cls(*(np.ascontiguousarray(np.moveaxis(ends, 2, 0)) for ends in (low, high)), rank)
+
+    @property
+    def is_placed(self) -> BoolArray:
+        """(c, m) whether each box is placed."""
+        return np.isfinite(self.rank)
+
+    def beside(self, number: IntArray, box: IntArray) -> tuple[IntArray, IntArray]:
+        """(k,) and (k,) the pairs of ``Oddities`` for r boxes. ``number``, ``box``: (r,) of each draft and box."""
+        pairs = self.is_placed[number]
+        pairs[np.arange(len(number)), box] = False
+        for low, high in zip(self.low[:2], self.high[:2], strict=True):
+            ends, begins = high[number, box, None], low[number, box, None]
+            pairs &= np.minimum(high[number], ends) - np.maximum(low[number], begins) > TOLERANCE_MM
+        return np.nonzero(pairs)
 
 
 class Rules:
@@ -256,7 +325,9 @@ class Rules:
         self.built = built
         self.plan = plan
         self._room = carrier_of(plan, sim).room if has_walls(sim) else None
-        self._before = self._oddities([Draft.of(plan)])
+        rows = np.arange(plan.n_boxes)
+        self._limits_of: dict[int, _Limits] = {}
+        self._before = self._oddities(_Layouts.of([Draft.of(plan)]), np.zeros_like(rows), rows)
 
     @property
     def height_mm(self) -> float:
@@ -266,46 +337,107 @@ class Rules:
     @property
     def floating(self) -> list[int]:
         """Boxes of the plan without support at their placement."""
-        return np.flatnonzero(self._before.gap_mm[0] > TOLERANCE_MM).tolist()
+        return np.flatnonzero(self._before.gap_mm > TOLERANCE_MM).tolist()
 
     @property
     def overlapping(self) -> list[int]:
         """Boxes of the plan that overlap other boxes, the later box of each pair."""
-        pairs = np.argwhere(np.triu(self._before.overlap_mm[0] > TOLERANCE_MM, k=1))
-        return list(dict.fromkeys(pairs[:, 1].tolist()))
+        before = self._before
+        later = before.other[(before.overlap_mm > TOLERANCE_MM) & (before.row < before.other)]
+        return list(dict.fromkeys(later.tolist()))
 
-    def allow(self, drafts: Sequence[Draft]) -> BoolArray:
-        """(c,) which drafts are allowed."""
+    def allow(
+        self,
+        drafts: Sequence[Draft],
+        parent: Draft | None = None,
+        changed: Sequence[Collection[int]] | None = None,
+    ) -> BoolArray:
+        """(c,) which drafts are allowed.
+
+        Args:
+            parent: an allowed draft from which all of the drafts were made; None: unknown. Of a plan, most changes
+                concern few boxes, and what they leave as it is is not checked again.
+            changed: with ``parent``, the boxes that each draft has elsewhere, turned or at another time. All others
+                have the same places, and the same order among one another.
+        """
         allowed = np.zeros(len(drafts), bool)
-        sizes: dict[int, list[int]] = {}
+        kinds: dict[tuple[int, bool], list[int]] = {}
         for number, draft in enumerate(drafts):
-            sizes.setdefault(len(draft.size_mm), []).append(number)
-        for numbers in sizes.values():
+            is_known = parent is not None and len(draft.size_mm) == len(parent.size_mm)
+            kinds.setdefault((len(draft.size_mm), is_known), []).append(number)
+        for (_, is_known), numbers in kinds.items():
+            bears = self._bears(parent) if is_known and parent is not None else None
             for begin in range(0, len(numbers), AT_ONCE):
                 chunk = numbers[begin : begin + AT_ONCE]
-                allowed[chunk] = self._allow([drafts[number] for number in chunk])
+                some = [drafts[number] for number in chunk]
+                boxes = [changed[number] for number in chunk] if bears is not None and changed is not None else None
+                allowed[chunk] = self._allow(some, boxes, bears)
         return allowed
 
-    def _allow(self, drafts: Sequence[Draft]) -> BoolArray:
-        """``allow`` for drafts with the same number of rows."""
-        now, n = self._oddities(drafts), self.plan.n_boxes
-        worse = _worse(now.overlap_mm, self._before.overlap_mm, n).any(axis=(1, 2))
-        worse |= _worse(now.gap_mm, self._before.gap_mm, n).any(axis=1)
-        worse |= now.outside_mm.max(axis=1) > TOLERANCE_MM
-        worse |= _worse(now.through_mm, self._before.through_mm, n).any(axis=1)
-        worse |= (self._shifted(drafts) & (now.through_mm[:, :n] > TOLERANCE_MM)).any(axis=1)
-        blocked = now.blocked.copy()
-        blocked[:, :n, :n] &= ~self._before.blocked
-        worse |= blocked.any(axis=(1, 2))
-        allowed: BoolArray = ~worse & np.array([self._keeps_built(draft) for draft in drafts])
+    def _allow(
+        self, drafts: Sequence[Draft], changed: Sequence[Collection[int]] | None, bears: BoolArray | None
+    ) -> BoolArray:
+        """``allow`` for drafts with the same number of rows. ``bears``: as from ``_bears``, of their parent."""
+        layouts = _Layouts.of(drafts)
+        is_placed, limits = layouts.is_placed, self._limits(layouts.rank.shape[1])
+        is_changed = np.ones_like(is_placed)
+        if changed is not None:
+            is_changed[:] = False
+            counts = [len(boxes) for boxes in changed]
+            is_changed[np.repeat(np.arange(len(drafts)), counts), [box for boxes in changed for box in boxes]] = True
+        number, box = np.nonzero(is_changed & is_placed)
+        odd = self._oddities(layouts, number, box)
+        own = box[odd.row]
+        is_odd = odd.overlap_mm > limits.overlap_mm[own, odd.other]
+        is_odd |= odd.blocks & ~limits.blocked[own, odd.other]
+        is_odd |= odd.is_blocked & ~limits.blocked[odd.other, own]
+        worse = (odd.gap_mm > limits.gap_mm[box]) | (odd.outside_mm > TOLERANCE_MM)
+        worse |= odd.through_mm > limits.through_mm[box]
+        worse |= self._shifted(drafts)[number, box] & (odd.through_mm > TOLERANCE_MM)
+        worse[odd.row[is_odd]] = True
+        allowed = np.ones(len(drafts), bool)
+        allowed[number[worse]] = False
+        if bears is not None:  # other boxes may have lost their supports
+            lost = (is_changed @ bears) & is_placed & ~is_changed & allowed[:, None]
+            number, box = np.nonzero(lost)
+            allowed[number[_gaps_mm(layouts, number, box, *layouts.beside(number, box)) > limits.gap_mm[box]]] = False
+        if self.built:
+            allowed &= [self._keeps_built(draft) for draft in drafts]
         return allowed
+
+    def _limits(self, m: int) -> _Limits:
+        """The faults that the boxes of a draft with m rows may have."""
+        if m in self._limits_of:
+            return self._limits_of[m]
+        n, before = self.plan.n_boxes, self._before
+        overlap_mm, blocked = np.full((m, m), TOLERANCE_MM), np.zeros((m, m), bool)
+        np.maximum.at(overlap_mm, (before.row, before.other), before.overlap_mm + _ROUNDING_MM)
+        blocked[before.row[before.blocks], before.other[before.blocks]] = True
+        gap_mm, through_mm = np.full((2, m), TOLERANCE_MM)
+        np.maximum(gap_mm[:n], before.gap_mm + _ROUNDING_MM, out=gap_mm[:n])
+        np.maximum(through_mm[:n], before.through_mm + _ROUNDING_MM, out=through_mm[:n])
+        self._limits_of[m] = _Limits(overlap_mm, gap_mm, through_mm, blocked)
+        return self._limits_of[m]
+
+    def _bears(self, draft: Draft) -> BoolArray:
+        """(m, m) whether the column's box may float without the row's, which is near below."""
+        layouts, rows = _Layouts.of([draft]), draft.rows
+        row, other = layouts.beside(np.zeros_like(rows), rows)
+        box = rows[row]
+        m = len(draft.size_mm)
+        top = (draft.corner_mm + draft.size_mm)[other, 2]
+        is_near = top >= draft.corner_mm[box, 2] - self._limits(m).gap_mm[box] - TOLERANCE_MM
+        bears = np.zeros((m, m), bool)
+        bears[other[is_near], box[is_near]] = True
+        return bears
 
     def _shifted(self, drafts: Sequence[Draft]) -> BoolArray:
-        """(c, n) whether each box of the plan is moved along x or y, or turned."""
+        """(c, m) whether each box of the plan is moved along x or y, or turned. A sheet is not."""
         n = self.plan.n_boxes
+        shifted = np.stack([draft.turned for draft in drafts])
         aside = np.stack([draft.corner_mm[:n, :2] for draft in drafts]) != self.plan.corner_mm[:, :2]
-        turned = np.stack([draft.turned[:n] for draft in drafts])
-        return np.asarray(aside.any(axis=2) | turned)
+        shifted[:, :n] |= aside.any(axis=2)
+        return shifted
 
     def _keeps_built(self, draft: Draft) -> bool:
         """Whether the boxes that stand already stand as in the plan."""
@@ -314,45 +446,49 @@ class Rules:
             (draft.corner_mm[:k] == self.plan.corner_mm[:k]).all() and not draft.turned[:k].any()
         )
 
-    def _oddities(self, drafts: Sequence[Draft]) -> Oddities:
-        low = np.stack([draft.corner_mm for draft in drafts])
-        high = low + np.stack([draft.size_mm for draft in drafts])
-        rank = np.stack([draft.rank for draft in drafts])
-        present = np.isfinite(rank)
-        is_pair = present[:, :, None] & present[:, None, :]
-        shared = [shared_length(low[..., axis], high[..., axis]) for axis in range(3)]
-        depth = np.where(is_pair, np.maximum(np.minimum.reduce(shared), 0.0), 0.0)
-        m = low.shape[1]
-        depth[:, np.arange(m), np.arange(m)] = 0.0
-        beside = is_pair & (shared[0] > TOLERANCE_MM) & (shared[1] > TOLERANCE_MM)
-        beside[:, np.arange(m), np.arange(m)] = False
-        earlier = rank[:, :, None] < rank[:, None, :]
-        lower = low[:, :, None, 2] < low[:, None, :, 2]
-        support = np.where(beside & earlier & lower, high[:, :, None, 2], 0.0).max(axis=1)
-        gap = np.where(present, np.maximum(low[..., 2] - support, 0.0), 0.0)
-        over = low[:, :, None, 2] > low[:, None, :, 2] + TOLERANCE_MM  # the row's box begins higher
-        blocked = beside & earlier & over
-        outside = np.maximum(self.low_mm - low, high - self.high_mm).max(axis=2)
-        through = np.where(present, self._through_mm(low, high), 0.0)
-        return Oddities(depth, gap, blocked, np.where(present, outside, 0.0), through)
+    def _oddities(self, layouts: _Layouts, number: IntArray, box: IntArray) -> Oddities:
+        """The faults of r boxes. ``number``, ``box``: (r,) number of the draft of each box, and of the box."""
+        row, other = layouts.beside(number, box)
+        draft, own = number[row], box[row]
+        low, high = layouts.low, layouts.high
+        overlap = np.minimum.reduce(
+            [np.minimum(e[draft, own], e[draft, other]) - np.maximum(b[draft, own], b[draft, other])
+             for b, e in zip(low, high, strict=True)]
+        )
+        earlier = layouts.rank[draft, other] < layouts.rank[draft, own]
+        z, other_z = low[2, draft, own], low[2, draft, other]
+        own_low, own_high = low[:, number, box].T, high[:, number, box].T
+        outside = np.maximum(self.low_mm - own_low, own_high - self.high_mm).max(axis=1)
+        return Oddities(
+            row,
+            other,
+            overlap,
+            ~earlier & (z > other_z + TOLERANCE_MM),
+            earlier & (other_z > z + TOLERANCE_MM),
+            _gaps_mm(layouts, number, box, row, other),
+            outside,
+            self._through_mm(own_low, own_high),
+        )
 
     def _through_mm(self, low: FloatArray, high: FloatArray) -> FloatArray:
-        """(c, m) as in ``Oddities``, for boxes with these (c, m, 3) corners."""
+        """(r,) as in ``Oddities``, for boxes with these (r, 3) corners."""
         if self._room is None:
-            return np.zeros(low.shape[:2])
+            return np.zeros(len(low))
         middle_m, half_m = (low + high) / 2 / MM_PER_M, (high - low) / 2 / MM_PER_M
         depth_mm = MM_PER_M * self._room.depths(middle_m, half_m, TOLERANCE_MM / MM_PER_M)
-        return np.asarray(depth_mm.max(axis=(2, 3)))
+        return np.asarray(depth_mm.max(axis=(1, 2)))
 
 
 AT_ONCE: Final = 256
-"""Drafts whose layouts are compared at once: tables of 256 × 50 × 50 pairs stay in a core's cache."""
+"""Drafts whose layouts are compared at once."""
 
 
-def _worse(now: FloatArray, before: FloatArray, n: int) -> BoolArray:
-    """(c, …) whether a fault counts and is larger than in the plan. The first n entries along each axis are the boxes
-    of the plan."""
-    limit = np.full(now.shape[1:], TOLERANCE_MM)
-    old = limit[tuple(slice(n) for _ in limit.shape)]
-    np.maximum(old, before[0] + _ROUNDING_MM, out=old)
-    return np.asarray(now > limit)
+def _gaps_mm(layouts: _Layouts, number: IntArray, box: IntArray, row: IntArray, other: IntArray) -> FloatArray:
+    """(r,) height of each of r boxes above its support when it is placed. ``row``, ``other``: the pairs of the r boxes
+    and boxes beside them."""
+    draft = number[row]
+    bottom, low = layouts.low[2, number, box], layouts.low[2, draft, other]
+    bears = (layouts.rank[draft, other] < layouts.rank[number, box][row]) & (low < bottom[row])
+    support = np.zeros(len(number))
+    np.maximum.at(support, row[bears], layouts.high[2, draft, other][bears])
+    return np.maximum(bottom - support, 0.0)

@@ -19,7 +19,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.repairs.balance import ROOM_MM, Balance
 from petmjx.repairs.changes import Change, Exchange, Kind, LeaveOut, Move, Order, Place, Sheet, Turn
-from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
+from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, Rules
 from petmjx.repairs.repair_options import RepairOptions
 
 Proposal = tuple[Change, ...]
@@ -106,25 +106,48 @@ def targets(
 
 
 def proposals(
-    draft: Draft, rules: Rules, target: Target, kinds: frozenset[Kind], options: RepairOptions
+    draft: Draft, rules: Rules, causes: Sequence[Target], kinds: frozenset[Kind], options: RepairOptions
 ) -> Iterator[Proposal]:
-    """Changes of some kinds that may help with a cause. Some cannot be made; ``Rules.allow`` finds out."""
-    nearby_boxes, most_mm = _near(draft, rules, target), options.most_move_mm
-    makers: tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...] = (
+    """Changes of some kinds that may help with causes. Some cannot be made; ``Rules.allow`` finds out. What can be
+    changed about a box without regard to the cause is proposed once."""
+    done: set[int] = set()
+    for target in causes:
+        near = _near(draft, rules, target)
+        new = [box for box in near if box not in done]
+        for kind, make in _makers(draft, rules, target, near, new, done, options):
+            if kind in kinds:
+                yield from make()
+        done.update(near)
+
+
+def _makers(
+    draft: Draft,
+    rules: Rules,
+    target: Target,
+    near: Sequence[int],
+    new: Sequence[int],
+    done: Collection[int],
+    options: RepairOptions,
+) -> tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...]:
+    """Kinds of changes, and what proposes such changes for a cause.
+
+    Args:
+        near: boxes to change for the cause. new: those of them that were not changed for other causes.
+        done: boxes that were changed for other causes.
+    """
+    most_mm = options.most_move_mm
+    return (
         (Kind.ORDER, lambda: _orders(draft, target)),
         (Kind.ORDER, lambda: _earlier(draft, target)),
         (Kind.MOVE, lambda: _clearances(draft, rules, target, most_mm)),
-        (Kind.MOVE, lambda: _moves(draft, nearby_boxes, target, most_mm)),
+        (Kind.MOVE, lambda: _moves(draft, near, new, target, most_mm)),
         (Kind.MOVE, lambda: _pushes(draft, rules, target, most_mm)),
-        (Kind.TURN, lambda: _turns(draft, nearby_boxes)),
-        (Kind.EXCHANGE, lambda: _exchanges(draft, rules, nearby_boxes)),
-        (Kind.PLACE, lambda: itertools.chain(_places(draft, rules, nearby_boxes), _props(draft, rules, target))),
-        (Kind.SHEET, lambda: _sheets(draft, options.sheet_mm, options.sheet_kg_m2)),
-        (Kind.LEAVE_OUT, lambda: _omissions(draft, rules, nearby_boxes)),
+        (Kind.TURN, lambda: _turns(draft, new)),
+        (Kind.EXCHANGE, lambda: _exchanges(draft, rules, new, done)),
+        (Kind.PLACE, lambda: itertools.chain(_places(draft, rules, new), _props(draft, rules, target))),
+        (Kind.SHEET, lambda: iter(()) if done else _sheets(draft, options.sheet_mm, options.sheet_kg_m2)),
+        (Kind.LEAVE_OUT, lambda: _omissions(draft, rules, new)),
     )
-    for kind, make in makers:
-        if kind in kinds:
-            yield from make()
 
 
 def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
@@ -210,8 +233,11 @@ def _neighbours(draft: Draft, box: int) -> list[int]:
     return np.flatnonzero(beside & (gap[:, 2] < -TOLERANCE_MM)).tolist()
 
 
-def _moves(draft: Draft, near: Sequence[int], target: Target, most_mm: float) -> Iterator[Proposal]:
-    """Moves of boxes alone, and with the boxes on them, along x and y, and along both at once."""
+def _moves(
+    draft: Draft, near: Sequence[int], new: Collection[int], target: Target, most_mm: float
+) -> Iterator[Proposal]:
+    """Moves of boxes alone, and with the boxes on them, along x and y, and along both at once. Boxes that are not new
+    are only moved by lengths that depend on the cause."""
     needed = [math.ceil(target.depth_mm + spare) for spare in SPARE_MM] if target.depth_mm > 0 else []
     for box in near:
         riders = tuple(sorted(rider for rider in draft.above(box) if rider < draft.plan.n_boxes))
@@ -219,8 +245,9 @@ def _moves(draft: Draft, near: Sequence[int], target: Target, most_mm: float) ->
             free = _free_ways_mm(draft, box, with_them)
             lengths = []
             for way in free:
-                flush = [math.floor(way)] if 1 <= way <= most_mm else []
-                lengths.append(sorted({length for length in (*needed, *STEPS_MM, *flush) if 0 < length <= most_mm}))
+                others = (*STEPS_MM, math.floor(way)) if 1 <= way <= most_mm else STEPS_MM
+                some = (*needed, *others) if box in new else needed
+                lengths.append(sorted({length for length in some if 0 < length <= most_mm}))
             left, right, front, back = lengths
             along_x = [-length for length in left] + [*right]
             along_y = [-length for length in front] + [*back]
@@ -229,8 +256,8 @@ def _moves(draft: Draft, near: Sequence[int], target: Target, most_mm: float) ->
             for dy in along_y:
                 yield (Move(box, 0.0, float(dy), with_them),)
             if box == target.box:
-                some = [length for length in (*needed[:2], 20.0, 45.0, 80.0) if length <= most_mm]
-                for length, dx, dy in itertools.product(some, (-1, 1), (-1, 1)):
+                diagonal = [length for length in (*needed[:2], 20.0, 45.0, 80.0) if length <= most_mm]
+                for length, dx, dy in itertools.product(diagonal, (-1, 1), (-1, 1)):
                     yield (Move(box, dx * length, dy * length, with_them),)
 
 
@@ -256,18 +283,15 @@ def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) 
     the way, with all boxes on those."""
     low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
     way = np.array([dx_mm, dy_mm, 0.0])
-    present = np.isfinite(draft.rank)
-    moved = {box} if alone else {box, *draft.above(box)}
-    front = sorted(moved)
-    while front and len(moved) <= MOST_TOGETHER:
+    moved = np.arange(len(low)) == box
+    front = moved if alone else moved | draft.bears[box]
+    moved = front
+    while front.any() and moved.sum() <= MOST_TOGETHER:
         deep = np.minimum(high[front, None] + way, high) - np.maximum(low[front, None] + way, low)
-        hit = (deep > TOLERANCE_MM).all(axis=2).any(axis=0) & present
-        pushed_boxes = {int(number) for number in np.flatnonzero(hit)} - moved
-        if not alone:
-            pushed_boxes |= {rider for number in pushed_boxes for rider in draft.above(number)} - moved
-        moved |= pushed_boxes
-        front = sorted(pushed_boxes)
-    return moved
+        hit = (deep > TOLERANCE_MM).all(axis=2).any(axis=0) & np.isfinite(draft.rank) & ~moved
+        front = hit if alone else (hit | draft.bears[hit].any(axis=0)) & ~moved
+        moved = moved | front
+    return set(np.flatnonzero(moved).tolist())
 
 
 def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float, float, float, float]:
@@ -302,11 +326,13 @@ def _turns(draft: Draft, near: Sequence[int]) -> Iterator[Proposal]:
             yield (Turn(box, *corner),)
 
 
-def _exchanges(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes exchanged with any other box. Both are turned or not, and stand at the left or the right of the other's
-    place."""
+def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection[int]) -> Iterator[Proposal]:
+    """Boxes exchanged with any other box that is not ``done``. Both are turned or not, and stand at the left or the
+    right of the other's place."""
     for box, other in itertools.product(near, draft.order):
-        if other == box or other < rules.built or other >= draft.plan.n_boxes or (other in near and other < box):
+        if other == box or other < rules.built or other >= draft.plan.n_boxes:
+            continue
+        if other in done or (other in near and other < box):
             continue
         uneven = abs(draft.size_mm[box, 2] - draft.size_mm[other, 2]) > TOLERANCE_MM
         if _alike(draft, box, other) or (uneven and not (draft.is_bare[box] and draft.is_bare[other])):
@@ -396,6 +422,15 @@ def resting_corners(
     ceiling = math.inf if below is None else float(draft.corner_mm[below, 2])
     lower = low[:, 2] < ceiling - TOLERANCE_MM
     low, high = low[lower], high[lower]
+
+    def fits(z: FloatArray) -> BoolArray:
+        """Whether the box has room between each height and its ceiling, or reaches exactly to the box above."""
+        if below is None:
+            return np.asarray(z + draft.size_mm[box, 2] <= rules.high_mm[2] + TOLERANCE_MM)
+        return np.asarray(np.abs(z + draft.size_mm[box, 2] - ceiling) <= TOLERANCE_MM)
+
+    if not fits(np.append(high[:, 2], 0.0)).any():
+        return
     for turn in (False, True):
         size = _size(draft, box, turn)
         if turn and size[0] == size[1]:
@@ -412,49 +447,60 @@ def resting_corners(
                 values + size[axis] <= rules.high_mm[axis] + TOLERANCE_MM
             )
             axes.append(np.unique(np.round(values[inside], 1)))
-        if not len(axes[0]) or not len(axes[1]):
-            continue
-        x, y = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
-        z, share = _rest(x, y, size, low, high)
-        if below is None:
-            is_good = (share >= LEAST_SUPPORT) & (z + size[2] <= rules.high_mm[2] + TOLERANCE_MM)
-        else:
-            is_good = (share >= LEAST_SUPPORT) & (np.abs(z + size[2] - ceiling) <= TOLERANCE_MM)
-            is_good &= _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0
-        chosen = np.flatnonzero(is_good)
-        chosen = chosen[np.lexsort((-share[chosen], z[chosen]))]
         spots: set[tuple[float, float, float]] = set()
-        for k in chosen.tolist():
-            spot = (x[k] // SPOT_MM, y[k] // SPOT_MM, z[k])
-            if spot not in spots:
+        for x, y, z in _rests(axes[0], axes[1], size, low, high, fits):
+            is_below = below is None or _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0
+            spot = (x // SPOT_MM, y // SPOT_MM, z)
+            if is_below and spot not in spots:
                 spots.add(spot)
-                yield turn, (float(x[k]), float(y[k]), float(z[k]))
+                yield turn, (x, y, z)
             if len(spots) == MOST_PLACES:
                 break
 
 
-def _rest(
-    x: FloatArray, y: FloatArray, size: FloatArray, low: FloatArray, high: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(p,) heights at which a box rests if its corner is at each of p points, mm, and (p,) share of its base that is
-    supported there. ``low`` and ``high`` are the corners of the boxes that may be under it."""
-    if not len(low):
-        return np.zeros(len(x)), np.ones(len(x))
-    shared_x = np.minimum(x[:, None] + size[0], high[:, 0]) - np.maximum(x[:, None], low[:, 0])
-    shared_y = np.minimum(y[:, None] + size[1], high[:, 1]) - np.maximum(y[:, None], low[:, 1])
-    under = (shared_x > TOLERANCE_MM) & (shared_y > TOLERANCE_MM)
-    z = np.where(under, high[:, 2], 0.0).max(axis=1)
-    area = np.where(under & (np.abs(high[:, 2] - z[:, None]) <= TOLERANCE_MM), shared_x * shared_y, 0.0).sum(axis=1)
-    return z, np.where(z > 0, area / (size[0] * size[1]), 1.0)
+def _rests(
+    x: FloatArray,
+    y: FloatArray,
+    size: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    fits: Callable[[FloatArray], BoolArray],
+) -> Iterator[tuple[float, float, float]]:
+    """Corners of a box that rests on others or on the carrier with ``LEAST_SUPPORT`` of its base, the lowest first, and
+    at each height those with the largest support.
+
+    Args:
+        x, y: where the corner may be, mm.
+        low, high: (n, 3) corners of the boxes that may be under it.
+        fits: which heights are allowed.
+    """
+    shared = [
+        np.minimum(begin[:, None] + length, high[:, axis]) - np.maximum(begin[:, None], low[:, axis])
+        for axis, (begin, length) in enumerate(((x, size[0]), (y, size[1])))
+    ]
+    # For each point, the first box that is under it, from the highest top down, and at last the carrier.
+    from_top = np.argsort(-high[:, 2])
+    under_x, under_y = (np.pad(some[:, from_top] > TOLERANCE_MM, ((0, 0), (0, 1)), constant_values=True) for some in shared)
+    heights = np.append(high[from_top, 2], 0.0)
+    z = heights[(under_x[:, None] & under_y).argmax(axis=2)]
+    for height in np.unique(z[fits(z)]).tolist():
+        at_x, at_y = np.nonzero(z == height)
+        share = np.ones(len(at_x))
+        if height > 0:
+            shared_x, shared_y = shared[0][at_x], shared[1][at_y]
+            bears = (shared_x > TOLERANCE_MM) & (shared_y > TOLERANCE_MM) & (np.abs(high[:, 2] - height) <= TOLERANCE_MM)
+            share = np.where(bears, shared_x * shared_y, 0.0).sum(axis=1) / (size[0] * size[1])
+        chosen = np.argsort(-share, kind="stable")
+        chosen = chosen[: np.count_nonzero(share >= LEAST_SUPPORT)]
+        yield from zip(x[at_x[chosen]].tolist(), y[at_y[chosen]].tolist(), itertools.repeat(height))
 
 
-def _shared_mm2(x: FloatArray, y: FloatArray, size: FloatArray, corner: FloatArray, other: FloatArray) -> FloatArray:
-    """(p,) area by which a box overlaps another box, seen from above, mm², if the box's corner is at each of p points.
-    ``corner`` and ``other`` are the corner and the size of the other box."""
-    shared_x = np.minimum(x + size[0], corner[0] + other[0]) - np.maximum(x, corner[0])
-    shared_y = np.minimum(y + size[1], corner[1] + other[1]) - np.maximum(y, corner[1])
-    area: FloatArray = np.maximum(shared_x, 0.0) * np.maximum(shared_y, 0.0)
-    return area
+def _shared_mm2(x: float, y: float, size: FloatArray, corner: FloatArray, other: FloatArray) -> float:
+    """Area by which a box with its corner at a point overlaps another box, seen from above, mm². ``corner`` and
+    ``other`` are the corner and the size of the other box."""
+    shared_x = min(x + size[0], corner[0] + other[0]) - max(x, corner[0])
+    shared_y = min(y + size[1], corner[1] + other[1]) - max(y, corner[1])
+    return float(max(shared_x, 0.0) * max(shared_y, 0.0))
 
 
 def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
@@ -494,19 +540,15 @@ def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:
 def lifted_with(draft: Draft, box: int) -> list[int]:
     """A box and all boxes that would lose their support without it, the supports first."""
     lifted = [box]
-    remaining = [number for number in draft.order if number != box]
+    order = np.array(draft.order)
+    rests = (draft.corner_mm[order, 2] > TOLERANCE_MM) & draft.on_top[:, order].any(axis=0)
+    remains = order != box
     while True:
-        bare = [
-            number
-            for number in remaining
-            if draft.corner_mm[number, 2] > TOLERANCE_MM
-            and draft.on_top[:, number].any()
-            and not draft.on_top[remaining, number].any()
-        ]
-        if not bare:
+        bare = remains & rests & ~draft.on_top[np.ix_(order[remains], order)].any(axis=0)
+        if not bare.any():
             return lifted
-        lifted += bare
-        remaining = [number for number in remaining if number not in bare]
+        lifted += order[bare].tolist()
+        remains &= ~bare
 
 
 def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:

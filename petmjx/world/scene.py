@@ -250,12 +250,24 @@ def carrier_of(plan: Plan, sim: Simulation) -> Body:
 def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
     """The scene of each plan, in order, as from ``build_scene``. Many plans are computed together; the scenes are
     bit-identical to those of ``build_scene``."""
-    slabs, source = pallet(sim.carrier) is None and not has_walls(sim), iter(plans)
+    slabs, source = _is_slab(sim), iter(plans)
     while batch := list(islice(source, AT_A_TIME)):
         alike = [plan for plan in batch if slabs and _is_plain(plan)]
-        together = iter(_stacked_scenes(alike, sim)) if alike else iter(())
+        names = "size_mm", "corner_mm", "mass_kg"
+        columns = (np.concatenate([getattr(plan, name) for plan in alike]) for name in names) if alike else ()
+        together = iter(plain_scenes(*columns, [plan.n_boxes for plan in alike], sim)) if alike else iter(())
         for plan in batch:
             yield next(together) if slabs and _is_plain(plan) else build_scene(plan, sim)
+
+
+def has_plain_scene(plan: Plan, sim: Simulation) -> bool:
+    """Whether ``plain_scenes`` makes the scene of a plan."""
+    return _is_slab(sim) and _is_plain(plan)
+
+
+def _is_slab(sim: Simulation) -> bool:
+    """Whether the carrier is a slab without walls."""
+    return pallet(sim.carrier) is None and not has_walls(sim)
 
 
 def _is_plain(plan: Plan) -> bool:
@@ -264,10 +276,21 @@ def _is_plain(plan: Plan) -> bool:
     return not plan.kinds and not plan.materials and all(array is None for array in more)
 
 
-def _stacked_scenes(plans: Sequence[Plan], sim: Simulation) -> Iterator[Scene]:
-    ends = np.cumsum([plan.n_boxes for plan in plans])
-    names = "size_mm", "corner_mm", "mass_kg"
-    size, corner, mass = (np.concatenate([getattr(plan, name) for plan in plans]) for name in names)
+def plain_scenes(
+    size: NDArray[np.float64],
+    corner: NDArray[np.float64],
+    mass: NDArray[np.float64],
+    counts: Sequence[int],
+    sim: Simulation,
+) -> Iterator[Scene]:
+    """The scene of each plan, for plans with ``has_plain_scene``.
+
+    Args:
+        size, corner: (n, 3) extents and corners of the boxes of all plans, plan after plan, mm.
+        mass: (n,) their masses, kg.
+        counts: number of boxes of each plan.
+    """
+    ends = np.cumsum(counts)
     boxes, of_all = _of_boxes(size, corner, mass, sim), _of_all(sim)
     carriers, begin = _slabs(corner, size, np.array([0, *ends[:-1]]), sim), 0
     for end, carrier in zip(ends.tolist(), carriers, strict=True):

@@ -645,7 +645,7 @@ def test_a_box_that_is_lowered_between_two_others_gets_room() -> None:
     assert balance.squeezed == (2,)
     assert balance.weakness == pytest.approx(1 - 2 / ROOM_MM)
     kinds = frozenset({Kind.ORDER, Kind.MOVE})
-    some = [*proposals(draft, rules, Target(2, 2, is_squeezed=True), kinds, RepairOptions())]
+    some = [*proposals(draft, rules, [Target(2, 2, is_squeezed=True)], kinds, RepairOptions())]
     assert set(some) > {(Order(2, 0),), (Order(2, 1),), (Order(1, 2, after=True),), (Move(1, 7.0, 0.0),)}
     assert (Move(0, -7.0, 0.0),) in some, "whether a box may reach so far is for the rules to say"
     drafts = [one for p in ((Order(2, 1),), (Move(1, 7.0, 0.0),)) if (one := applied(draft, p)) is not None]
@@ -657,7 +657,7 @@ def test_a_box_that_is_left_out_pushes_no_others() -> None:
     gap, rules = draft.without(1), Rules(make_plan(), Simulation(), 2000.0, 0)
     assert gap is not None
     of_row, of_gap = (
-        {*proposals(one, rules, Target(0, 0), frozenset({Kind.MOVE}), RepairOptions())} for one in (draft, gap)
+        {*proposals(one, rules, [Target(0, 0)], frozenset({Kind.MOVE}), RepairOptions())} for one in (draft, gap)
     )
     assert (Move(0, 45.0, 0.0, (1, 2)),) in of_row
     assert (Move(0, 45.0, 0.0),) in of_gap
