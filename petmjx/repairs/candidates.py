@@ -17,9 +17,9 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import SAFE_MM, Balance, balances
 from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_change
-from petmjx.repairs.drafts import Draft, Rules
+from petmjx.repairs.drafts import Draft, Rules, key_of
 from petmjx.repairs.proposals import MOST_TARGETS, Proposal, Target, proposals, targets
-from petmjx.repairs.rebuilds import rebuilds
+from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.trials import Asked, Steps, Trial
 
@@ -177,14 +177,6 @@ def batch_of(queues: Sequence[list[Candidate]], count: int) -> list[Candidate]:
     return batch
 
 
-def key_of(draft: Draft) -> bytes:
-    """Equal for drafts that are the same."""
-    order = np.array(draft.order)
-    places = np.round(np.hstack([draft.corner_mm, draft.size_mm])[order], 3)
-    key: bytes = order.tobytes() + places.tobytes() + np.array(draft.film_turns).tobytes()
-    return key
-
-
 MOST_RANKED: Final = 168
 """Largest number of allowed changes of a plan that are kept: the most promising ones."""
 
@@ -238,19 +230,28 @@ class Candidates:
 
     # ------------------------------------------------------------------ proposals
 
-    def _ranked(self, node: Node, kinds: frozenset[Kind], *, anew: bool = False) -> list[Candidate]:
-        """Allowed changes of a plan, or ways to build it anew, the most promising first."""
+    def _changes(self, node: Node, kinds: frozenset[Kind]) -> list[Candidate]:
+        """Allowed changes of a plan, the most promising first."""
+        causes = self._causes(node.state)
+        some = proposals(node.state.draft, self.rules, causes, kinds, self.options)
+        return self._ranked(node, causes, some)
+
+    def _anew(self, nodes: Sequence[Node], kinds: frozenset[Kind]) -> list[list[Candidate]]:
+        """For each plan, ways to build it anew, the most promising first."""
+        causes = [self._causes(node.state) for node in nodes]
+        failures = [
+            Failure(node.state.draft, some, node.state.trial.n_held) for node, some in zip(nodes, causes, strict=True)
+        ]
+        ways = rebuilds(failures, self.rules, self.sim, leaves_out=Kind.LEAVE_OUT in kinds)
+        return [self._ranked(*row) for row in zip(nodes, causes, ways, strict=True)]
+
+    def _ranked(self, node: Node, causes: Sequence[Target], some: Iterable[Proposal]) -> list[Candidate]:
+        """The plans of some proposals that are allowed and new, the most promising first."""
         state = node.state
-        causes = self._causes(state)
         first = next((cause for cause in causes if cause.depth_mm > 0), causes[0]) if causes else None
-        if anew:
-            leaves_out = Kind.LEAVE_OUT in kinds
-            some = rebuilds(state.draft, self.rules, self.sim, causes, state.trial.n_held, leaves_out=leaves_out)
-        else:
-            some = proposals(state.draft, self.rules, causes, kinds, self.options)
         pairs = [(draft, p) for p in some if (draft := applied(state.draft, p)) is not None]
         boxes = [{box for change in proposal for box in change.boxes} for _, proposal in pairs]
-        allowed = self.rules.allow([draft for draft, _ in pairs], state.draft, boxes)
+        allowed = self.rules.allow([draft for draft, _ in pairs], boxes, state.draft)
         new: dict[bytes, tuple[Draft, Proposal]] = {}
         for number in np.flatnonzero(allowed).tolist():
             new.setdefault(key_of(pairs[number][0]), pairs[number])

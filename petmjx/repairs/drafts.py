@@ -216,6 +216,14 @@ class Draft:
         return np.where(self.turned[:, None], swapped, centre) + 0.0  # + 0.0 turns -0.0 into 0.0
 
 
+def key_of(draft: Draft) -> bytes:
+    """Equal for drafts that are the same."""
+    order = np.array(draft.order)
+    places = np.round(np.hstack([draft.corner_mm, draft.size_mm])[order], 3)
+    key: bytes = order.tobytes() + places.tobytes() + np.array(draft.film_turns).tobytes()
+    return key
+
+
 def _closure(leads_to: BoolArray, box: int) -> list[int]:
     """Numbers that can be reached from a box, nearest first."""
     reached: dict[int, None] = {}
@@ -349,29 +357,30 @@ class Rules:
     def allow(
         self,
         drafts: Sequence[Draft],
-        parent: Draft | None = None,
         changed: Sequence[Collection[int]] | None = None,
+        parent: Draft | None = None,
     ) -> BoolArray:
         """(c,) which drafts are allowed.
 
+        Most changes concern few boxes. What they leave as it is need not be checked again.
+
         Args:
-            parent: an allowed draft from which all of the drafts were made; None: unknown. Of a plan, most changes
-                concern few boxes, and what they leave as it is is not checked again.
-            changed: with ``parent``, the boxes that each draft has elsewhere, turned or at another time. All others
-                have the same places, and the same order among one another.
+            changed: for each draft, the boxes that differ from an allowed draft: they have another place, turn or time.
+                All others have the same places, and the same order among one another. None: every box is checked.
+            parent: the allowed draft from which the drafts were made, in which the changed boxes may have been
+                supports of others; None: they were not. A draft with a sheet more than ``parent`` is checked whole.
         """
         allowed = np.zeros(len(drafts), bool)
-        kinds: dict[tuple[int, bool], list[int]] = {}
+        sizes: dict[int, list[int]] = {}
         for number, draft in enumerate(drafts):
-            is_known = parent is not None and len(draft.size_mm) == len(parent.size_mm)
-            kinds.setdefault((len(draft.size_mm), is_known), []).append(number)
-        for (_, is_known), numbers in kinds.items():
-            bears = self._bears(parent) if is_known and parent is not None else None
+            sizes.setdefault(len(draft.size_mm), []).append(number)
+        for size, numbers in sizes.items():
+            is_whole = changed is None or (parent is not None and size != len(parent.size_mm))
+            bears = None if is_whole or parent is None else self._bears(parent)
             for begin in range(0, len(numbers), AT_ONCE):
                 chunk = numbers[begin : begin + AT_ONCE]
-                some = [drafts[number] for number in chunk]
-                boxes = [changed[number] for number in chunk] if bears is not None and changed is not None else None
-                allowed[chunk] = self._allow(some, boxes, bears)
+                boxes = None if is_whole or changed is None else [changed[number] for number in chunk]
+                allowed[chunk] = self._allow([drafts[number] for number in chunk], boxes, bears)
         return allowed
 
     def _allow(

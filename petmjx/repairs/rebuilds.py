@@ -7,17 +7,18 @@ with one change for each box that is put elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import math
+from collections.abc import Collection, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
-from typing import Final
+from itertools import islice, product
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
 from petmjx.options.simulation import Simulation
 from petmjx.repairs.balance import balances
 from petmjx.repairs.changes import Change, LeaveOut, Place
-from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules, key_of
 from petmjx.repairs.proposals import Proposal, Target, resting_corners
 
 MOST_CAUSES: Final = 2
@@ -47,85 +48,153 @@ class Way:
 WAYS: Final = tuple(Way(late, strict) for late, strict in product((False, True), repeat=2))
 
 
-def rebuilds(
-    draft: Draft, rules: Rules, sim: Simulation, causes: list[Target], n_held: int, *, leaves_out: bool
-) -> Iterator[Proposal]:
-    """Ways to build a plan anew: the boxes of one cause get other places, or are left out.
+class Asked(NamedTuple):
+    """Piles whose last boxes are to be judged.
+
+    Attributes:
+        piles: the piles; each is allowed without its last box.
+        by_statics: whether statics also judges those that are allowed.
+    """
+
+    piles: list[Draft]
+    by_statics: bool
+
+
+class Judged(NamedTuple):
+    """A judged pile.
+
+    Attributes:
+        is_allowed: whether the pile is allowed.
+        trouble, weakness: as in ``Balance``; NaN: statics was not asked, or the pile is not allowed.
+    """
+
+    is_allowed: bool
+    trouble: float = math.nan
+    weakness: float = math.nan
+
+
+Result = TypeVar("Result")
+Judging = Generator[Asked, list[Judged], Result]
+"""A part of building anew. It yields piles, and is sent what was judged about each."""
+
+
+class Failure(NamedTuple):
+    """A plan that fails.
+
+    Attributes:
+        causes: why it fails, the likeliest first.
+        n_held: number of boxes that stood before it failed. Statics does not judge these boxes.
+    """
+
+    draft: Draft
+    causes: Sequence[Target]
+    n_held: int
+
+
+def rebuilds(failures: Sequence[Failure], rules: Rules, sim: Simulation, *, leaves_out: bool) -> list[list[Proposal]]:
+    """For each plan, ways to build it anew: the boxes of one cause get other places, or are left out.
+
+    All ways are built side by side, since statics judges many piles at once in little more time than one.
 
     Args:
-        causes: why the plan fails, the likeliest first.
-        n_held: number of boxes that stood before the plan failed. Statics does not judge these boxes.
         leaves_out: whether the boxes of a cause are left out.
     """
-    distrusted = {frozenset(some) for cause in causes[:MOST_CAUSES] for some in ({cause.box}, {cause.cause})}
+    piles = [[*_piles(failure, rules, leaves_out)] for failure in failures]
+    built = iter(_side_by_side([pile.built() for some in piles for pile in some], rules, sim))
+    return [[changes for changes in islice(built, len(some)) if changes] for some in piles]
+
+
+def _piles(failure: Failure, rules: Rules, leaves_out: bool) -> Iterator[_Pile]:
+    draft = failure.draft
+    distrusted = {frozenset(some) for cause in failure.causes[:MOST_CAUSES] for some in ({cause.box}, {cause.cause})}
     for boxes in sorted(distrusted, key=sorted):
-        if min(boxes) < rules.built or max(boxes) >= draft.plan.n_boxes or not boxes <= set(draft.order):
-            continue
-        for way in WAYS:
-            changes = _Pile(draft, rules, sim, boxes, n_held, way, leaves_out).built()
-            if changes:
-                yield changes
+        if min(boxes) >= rules.built and max(boxes) < draft.plan.n_boxes and boxes <= set(draft.order):
+            yield from (_Pile(draft, rules, boxes, failure.n_held, way, leaves_out) for way in WAYS)
+
+
+def _side_by_side(parts: Sequence[Judging[Result]], rules: Rules, sim: Simulation) -> list[Result]:
+    """The results of parts whose piles are judged together. Statics judges when all parts wait for it."""
+    results: dict[int, Result] = {}
+    answers: dict[int, Any] = dict.fromkeys(range(len(parts)))
+    asked: dict[int, Asked] = {}
+    while answers:
+        for number, answer in answers.items():
+            try:
+                asked[number] = parts[number].send(answer)
+            except StopIteration as end:
+                results[number] = end.value
+        chosen = [number for number, one in asked.items() if not one.by_statics] or [*asked]
+        some = {number: asked.pop(number) for number in chosen}
+        judged = iter(_judged([(pile, one.by_statics) for one in some.values() for pile in one.piles], rules, sim))
+        answers = {number: [*islice(judged, len(one.piles))] for number, one in some.items()}
+    return [results[number] for number in range(len(parts))]
+
+
+def _judged(asked: Sequence[tuple[Draft, bool]], rules: Rules, sim: Simulation) -> list[Judged]:
+    """What is judged about piles, and whether by statics, too. Equal piles are judged once."""
+    keys = [key_of(pile) for pile, _ in asked]
+    piles = dict(zip(keys, (pile for pile, _ in asked), strict=True))
+    allowed = rules.allow([*piles.values()], [pile.order[-1:] for pile in piles.values()])
+    judged = {key: Judged(bool(is_allowed)) for key, is_allowed in zip(piles, allowed, strict=True)}
+    for_statics = {key: piles[key] for key, (_, by_statics) in zip(keys, asked, strict=True) if by_statics and judged[key].is_allowed}
+    for key, balance in zip(for_statics, balances([*for_statics.values()], sim), strict=True):
+        judged[key] = Judged(True, balance.trouble, balance.weakness)
+    return [judged[key] for key in keys]
 
 
 class _Pile:
     """A plan that is built anew."""
 
     def __init__(
-        self,
-        draft: Draft,
-        rules: Rules,
-        sim: Simulation,
-        distrusted: Collection[int],
-        n_held: int,
-        way: Way,
-        leaves_out: bool,
+        self, draft: Draft, rules: Rules, distrusted: Collection[int], n_held: int, way: Way, leaves_out: bool
     ) -> None:
-        self._draft, self._rules, self._sim = draft, rules, sim
+        self._draft, self._rules = draft, rules
         self._distrusted, self._way, self._leaves_out = distrusted, way, leaves_out
         self._held = set(draft.order[:n_held])
         self._pile = replace(draft, order=())
         self._known_trouble: float | None = 0.0
 
-    def built(self) -> Proposal | None:
+    def built(self) -> Judging[Proposal | None]:
         """The changes that turn the draft into the new plan; None: there is no place for a box."""
         changes: list[Change] = []
         waiting: list[int] = []
         for at, box in enumerate(self._draft.order):
             if box in self._distrusted and self._leaves_out:
                 changes.append(LeaveOut(box))
-            elif box not in self._distrusted and self._keeps(box):
+            elif box not in self._distrusted and (yield from self._keeps(box)):
                 continue
             elif box < self._rules.built or box >= self._draft.plan.n_boxes:
                 return None
             elif self._way.late:
                 waiting.append(box)
-            elif (change := self._placed(box, self._draft.order[at + 1 :])) is not None:
+            elif (change := (yield from self._placed(box, self._draft.order[at + 1 :]))) is not None:
                 changes.append(change)
             else:
                 waiting.append(box)
         for box in waiting:
             last = self._pile.order[-1] if self._pile.order else None
-            change = self._placed(box, ())
+            change = yield from self._placed(box, ())
             if change is None:
                 return None
             changes.append(replace(change, neighbour=last))
         return tuple(changes)
 
-    def _keeps(self, box: int) -> bool:
+    def _keeps(self, box: int) -> Judging[bool]:
         """Put a box at its place, if it can keep this place. Returns whether it can."""
         pile, trouble = replace(self._pile, order=(*self._pile.order, box)), None
         if box >= self._rules.built:
-            if not self._rules.allow([pile])[0]:
+            by_statics = self._way.strict and box not in self._held and bool(self._pile.order)
+            (judged,) = yield Asked([pile], by_statics)
+            if not judged.is_allowed:
                 return False
-            if self._way.strict and box not in self._held and self._pile.order:
-                (after,) = balances([pile], self._sim)
-                trouble = after.trouble
-                if trouble > self._trouble + SAME_TROUBLE:
+            if by_statics:
+                trouble = judged.trouble
+                if trouble > (yield from self._trouble()) + SAME_TROUBLE:
                     return False
         self._pile, self._known_trouble = pile, trouble
         return True
 
-    def _placed(self, box: int, later: Collection[int]) -> Place | None:
+    def _placed(self, box: int, later: Collection[int]) -> Judging[Place | None]:
         """Put a box at the best place; None: there is no place. At the best place, statics objects least. Of such
         places, it is one that is in the way of the fewest later boxes; then the one with the safest loads; then the
         lowest one. Places in the way of few boxes, and low ones, are tried first, until statics does not object."""
@@ -136,38 +205,42 @@ class _Pile:
             if turn or box not in self._distrusted or np.abs(planned - corner).max() > TOLERANCE_MM
         ]
         waiting = replace(self._pile, order=(*self._pile.order, box))
-        tried = [(place, draft) for place in places if (draft := place.applied(waiting)) is not None]
-        in_the_way = [self._in_the_way(draft, box, later) for _, draft in tried]
-        queue = sorted(range(len(tried)), key=lambda k: (in_the_way[k], tried[k][0].corner_mm[2]))
+        in_the_way = self._in_the_way(places, later)
+        queue = sorted(range(len(places)), key=lambda k: (in_the_way[k], places[k].corner_mm[2]))
         best: tuple[float, ...] | None = None
+        best_pile = self._pile
         for begin in range(0, len(queue), TRIED_AT_ONCE):
             numbers = queue[begin : begin + TRIED_AT_ONCE]
-            allowed = self._rules.allow([tried[k][1] for k in numbers])
-            numbers = [k for k, is_allowed in zip(numbers, allowed, strict=True) if is_allowed]
-            for k, balance in zip(numbers, balances([tried[k][1] for k in numbers], self._sim), strict=True):
-                rank = balance.trouble, in_the_way[k], balance.weakness, tried[k][0].corner_mm[2], k
-                if best is None or rank < best:
-                    best = rank
-            if best is not None and best[0] <= self._trouble + SAME_TROUBLE:
+            piles = [pile for k in numbers if (pile := places[k].applied(waiting)) is not None]
+            for k, pile, judged in zip(numbers, piles, (yield Asked(piles, True)), strict=True):
+                rank = judged.trouble, in_the_way[k], judged.weakness, places[k].corner_mm[2], k
+                if judged.is_allowed and (best is None or rank < best):
+                    best, best_pile = rank, pile
+            if best is not None and best[0] <= (yield from self._trouble()) + SAME_TROUBLE:
                 break  # no box makes the trouble of the boxes below less
         if best is None:
             return None
-        chosen = int(best[-1])
-        self._pile, self._known_trouble = tried[chosen][1], best[0]
-        return tried[chosen][0]
+        self._pile, self._known_trouble = best_pile, best[0]
+        return places[int(best[-1])]
 
-    @property
-    def _trouble(self) -> float:
+    def _trouble(self) -> Judging[float]:
         """``Balance.trouble`` of the pile; 0 without boxes."""
         if self._known_trouble is None:
-            (balance,) = balances([self._pile], self._sim)
-            self._known_trouble = balance.trouble
+            (judged,) = yield Asked([self._pile], True)
+            self._known_trouble = judged.trouble
         return self._known_trouble
 
-    def _in_the_way(self, pile: Draft, box: int, later: Collection[int]) -> int:
-        """How many later boxes cannot keep their places because a box stands there, or above."""
+    def _in_the_way(self, places: Sequence[Place], later: Collection[int]) -> list[int]:
+        """For each place of a box, how many later boxes cannot keep their places because the box stands there, or
+        above."""
+        if not places:
+            return []
         rows = [number for number in later if number not in self._distrusted]
-        low, high = pile.corner_mm[rows], (pile.corner_mm + pile.size_mm)[rows]
-        bottom, top = pile.corner_mm[box], pile.corner_mm[box] + pile.size_mm[box]
-        shared = np.minimum(high, top) - np.maximum(low, bottom)
-        return int(((shared[:, :2] > TOLERANCE_MM).all(axis=1) & (low[:, 2] < top[2] - TOLERANCE_MM)).sum())
+        low, high = self._draft.corner_mm[rows], (self._draft.corner_mm + self._draft.size_mm)[rows]
+        size = self._draft.size_mm[places[0].box]
+        bottom = np.array([place.corner_mm for place in places])
+        top = bottom + [size[[1, 0, 2]] if place.differs else size for place in places]
+        shared = np.minimum(high, top[:, None]) - np.maximum(low, bottom[:, None])
+        is_in_the_way = (shared[..., :2] > TOLERANCE_MM).all(axis=2) & (low[:, 2] < top[:, None, 2] - TOLERANCE_MM)
+        in_the_way: list[int] = is_in_the_way.sum(axis=1).tolist()
+        return in_the_way

@@ -29,13 +29,12 @@ from petmjx.repairs.candidates import (
     Node,
     State,
     batch_of,
-    key_of,
     n_counted,
     shortest,
     way_of,
 )
 from petmjx.repairs.changes import Film, Kind, LeaveOut, applied
-from petmjx.repairs.drafts import Draft
+from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import lifted_with
 from petmjx.repairs.trials import ERROR_WORLDS, Steps, Together, Trial
 
@@ -331,16 +330,15 @@ class Search(Candidates):
         these plans anew, unless that was done before."""
         if anew and Kind.PLACE in kinds:
             chosen = [node for node in nodes if not node.is_anew][:MOST_ANEW]
-            queues = []
             for node in chosen:
                 node.is_anew = True
-                queues.append(self._ranked(node, kinds, anew=True))
+            queues = self._anew(chosen, kinds)
             if any(queues):
                 return queues
         queues = []
         for node in nodes:
             if node.queue is None:
-                node.queue = self._ranked(node, kinds)
+                node.queue = self._changes(node, kinds)
             if node.queue:
                 queues.append(node.queue)
                 node.n_judged += AT_ONCE
@@ -462,7 +460,7 @@ class Search(Candidates):
         while nodes and best.n_good < wanted and self.n_trials < last:
             node = min(nodes, key=lambda node: (node.n_judged // AT_ONCE - node.state.n_good, node.state.cost))
             if node.queue is None:
-                node.queue = self._ranked(node, kinds)
+                node.queue = self._changes(node, kinds)
             if not node.queue:
                 nodes.remove(node)
                 continue

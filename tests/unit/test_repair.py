@@ -21,11 +21,11 @@ from petmjx.engines.attempt_runner import outcomes_of_stream
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
-from petmjx.repairs.candidates import Candidate, Fault, Node, State, batch_of, key_of
+from petmjx.repairs.candidates import Candidate, Fault, Node, State, batch_of
 from petmjx.repairs.changes import Exchange, Film, Kind, LeaveOut, Move, Order, Place, Sheet, Turn, applied, with_change
-from petmjx.repairs.drafts import Draft, Rules
+from petmjx.repairs.drafts import Draft, Rules, key_of
 from petmjx.repairs.proposals import Target, proposals
-from petmjx.repairs.rebuilds import rebuilds
+from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
@@ -784,13 +784,13 @@ def test_a_plan_with_faults_all_over_is_built_anew() -> None:
     rules, sim = Rules(draft.plan, Simulation(), 2000.0, built=2), Simulation()
     (balance,) = balances([draft], sim)
     assert balance.cause[0] == 2
-    some = [*rebuilds(draft, rules, sim, [Target(0, 2)], 2, leaves_out=False)]
+    some = rebuilds([Failure(draft, [Target(0, 2)], 2)], rules, sim, leaves_out=False)[0]
     assert {tuple(change.boxes for change in proposal) for proposal in some} == {((2,),), ((2,), (3,))}
     anew = [built for proposal in some if (built := applied(draft, proposal)) is not None]
     assert rules.allow(anew).tolist() == [True] * len(some)
     assert all((built.corner_mm[:2] == draft.corner_mm[:2]).all() for built in anew)
     assert min(balance.trouble for balance in balances(anew, sim)) == 0
-    (shorter, *_) = rebuilds(draft, rules, sim, [Target(2, 2)], 2, leaves_out=True)
+    ((shorter, *_),) = rebuilds([Failure(draft, [Target(2, 2)], 2)], rules, sim, leaves_out=True)
     assert [change.kind for change in shorter] == [Kind.LEAVE_OUT, Kind.PLACE], "only the box on it has another place"
 
 
