@@ -20,8 +20,8 @@ from petmjx.world.edge_distances import bearing_in_order, building_loads_of, dep
 from petmjx.world.scene import Scene, build_scenes, has_plain_scene, plain_scenes
 from petmjx.world.supports import find_bearings
 
-AT_ONCE: Final = 128
-"""Number of drafts that are computed at once."""
+AT_ONCE: Final = 80
+"""Number of drafts that are computed at once: their arrays stay in a core's cache."""
 
 DEEP_MM: Final = 50.0
 """A load this far beyond an edge counts twice as much as one on the edge, and a load further beyond counts no more."""

@@ -181,7 +181,8 @@ class Place(_OfBox):
     others: tuple[int, ...] = ()
 
     def applied(self, draft: Draft) -> Draft | None:
-        moved = [box for box in draft.order if box in self.boxes]
+        boxes = self.boxes
+        moved = [box for box in draft.order if box in boxes]
         if self.box not in moved or self.neighbour in moved:
             return None
         way = np.array(self.corner_mm) - draft.corner_mm[self.box]

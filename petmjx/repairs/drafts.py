@@ -119,7 +119,9 @@ class Draft:
         approach no longer hold for these boxes, so that they count as ``moved``."""
         corners = self.corner_mm.copy()
         corners[list(boxes)] = corner_mm
-        return replace(self, corner_mm=corners, moved=self.moved | frozenset(boxes) if anew else self.moved)
+        moved = self.moved.union(boxes) if anew else self.moved
+        # as ``replace`` does, in a third of the time
+        return Draft(self.plan, self.size_mm, corners, self.turned, self.order, moved, self.sheet_kg, self.film_turns)
 
     def with_turn(self, box: int, turned: bool) -> Draft:
         """The draft in which a box is turned from its orientation in the plan, or is not. Its corner stays where it
