@@ -16,9 +16,9 @@ import numpy as np
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray
-from petmjx.world.edge_distances import bearing_in_order, building_loads_of, depends_on_sharing
+from petmjx.world.edge_distances import ROUNDING_M, bearing_in_order, building_loads_of, depends_on_sharing
 from petmjx.world.scene import Scene, build_scenes, has_plain_scene, plain_scenes
-from petmjx.world.supports import find_bearings
+from petmjx.world.supports import Bearing, find_bearings
 
 AT_ONCE: Final = 80
 """Number of drafts that are computed at once: their arrays stay in a core's cache."""
@@ -55,6 +55,8 @@ class Balance(NamedTuple):
             the edge decreases from 1 on the edge to 0 at ``SAFE_MM`` inside. A box that is lowered between two
             others adds 1 to the sum if it has no room, and less with more room: 0 with ``ROOM_MM`` of room.
         squeezed: numbers of the boxes that are lowered between two others with less room than ``ROOM_MM``.
+        loads: the loads of all boxes, from which those of a draft with one more box follow.
+        missing_room: (n,) weight of each box in ``weakness`` because it is lowered between two others.
     """
 
     box: IntArray
@@ -65,6 +67,8 @@ class Balance(NamedTuple):
     trouble: float
     weakness: float
     squeezed: tuple[int, ...]
+    loads: _Loads
+    missing_room: FloatArray
 
     def depth_of(self, box: int) -> float:
         """Distance of a box's load beyond an edge, mm; 0: inside."""
@@ -80,26 +84,49 @@ def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0)
     """
     results: list[Balance] = []
     for begin in range(0, len(drafts), AT_ONCE):
-        results += _balances(drafts[begin : begin + AT_ONCE], sim, spare_mm)
+        some = drafts[begin : begin + AT_ONCE]
+        bearing = _bearing(some, sim)
+        built = building_loads_of(bearing, np.diff(bearing.boxes.first).tolist())
+        perhaps = depends_on_sharing(bearing, built)
+        edge_mm = MM_PER_M * built.edge_m - spare_mm
+        rows = np.flatnonzero(~np.isnan(edge_mm))  # what floats or overlaps may bear a load although nothing bears it
+        loads = _loads(built.box[rows], built.step[rows], edge_mm[rows], perhaps[rows])
+        results += _balances(some, loads, _missing_room(some), bearing.boxes.first)
     return results
 
 
-def _balances(drafts: Sequence[Draft], sim: Simulation, spare_mm: float) -> list[Balance]:
-    size_mm, corner_mm = (
-        np.concatenate([getattr(draft, name)[draft.rows] for draft in drafts]) for name in ("size_mm", "corner_mm")
-    )
+def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: Simulation) -> list[Balance]:
+    """The balance of each draft, given the balance of the draft without its last box. Only the loads below this box
+    change, and each of them only once. So this takes a fraction of the time of ``balances``, from which results may
+    differ by rounding errors."""
+    results: list[Balance] = []
+    for begin in range(0, len(drafts), AT_ONCE):
+        some, known = drafts[begin : begin + AT_ONCE], before[begin : begin + AT_ONCE]
+        bearing = _bearing(some, sim)
+        first = bearing.boxes.first
+        loads = _loads_with_last(bearing, _Loads.joined([one.loads for one in known], first))
+        missing = [
+            np.append(one.missing_room, weight)
+            for one, weight in zip(known, _missing_room(some, only_last=True), strict=True)
+        ]
+        results += _balances(some, loads, missing, first)
+    return results
+
+
+def _bearing(drafts: Sequence[Draft], sim: Simulation) -> Bearing:
+    """The contacts of drafts in packing order."""
     scenes = _scenes(drafts, sim)
-    bearing = bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
-    built = building_loads_of(bearing, [scene.n_boxes for scene in scenes])
-    perhaps = depends_on_sharing(bearing, built)
-    first = bearing.boxes.first
-    edge_mm = MM_PER_M * built.edge_m - spare_mm
-    rows = np.flatnonzero(~np.isnan(edge_mm))  # a box that floats or overlaps may bear a load although nothing bears it
-    loads = _loads(built.box[rows], built.step[rows], edge_mm[rows], perhaps[rows])
+    return bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
+
+
+def _balances(
+    drafts: Sequence[Draft], loads: _Loads, missing_room: Sequence[FloatArray], first: IntArray
+) -> list[Balance]:
+    """The balances of drafts from their loads. ``first``: (d + 1,) number of the first box of each draft."""
     ends = np.searchsorted(loads.box, first)
     return [
-        _balance(draft, loads.take(slice(*ends[k : k + 2]), int(first[k])), missing_room)
-        for k, (draft, missing_room) in enumerate(zip(drafts, _missing_room(corner_mm, size_mm, first), strict=True))
+        _balance(draft, loads.take(slice(*ends[k : k + 2]), int(first[k])), missing_room[k])
+        for k, draft in enumerate(drafts)
     ]
 
 
@@ -125,6 +152,7 @@ class _Loads(NamedTuple):
         step: (k,) first step at which the load is beyond an edge; some step if it is always inside.
         least_mm, last_mm: (k,) smallest and last distance from the edge, mm; negative beyond.
         is_sure: (k,) whether the load is beyond an edge however supports share the loads on them.
+        perhaps: (k,) whether the last load depends on how supports share the loads on them.
     """
 
     box: IntArray
@@ -132,18 +160,27 @@ class _Loads(NamedTuple):
     least_mm: FloatArray
     last_mm: FloatArray
     is_sure: BoolArray
+    perhaps: BoolArray
 
     def take(self, rows: slice, first: int) -> _Loads:
         """Some rows, with boxes and steps that are counted from ``first``."""
-        box, step = self.box[rows] - first, self.step[rows] - first
-        return _Loads(box, step, self.least_mm[rows], self.last_mm[rows], self.is_sure[rows])
+        box, step, *others = (column[rows] for column in self)
+        return _Loads(box - first, step - first, *others)
+
+    @classmethod
+    def joined(cls, some: Sequence[_Loads], first: IntArray) -> _Loads:
+        """The loads of several drafts, with boxes and steps of each draft that are counted from one of ``first``."""
+        columns = map(np.concatenate, zip(*some, strict=True))
+        begin = np.repeat(first[:-1], [len(loads.box) for loads in some])
+        box, step, *others = columns
+        return cls(box + begin, step + begin, *others)
 
 
 def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> _Loads:
     """The loads from their distances from edges at all steps, sorted by box and step."""
     begins = np.flatnonzero(np.diff(box, prepend=-1))
     if not len(begins):
-        return _Loads(box, step, edge_mm, edge_mm, perhaps)
+        return _Loads(box, step, edge_mm, edge_mm, perhaps, perhaps)
     ends = np.append(begins[1:], len(box))
     beyond = edge_mm < 0
     first_beyond = np.minimum.reduceat(np.where(beyond, np.arange(len(box)), len(box) - 1), begins)
@@ -153,7 +190,32 @@ def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArra
         np.minimum.reduceat(edge_mm, begins),
         edge_mm[ends - 1],
         np.logical_or.reduceat(beyond & ~perhaps, begins),
+        perhaps[ends - 1],
     )
+
+
+def _loads_with_last(bearing: Bearing, before: _Loads) -> _Loads:
+    """The loads of several drafts after the last box of each has been placed, from those before."""
+    first = bearing.boxes.first
+    n, last = int(first[-1]), first[1:] - 1
+    is_last = np.zeros(n, bool)
+    is_last[last] = True
+    below = bearing.all_below(is_last)
+    now_mm = MM_PER_M * bearing.edges_m(bearing.loads(np.diff(first).tolist()))
+    now_mm[(now_mm < 0) & (now_mm > -MM_PER_M * ROUNDING_M)] = 0.0
+    now_mm[~(below | is_last)] = np.nan
+    step = np.repeat(last, np.diff(first))
+    perhaps = below & np.repeat(bearing.n_supports[last] > 1, np.diff(first))
+    least_mm, last_mm = np.full((2, n), np.nan)
+    was_beyond, is_sure = np.zeros((2, n), bool)
+    least_mm[before.box], last_mm[before.box] = before.least_mm, before.last_mm
+    is_sure[before.box], was_beyond[before.box] = before.is_sure, before.least_mm < 0
+    perhaps[before.box] |= before.perhaps
+    step[before.box[before.least_mm < 0]] = before.step[before.least_mm < 0]
+    is_sure |= (now_mm < 0) & ~perhaps
+    least_mm, last_mm = np.fmin(least_mm, now_mm), np.where(np.isnan(now_mm), last_mm, now_mm)
+    box = np.flatnonzero(~np.isnan(least_mm))
+    return _Loads(box, *(column[box] for column in (step, least_mm, last_mm, is_sure, perhaps)))
 
 
 def _balance(draft: Draft, loads: _Loads, missing_room: FloatArray) -> Balance:
@@ -176,46 +238,45 @@ def _balance(draft: Draft, loads: _Loads, missing_room: FloatArray) -> Balance:
         trouble=float((weight * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))).sum()),
         weakness=weakness,
         squeezed=tuple(order[missing_room > 0].tolist()),
+        loads=loads,
+        missing_room=missing_room,
     )
 
 
-def _missing_room(corner_mm: FloatArray, size_mm: FloatArray, first: IntArray) -> list[FloatArray]:
+def _missing_room(drafts: Sequence[Draft], *, only_last: bool = False) -> list[FloatArray]:
     """For each draft, (n,) weight of each box, in packing order: the sum over the axes x and y along which the box is
-    lowered between two others. The weight of an axis is 1 without room to 0 with ``ROOM_MM`` of room.
-
-    Args:
-        corner_mm, size_mm: corners and extents of the boxes of all drafts, in packing order, draft after draft.
-        first: (d + 1,) row of the first box of each draft.
-    """
-    counts, results = np.diff(first), dict[int, FloatArray]()
-    for n in np.unique(counts).tolist():
-        numbers = np.flatnonzero(counts == n)
-        rows = first[numbers, None] + np.arange(n)
-        low = corner_mm[rows]
-        results |= dict(zip(numbers.tolist(), _missing(low, low + size_mm[rows]), strict=True))
-    return [results[k] for k in range(len(counts))]
+    lowered between two others. The weight of an axis is 1 without room to 0 with ``ROOM_MM`` of room. ``only_last``:
+    (1,) weight of the last box alone."""
+    results: dict[int, FloatArray] = {}
+    for n in {len(draft.order) for draft in drafts}:
+        numbers = [k for k, draft in enumerate(drafts) if len(draft.order) == n]
+        low = np.stack([drafts[k].corner_mm[drafts[k].rows] for k in numbers])
+        high = low + np.stack([drafts[k].size_mm[drafts[k].rows] for k in numbers])
+        results |= dict(zip(numbers, _missing(low, high, n - 1 if only_last else 0), strict=True))
+    return [results[k] for k in range(len(drafts))]
 
 
-def _missing(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(c, n) weights as in ``_missing_room``, for boxes with these (c, n, 3) corners, mm."""
+def _missing(low: FloatArray, high: FloatArray, begin: int) -> FloatArray:
+    """(c, n − begin) weights as in ``_missing_room``, for boxes with these (c, n, 3) corners, mm. Boxes before
+    ``begin`` have no weight."""
     n = low.shape[1]
-    before = np.triu(np.ones((n, n), bool), k=1)  # the row's box is placed before the column's
-    stands = before & (high[:, :, None, 2] > low[:, None, :, 2] + TOLERANCE_MM)
-    stands &= low[:, :, None, 2] < high[:, None, :, 2] - TOLERANCE_MM
-    pairs = np.flatnonzero(stands)
-    stood, lowered = pairs // n, pairs // n**2 * n + pairs % n  # boxes are numbered over all drafts
+    before = np.triu(np.ones((n, n), bool), k=1)[:, begin:]  # the row's box is placed before the column's
+    stands = before & (high[:, :, None, 2] > low[:, None, begin:, 2] + TOLERANCE_MM)
+    stands &= low[:, :, None, 2] < high[:, None, begin:, 2] - TOLERANCE_MM
+    stood, lowered = np.divmod(np.flatnonzero(stands), n - begin)
+    lowered += stood // n * n + begin  # boxes are numbered over all drafts
     ends = [
         [ends.take(boxes) for boxes in (stood, lowered) for ends in (low[..., axis].ravel(), high[..., axis].ravel())]
         for axis in (0, 1)
     ]
-    shared = [np.minimum(end, own_end) - np.maximum(begin, own_begin) for begin, end, own_begin, own_end in ends]
-    missing = np.zeros(low.shape[:2])
-    for (begin, end, own_begin, own_end), across in zip(ends, reversed(shared), strict=True):
-        room = np.zeros(low.shape[:2])
-        for gap in (own_begin - end, begin - own_end):
+    shared = [np.minimum(high_end, own_high) - np.maximum(low_end, own_low) for low_end, high_end, own_low, own_high in ends]
+    missing = np.zeros((len(low), n - begin))
+    for (low_end, high_end, own_low, own_high), across in zip(ends, reversed(shared), strict=True):
+        room = np.zeros_like(missing)
+        for gap in (own_low - high_end, low_end - own_high):
             beside = np.flatnonzero((across > TOLERANCE_MM) & (gap > -TOLERANCE_MM))
             nearest = np.full(low.shape[:2], np.inf)
             np.minimum.at(nearest.ravel(), lowered[beside], gap[beside])
-            room += np.maximum(nearest, 0.0)
+            room += np.maximum(nearest[:, begin:], 0.0)
         missing += np.maximum(1 - room / ROOM_MM, 0.0)
     return missing

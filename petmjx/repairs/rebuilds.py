@@ -7,7 +7,6 @@ with one change for each box that is put elsewhere.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice, product
@@ -16,7 +15,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 
 from petmjx.options.simulation import Simulation
-from petmjx.repairs.balance import balances
+from petmjx.repairs.balance import Balance, balances, balances_with_last
 from petmjx.repairs.changes import Change, LeaveOut, Place
 from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules, key_of
 from petmjx.repairs.proposals import Proposal, Target, resting_corners
@@ -54,10 +53,12 @@ class Asked(NamedTuple):
     Attributes:
         piles: the piles; each is allowed without its last box.
         by_statics: whether statics also judges those that are allowed.
+        before: the balance of the pile without the last box of any of these; None: unknown.
     """
 
     piles: list[Draft]
     by_statics: bool
+    before: Balance | None = None
 
 
 class Judged(NamedTuple):
@@ -65,12 +66,11 @@ class Judged(NamedTuple):
 
     Attributes:
         is_allowed: whether the pile is allowed.
-        trouble, weakness: as in ``Balance``; NaN: statics was not asked, or the pile is not allowed.
+        balance: its balance; None: statics was not asked, or the pile is not allowed.
     """
 
     is_allowed: bool
-    trouble: float = math.nan
-    weakness: float = math.nan
+    balance: Balance | None = None
 
 
 Result = TypeVar("Result")
@@ -125,20 +125,25 @@ def _side_by_side(parts: Sequence[Judging[Result]], rules: Rules, sim: Simulatio
                 results[number] = end.value
         chosen = [number for number, one in asked.items() if not one.by_statics] or [*asked]
         some = {number: asked.pop(number) for number in chosen}
-        judged = iter(_judged([(pile, one.by_statics) for one in some.values() for pile in one.piles], rules, sim))
+        judged = iter(_judged([one._replace(piles=[pile]) for one in some.values() for pile in one.piles], rules, sim))
         answers = {number: [*islice(judged, len(one.piles))] for number, one in some.items()}
     return [results[number] for number in range(len(parts))]
 
 
-def _judged(asked: Sequence[tuple[Draft, bool]], rules: Rules, sim: Simulation) -> list[Judged]:
-    """What is judged about piles, and whether by statics, too. Equal piles are judged once."""
-    keys = [key_of(pile) for pile, _ in asked]
-    piles = dict(zip(keys, (pile for pile, _ in asked), strict=True))
-    allowed = rules.allow([*piles.values()], [pile.order[-1:] for pile in piles.values()])
-    judged = {key: Judged(bool(is_allowed)) for key, is_allowed in zip(piles, allowed, strict=True)}
-    for_statics = {key: piles[key] for key, (_, by_statics) in zip(keys, asked, strict=True) if by_statics and judged[key].is_allowed}
-    for key, balance in zip(for_statics, balances([*for_statics.values()], sim), strict=True):
-        judged[key] = Judged(True, balance.trouble, balance.weakness)
+def _judged(asked: Sequence[Asked], rules: Rules, sim: Simulation) -> list[Judged]:
+    """What is judged about single piles. Equal piles are judged once."""
+    keys = [key_of(pile) for (pile,), *_ in asked]
+    different = dict(zip(keys, asked, strict=True))
+    piles = [pile for (pile,), *_ in different.values()]
+    allowed = rules.allow(piles, [pile.order[-1:] for pile in piles])
+    judged = {key: Judged(bool(is_allowed)) for key, is_allowed in zip(different, allowed, strict=True)}
+    open_ = [key for key, one in different.items() if one.by_statics and judged[key].is_allowed]
+    known = {key: before for key in open_ if (before := different[key].before) is not None}
+    unknown = [key for key in open_ if key not in known]
+    of_known = balances_with_last([different[key].piles[0] for key in known], [*known.values()], sim)
+    of_unknown = balances([different[key].piles[0] for key in unknown], sim)
+    for key, balance in zip((*known, *unknown), (*of_known, *of_unknown), strict=True):
+        judged[key] = Judged(True, balance)
     return [judged[key] for key in keys]
 
 
@@ -152,7 +157,7 @@ class _Pile:
         self._distrusted, self._way, self._leaves_out = distrusted, way, leaves_out
         self._held = set(draft.order[:n_held])
         self._pile = replace(draft, order=())
-        self._known_trouble: float | None = 0.0
+        self._balance: Balance | None = None  # of the pile; None: unknown
 
     def built(self) -> Judging[Proposal | None]:
         """The changes that turn the draft into the new plan; None: there is no place for a box."""
@@ -181,17 +186,16 @@ class _Pile:
 
     def _keeps(self, box: int) -> Judging[bool]:
         """Put a box at its place, if it can keep this place. Returns whether it can."""
-        pile, trouble = replace(self._pile, order=(*self._pile.order, box)), None
+        pile, after = replace(self._pile, order=(*self._pile.order, box)), None
         if box >= self._rules.built:
             by_statics = self._way.strict and box not in self._held and bool(self._pile.order)
-            (judged,) = yield Asked([pile], by_statics)
-            if not judged.is_allowed:
+            before = (yield from self._known()) if by_statics else None
+            ((is_allowed, after),) = yield Asked([pile], by_statics, before)
+            if not is_allowed:
                 return False
-            if by_statics:
-                trouble = judged.trouble
-                if trouble > (yield from self._trouble()) + SAME_TROUBLE:
-                    return False
-        self._pile, self._known_trouble = pile, trouble
+            if after is not None and after.trouble > _trouble(before) + SAME_TROUBLE:
+                return False
+        self._pile, self._balance = pile, after
         return True
 
     def _placed(self, box: int, later: Collection[int]) -> Judging[Place | None]:
@@ -208,27 +212,29 @@ class _Pile:
         in_the_way = self._in_the_way(places, later)
         queue = sorted(range(len(places)), key=lambda k: (in_the_way[k], places[k].corner_mm[2]))
         best: tuple[float, ...] | None = None
-        best_pile = self._pile
+        best_pile, best_balance = self._pile, self._balance
+        before = yield from self._known()
         for begin in range(0, len(queue), TRIED_AT_ONCE):
             numbers = queue[begin : begin + TRIED_AT_ONCE]
             piles = [pile for k in numbers if (pile := places[k].applied(waiting)) is not None]
-            for k, pile, judged in zip(numbers, piles, (yield Asked(piles, True)), strict=True):
-                rank = judged.trouble, in_the_way[k], judged.weakness, places[k].corner_mm[2], k
-                if judged.is_allowed and (best is None or rank < best):
-                    best, best_pile = rank, pile
-            if best is not None and best[0] <= (yield from self._trouble()) + SAME_TROUBLE:
+            for k, pile, (_, balance) in zip(numbers, piles, (yield Asked(piles, True, before)), strict=True):
+                if balance is None:
+                    continue
+                rank = balance.trouble, in_the_way[k], balance.weakness, places[k].corner_mm[2], k
+                if best is None or rank < best:
+                    best, best_pile, best_balance = rank, pile, balance
+            if best is not None and best[0] <= _trouble(before) + SAME_TROUBLE:
                 break  # no box makes the trouble of the boxes below less
         if best is None:
             return None
-        self._pile, self._known_trouble = best_pile, best[0]
+        self._pile, self._balance = best_pile, best_balance
         return places[int(best[-1])]
 
-    def _trouble(self) -> Judging[float]:
-        """``Balance.trouble`` of the pile; 0 without boxes."""
-        if self._known_trouble is None:
-            (judged,) = yield Asked([self._pile], True)
-            self._known_trouble = judged.trouble
-        return self._known_trouble
+    def _known(self) -> Judging[Balance | None]:
+        """The balance of the pile; None without boxes."""
+        if self._balance is None and self._pile.order:
+            ((_, self._balance),) = yield Asked([self._pile], True)
+        return self._balance
 
     def _in_the_way(self, places: Sequence[Place], later: Collection[int]) -> list[int]:
         """For each place of a box, how many later boxes cannot keep their places because the box stands there, or
@@ -244,3 +250,8 @@ class _Pile:
         is_in_the_way = (shared[..., :2] > TOLERANCE_MM).all(axis=2) & (low[:, 2] < top[:, None, 2] - TOLERANCE_MM)
         in_the_way: list[int] = is_in_the_way.sum(axis=1).tolist()
         return in_the_way
+
+
+def _trouble(balance: Balance | None) -> float:
+    """The trouble of a pile; 0 without boxes."""
+    return 0.0 if balance is None else balance.trouble
