@@ -385,6 +385,23 @@ class Rules:
                 allowed[chunk] = self._allow([drafts[number] for number in chunk], boxes, bears)
         return allowed
 
+    def have_room(self, draft: Draft, boxes: list[int], ways_mm: Sequence[tuple[float, float]]) -> BoolArray:
+        """(w,) whether boxes of an allowed draft may be moved together by each of several ways along x and y, as far as
+        other boxes and the limits beside the carrier are concerned. A draft in which they may not is not allowed."""
+        ways = np.array(ways_mm).reshape(-1, 1, 2)
+        others = np.setdiff1d(draft.rows, boxes)
+        low, size = draft.corner_mm, draft.size_mm
+        shared_z = np.minimum.outer((low + size)[boxes, 2], (low + size)[others, 2])
+        shared_z -= np.maximum.outer(low[boxes, 2], low[others, 2])
+        most_mm = self._limits(len(low)).overlap_mm[np.ix_(boxes, others)]
+        at, beside = np.nonzero(shared_z > most_mm)  # only these pairs can overlap too far
+        begin = low[boxes, :2] + ways
+        end = begin + size[boxes, :2]
+        shared = np.minimum(end[:, at], (low + size)[others[beside], :2]) - np.maximum(begin[:, at], low[others[beside], :2])
+        hits = (shared.min(axis=2) > most_mm[at, beside]).any(axis=1)
+        outside = np.maximum(self.low_mm[:2] - begin, end - self.high_mm[:2]) > TOLERANCE_MM
+        return np.asarray(~hits & ~outside.any(axis=(1, 2)))
+
     def _allow(
         self, drafts: Sequence[Draft], changed: Sequence[Collection[int]] | None, bears: BoolArray | None
     ) -> BoolArray:

@@ -140,7 +140,7 @@ def _makers(
         (Kind.ORDER, lambda: _orders(draft, target)),
         (Kind.ORDER, lambda: _earlier(draft, target)),
         (Kind.MOVE, lambda: _clearances(draft, rules, target, most_mm)),
-        (Kind.MOVE, lambda: _moves(draft, near, new, target, most_mm)),
+        (Kind.MOVE, lambda: _moves(draft, rules, near, new, target, most_mm)),
         (Kind.MOVE, lambda: _pushes(draft, rules, target, most_mm)),
         (Kind.TURN, lambda: _turns(draft, new)),
         (Kind.EXCHANGE, lambda: _exchanges(draft, rules, new, done)),
@@ -234,7 +234,7 @@ def _neighbours(draft: Draft, box: int) -> list[int]:
 
 
 def _moves(
-    draft: Draft, near: Sequence[int], new: Collection[int], target: Target, most_mm: float
+    draft: Draft, rules: Rules, near: Sequence[int], new: Collection[int], target: Target, most_mm: float
 ) -> Iterator[Proposal]:
     """Moves of boxes alone, and with the boxes on them, along x and y, and along both at once. Boxes that are not new
     are only moved by lengths that depend on the cause."""
@@ -249,16 +249,15 @@ def _moves(
                 some = (*needed, *others) if box in new else needed
                 lengths.append(sorted({length for length in some if 0 < length <= most_mm}))
             left, right, front, back = lengths
-            along_x = [-length for length in left] + [*right]
-            along_y = [-length for length in front] + [*back]
-            for dx in along_x:
-                yield (Move(box, float(dx), 0.0, with_them),)
-            for dy in along_y:
-                yield (Move(box, 0.0, float(dy), with_them),)
+            ways = [(float(dx), 0.0) for dx in (*(-length for length in left), *right)]
+            ways += [(0.0, float(dy)) for dy in (*(-length for length in front), *back)]
             if box == target.box:
                 diagonal = [length for length in (*needed[:2], 20.0, 45.0, 80.0) if length <= most_mm]
-                for length, dx, dy in itertools.product(diagonal, (-1, 1), (-1, 1)):
-                    yield (Move(box, dx * length, dy * length, with_them),)
+                signs = itertools.product(diagonal, (-1, 1), (-1, 1))
+                ways += [(float(dx * length), float(dy * length)) for length, dx, dy in signs]
+            for (dx, dy), is_free in zip(ways, rules.have_room(draft, [box, *with_them], ways), strict=True):
+                if is_free:
+                    yield (Move(box, dx, dy, with_them),)
 
 
 def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Iterator[Proposal]:
