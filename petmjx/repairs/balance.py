@@ -20,8 +20,8 @@ from petmjx.world.edge_distances import ROUNDING_M, bearing_in_order, building_l
 from petmjx.world.scene import Scene, build_scenes, has_plain_scene, plain_scenes
 from petmjx.world.supports import Bearing, find_bearings
 
-AT_ONCE: Final = 80
-"""Number of drafts that are computed at once: their arrays stay in a core's cache."""
+AT_ONCE: Final = 128
+"""Number of drafts that are computed at once."""
 
 DEEP_MM: Final = 50.0
 """A load this far beyond an edge counts twice as much as one on the edge, and a load further beyond counts no more."""
@@ -115,7 +115,7 @@ def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: 
 
 def _bearing(drafts: Sequence[Draft], sim: Simulation) -> Bearing:
     """The contacts of drafts in packing order."""
-    scenes = _scenes(drafts, sim)
+    scenes = scenes_of(drafts, sim)
     return bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
 
 
@@ -130,15 +130,18 @@ def _balances(
     ]
 
 
-def _scenes(drafts: Sequence[Draft], sim: Simulation) -> list[Scene]:
+def scenes_of(drafts: Sequence[Draft], sim: Simulation) -> list[Scene]:
     """The scenes of drafts. To make those of plain drafts from arrays takes a fifth of the time."""
     plans = {id(draft.plan): draft.plan for draft in drafts}
     has_plain = {number: has_plain_scene(plan, sim) for number, plan in plans.items()}
     is_plain = [has_plain[id(draft.plan)] and not draft.sheet_kg for draft in drafts]
     plain = [draft for draft, plain in zip(drafts, is_plain, strict=True) if plain]
-    columns = ([getattr(draft, name)[draft.rows] for draft in plain] for name in ("size_mm", "corner_mm", "mass_kg"))
+    size_mm, corner_mm, mass_kg = (
+        np.concatenate([getattr(draft, name)[draft.rows] for draft in plain] or [np.empty(0)])
+        for name in ("size_mm", "corner_mm", "mass_kg")
+    )
     counts = [len(draft.rows) for draft in plain]
-    of_plain = plain_scenes(*map(np.concatenate, columns), counts, sim) if plain else iter(())
+    of_plain = plain_scenes(size_mm, corner_mm, mass_kg, counts, sim) if plain else iter(())
     others = build_scenes((draft.as_plan() for draft, plain in zip(drafts, is_plain, strict=True) if not plain), sim)
     return [next(of_plain if plain else others) for plain in is_plain]
 
@@ -149,7 +152,7 @@ class _Loads(NamedTuple):
 
     Attributes:
         box: (k,) the boxes, sorted.
-        step: (k,) first step at which the load is beyond an edge; some step if it is always inside.
+        step: (k,) first step at which the load is beyond an edge; a later one if it is always inside.
         least_mm, last_mm: (k,) smallest and last distance from the edge, mm; negative beyond.
         is_sure: (k,) whether the load is beyond an edge however supports share the loads on them.
         perhaps: (k,) whether the last load depends on how supports share the loads on them.
@@ -164,16 +167,26 @@ class _Loads(NamedTuple):
 
     def take(self, rows: slice, first: int) -> _Loads:
         """Some rows, with boxes and steps that are counted from ``first``."""
-        box, step, *others = (column[rows] for column in self)
-        return _Loads(box - first, step - first, *others)
+        some = self.of(rows)
+        return some._replace(box=some.box - first, step=some.step - first)
+
+    def of(self, rows: slice | IntArray) -> _Loads:
+        """Some rows."""
+        ends = self.least_mm[rows], self.last_mm[rows]
+        return _Loads(self.box[rows], self.step[rows], *ends, self.is_sure[rows], self.perhaps[rows])
 
     @classmethod
     def joined(cls, some: Sequence[_Loads], first: IntArray) -> _Loads:
         """The loads of several drafts, with boxes and steps of each draft that are counted from one of ``first``."""
-        columns = map(np.concatenate, zip(*some, strict=True))
         begin = np.repeat(first[:-1], [len(loads.box) for loads in some])
-        box, step, *others = columns
-        return cls(box + begin, step + begin, *others)
+        return cls(
+            np.concatenate([loads.box for loads in some]) + begin,
+            np.concatenate([loads.step for loads in some]) + begin,
+            np.concatenate([loads.least_mm for loads in some]),
+            np.concatenate([loads.last_mm for loads in some]),
+            np.concatenate([loads.is_sure for loads in some]),
+            np.concatenate([loads.perhaps for loads in some]),
+        )
 
 
 def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> _Loads:
@@ -183,7 +196,8 @@ def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArra
         return _Loads(box, step, edge_mm, edge_mm, perhaps, perhaps)
     ends = np.append(begins[1:], len(box))
     beyond = edge_mm < 0
-    first_beyond = np.minimum.reduceat(np.where(beyond, np.arange(len(box)), len(box) - 1), begins)
+    last = np.repeat(ends - 1, ends - begins)
+    first_beyond = np.minimum.reduceat(np.where(beyond, np.arange(len(box)), last), begins)
     return _Loads(
         box[begins],
         step[first_beyond],
@@ -214,8 +228,8 @@ def _loads_with_last(bearing: Bearing, before: _Loads) -> _Loads:
     step[before.box[before.least_mm < 0]] = before.step[before.least_mm < 0]
     is_sure |= (now_mm < 0) & ~perhaps
     least_mm, last_mm = np.fmin(least_mm, now_mm), np.where(np.isnan(now_mm), last_mm, now_mm)
-    box = np.flatnonzero(~np.isnan(least_mm))
-    return _Loads(box, *(column[box] for column in (step, least_mm, last_mm, is_sure, perhaps)))
+    of_all = _Loads(np.arange(n), step, least_mm, last_mm, is_sure, perhaps)
+    return of_all.of(np.flatnonzero(~np.isnan(least_mm)))
 
 
 def _balance(draft: Draft, loads: _Loads, missing_room: FloatArray) -> Balance:
@@ -269,7 +283,9 @@ def _missing(low: FloatArray, high: FloatArray, begin: int) -> FloatArray:
         [ends.take(boxes) for boxes in (stood, lowered) for ends in (low[..., axis].ravel(), high[..., axis].ravel())]
         for axis in (0, 1)
     ]
-    shared = [np.minimum(high_end, own_high) - np.maximum(low_end, own_low) for low_end, high_end, own_low, own_high in ends]
+    shared = [
+        np.minimum(high_end, own_high) - np.maximum(low_end, own_low) for low_end, high_end, own_low, own_high in ends
+    ]
     missing = np.zeros((len(low), n - begin))
     for (low_end, high_end, own_low, own_high), across in zip(ends, reversed(shared), strict=True):
         room = np.zeros_like(missing)

@@ -297,7 +297,7 @@ class _Layouts(NamedTuple):
         high = low + np.stack([draft.size_mm for draft in drafts])
         with_order = {id(draft.order): draft for draft in drafts}  # most drafts have the same order
         rank = np.stack([with_order[id(draft.order)].rank for draft in drafts])
-        return cls(*(np.ascontiguousarray(np.moveaxis(ends, 2, 0)) for ends in (low, high)), rank)
+        return cls(np.ascontiguousarray(np.moveaxis(low, 2, 0)), np.ascontiguousarray(np.moveaxis(high, 2, 0)), rank)
 
     @property
     def is_placed(self) -> BoolArray:
@@ -311,7 +311,8 @@ class _Layouts(NamedTuple):
         for low, high in zip(self.low[:2], self.high[:2], strict=True):
             ends, begins = high[number, box, None], low[number, box, None]
             pairs &= np.minimum(high[number], ends) - np.maximum(low[number], begins) > TOLERANCE_MM
-        return np.nonzero(pairs)
+        row, other = np.divmod(np.flatnonzero(pairs), max(pairs.shape[1], 1))
+        return row, other
 
 
 class Rules:
@@ -389,15 +390,15 @@ class Rules:
         """(w,) whether boxes of an allowed draft may be moved together by each of several ways along x and y, as far as
         other boxes and the limits beside the carrier are concerned. A draft in which they may not is not allowed."""
         ways = np.array(ways_mm).reshape(-1, 1, 2)
-        others = np.setdiff1d(draft.rows, boxes)
+        others, moved = np.setdiff1d(draft.rows, boxes), np.array(boxes)
         low, size = draft.corner_mm, draft.size_mm
-        shared_z = np.minimum.outer((low + size)[boxes, 2], (low + size)[others, 2])
-        shared_z -= np.maximum.outer(low[boxes, 2], low[others, 2])
-        most_mm = self._limits(len(low)).overlap_mm[np.ix_(boxes, others)]
+        shared_z = np.minimum.outer((low + size)[moved, 2], (low + size)[others, 2])
+        shared_z -= np.maximum.outer(low[moved, 2], low[others, 2])
+        most_mm = self._limits(len(low)).overlap_mm[np.ix_(moved, others)]
         at, beside = np.nonzero(shared_z > most_mm)  # only these pairs can overlap too far
-        begin = low[boxes, :2] + ways
-        end = begin + size[boxes, :2]
-        shared = np.minimum(end[:, at], (low + size)[others[beside], :2]) - np.maximum(begin[:, at], low[others[beside], :2])
+        begin, low_end, high_end = low[moved, :2] + ways, low[others[beside], :2], (low + size)[others[beside], :2]
+        end = begin + size[moved, :2]
+        shared = np.minimum(end[:, at], high_end) - np.maximum(begin[:, at], low_end)
         hits = (shared.min(axis=2) > most_mm[at, beside]).any(axis=1)
         outside = np.maximum(self.low_mm[:2] - begin, end - self.high_mm[:2]) > TOLERANCE_MM
         return np.asarray(~hits & ~outside.any(axis=(1, 2)))
@@ -480,8 +481,10 @@ class Rules:
         draft, own = number[row], box[row]
         low, high = layouts.low, layouts.high
         overlap = np.minimum.reduce(
-            [np.minimum(e[draft, own], e[draft, other]) - np.maximum(b[draft, own], b[draft, other])
-             for b, e in zip(low, high, strict=True)]
+            [
+                np.minimum(e[draft, own], e[draft, other]) - np.maximum(b[draft, own], b[draft, other])
+                for b, e in zip(low, high, strict=True)
+            ]
         )
         earlier = layouts.rank[draft, other] < layouts.rank[draft, own]
         z, other_z = low[2, draft, own], low[2, draft, other]
@@ -519,4 +522,5 @@ def _gaps_mm(layouts: _Layouts, number: IntArray, box: IntArray, row: IntArray, 
     bears = (layouts.rank[draft, other] < layouts.rank[number, box][row]) & (low < bottom[row])
     support = np.zeros(len(number))
     np.maximum.at(support, row[bears], layouts.high[2, draft, other][bears])
-    return np.maximum(bottom - support, 0.0)
+    gaps_mm: FloatArray = np.maximum(bottom - support, 0.0)
+    return gaps_mm

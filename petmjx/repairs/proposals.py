@@ -479,7 +479,9 @@ def _rests(
     ]
     # For each point, the first box that is under it, from the highest top down, and at last the carrier.
     from_top = np.argsort(-high[:, 2])
-    under_x, under_y = (np.pad(some[:, from_top] > TOLERANCE_MM, ((0, 0), (0, 1)), constant_values=True) for some in shared)
+    under_x, under_y = (
+        np.pad(some[:, from_top] > TOLERANCE_MM, ((0, 0), (0, 1)), constant_values=True) for some in shared
+    )
     heights = np.append(high[from_top, 2], 0.0)
     z = heights[(under_x[:, None] & under_y).argmax(axis=2)]
     for height in np.unique(z[fits(z)]).tolist():
@@ -487,7 +489,8 @@ def _rests(
         share = np.ones(len(at_x))
         if height > 0:
             shared_x, shared_y = shared[0][at_x], shared[1][at_y]
-            bears = (shared_x > TOLERANCE_MM) & (shared_y > TOLERANCE_MM) & (np.abs(high[:, 2] - height) <= TOLERANCE_MM)
+            bears = (shared_x > TOLERANCE_MM) & (shared_y > TOLERANCE_MM)
+            bears &= np.abs(high[:, 2] - height) <= TOLERANCE_MM
             share = np.where(bears, shared_x * shared_y, 0.0).sum(axis=1) / (size[0] * size[1])
         chosen = np.argsort(-share, kind="stable")
         chosen = chosen[: np.count_nonzero(share >= LEAST_SUPPORT)]

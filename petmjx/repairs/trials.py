@@ -343,6 +343,7 @@ class Question:
         study = partial(SweepStudy, sweep, confidence=self._options.worlds)
         ends = _WorldEnds(limit or TimeLimit())
         with suppress(OutOfTime):
+            ends.limit.check()
             _simulated(study, sweep.simulation, list(plans), self._run, ends)
         return [ends.share_of(plan, self._options.worlds) for plan in plans]
 

@@ -253,9 +253,11 @@ def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
     slabs, source = _is_slab(sim), iter(plans)
     while batch := list(islice(source, AT_A_TIME)):
         alike = [plan for plan in batch if slabs and _is_plain(plan)]
-        names = "size_mm", "corner_mm", "mass_kg"
-        columns = (np.concatenate([getattr(plan, name) for plan in alike]) for name in names) if alike else ()
-        together = iter(plain_scenes(*columns, [plan.n_boxes for plan in alike], sim)) if alike else iter(())
+        size, corner, mass = (
+            np.concatenate([getattr(plan, name) for plan in alike] or [np.empty(0)])
+            for name in ("size_mm", "corner_mm", "mass_kg")
+        )
+        together = plain_scenes(size, corner, mass, [plan.n_boxes for plan in alike], sim) if alike else iter(())
         for plan in batch:
             yield next(together) if slabs and _is_plain(plan) else build_scene(plan, sim)
 
