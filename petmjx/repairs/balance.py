@@ -152,7 +152,7 @@ class _Loads(NamedTuple):
 
     Attributes:
         box: (k,) the boxes, sorted.
-        step: (k,) first step at which the load is beyond an edge; a later one if it is always inside.
+        step: (k,) first step at which the load is beyond an edge; the last one if it is always inside.
         least_mm, last_mm: (k,) smallest and last distance from the edge, mm; negative beyond.
         is_sure: (k,) whether the load is beyond an edge however supports share the loads on them.
         perhaps: (k,) whether the last load depends on how supports share the loads on them.

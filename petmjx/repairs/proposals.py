@@ -479,9 +479,8 @@ def _rests(
     ]
     # For each point, the first box that is under it, from the highest top down, and at last the carrier.
     from_top = np.argsort(-high[:, 2])
-    under_x, under_y = (
-        np.pad(some[:, from_top] > TOLERANCE_MM, ((0, 0), (0, 1)), constant_values=True) for some in shared
-    )
+    under_x, under_y = (np.ones((len(some), len(high) + 1), bool) for some in shared)
+    under_x[:, :-1], under_y[:, :-1] = (some[:, from_top] > TOLERANCE_MM for some in shared)
     heights = np.append(high[from_top, 2], 0.0)
     z = heights[(under_x[:, None] & under_y).argmax(axis=2)]
     for height in np.unique(z[fits(z)]).tolist():
