@@ -1,9 +1,9 @@
 """Checks drafts of plans by statics: finds the loads beyond the edge of their supports at each step of building, and
 measures how harmful they are.
 
-The balance takes half a millisecond per draft, a simulation a tenth of a second and more. So the balance tells which of
-many changes are worth a simulation. The balance never decides: a load beyond an edge may lean on a neighbour, and
-stand.
+The balance takes a fifth of a millisecond per draft, a simulation a tenth of a second and more. So the balance tells
+which of many changes are worth a simulation. The balance never decides: a load beyond an edge may lean on a neighbour,
+and stand.
 """
 
 from __future__ import annotations

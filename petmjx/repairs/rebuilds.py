@@ -47,7 +47,7 @@ class Way:
 WAYS: Final = tuple(Way(late, strict) for late, strict in product((False, True), repeat=2))
 
 
-class Asked(NamedTuple):
+class PileRequest(NamedTuple):
     """Piles whose last boxes are to be judged.
 
     Attributes:
@@ -61,7 +61,7 @@ class Asked(NamedTuple):
     before: Balance | None = None
 
 
-class Judged(NamedTuple):
+class JudgedPile(NamedTuple):
     """A judged pile.
 
     Attributes:
@@ -74,7 +74,7 @@ class Judged(NamedTuple):
 
 
 Result = TypeVar("Result")
-Judging = Generator[Asked, list[Judged], Result]
+Judging = Generator[PileRequest, list[JudgedPile], Result]
 """A part of building anew. It yields piles, and is sent what was judged about each."""
 
 
@@ -116,34 +116,35 @@ def _side_by_side(parts: Sequence[Judging[Result]], rules: Rules, sim: Simulatio
     """The results of parts whose piles are judged together. Statics judges when all parts wait for it."""
     results: dict[int, Result] = {}
     answers: dict[int, Any] = dict.fromkeys(range(len(parts)))
-    asked: dict[int, Asked] = {}
+    requests: dict[int, PileRequest] = {}
     while answers:
         for number, answer in answers.items():
             try:
-                asked[number] = parts[number].send(answer)
+                requests[number] = parts[number].send(answer)
             except StopIteration as end:
                 results[number] = end.value
-        chosen = [number for number, one in asked.items() if not one.by_statics] or [*asked]
-        some = {number: asked.pop(number) for number in chosen}
-        judged = iter(_judged([one._replace(piles=[pile]) for one in some.values() for pile in one.piles], rules, sim))
-        answers = {number: [*islice(judged, len(one.piles))] for number, one in some.items()}
+        numbers = [number for number, request in requests.items() if not request.by_statics] or [*requests]
+        chosen = {number: requests.pop(number) for number in numbers}
+        of_piles = [request._replace(piles=[pile]) for request in chosen.values() for pile in request.piles]
+        judged = iter(_judged(of_piles, rules, sim))
+        answers = {number: [*islice(judged, len(request.piles))] for number, request in chosen.items()}
     return [results[number] for number in range(len(parts))]
 
 
-def _judged(asked: Sequence[Asked], rules: Rules, sim: Simulation) -> list[Judged]:
-    """What is judged about single piles. Equal piles are judged once."""
-    keys = [key_of(pile) for (pile,), *_ in asked]
-    different = dict(zip(keys, asked, strict=True))
-    piles = [pile for (pile,), *_ in different.values()]
-    allowed = rules.allow(piles, [pile.order[-1:] for pile in piles])
-    judged = {key: Judged(bool(is_allowed)) for key, is_allowed in zip(different, allowed, strict=True)}
-    open_ = [key for key, one in different.items() if one.by_statics and judged[key].is_allowed]
-    known = {key: before for key in open_ if (before := different[key].before) is not None}
-    unknown = [key for key in open_ if key not in known]
-    of_known = balances_with_last([different[key].piles[0] for key in known], [*known.values()], sim)
-    of_unknown = balances([different[key].piles[0] for key in unknown], sim)
+def _judged(requests: Sequence[PileRequest], rules: Rules, sim: Simulation) -> list[JudgedPile]:
+    """What is judged about single piles, all of them by statics or none. Equal piles are judged once."""
+    keys = [key_of(pile) for (pile,), *_ in requests]
+    different = dict(zip(keys, requests, strict=True))
+    piles = {key: pile for key, ((pile,), *_) in different.items()}
+    allowed = rules.allow([*piles.values()], [pile.order[-1:] for pile in piles.values()])
+    judged = {key: JudgedPile(bool(is_allowed)) for key, is_allowed in zip(piles, allowed, strict=True)}
+    for_statics = [key for key, request in different.items() if request.by_statics and judged[key].is_allowed]
+    known = {key: before for key in for_statics if (before := different[key].before) is not None}
+    unknown = [key for key in for_statics if key not in known]
+    of_known = balances_with_last([piles[key] for key in known], [*known.values()], sim)
+    of_unknown = balances([piles[key] for key in unknown], sim)
     for key, balance in zip((*known, *unknown), (*of_known, *of_unknown), strict=True):
-        judged[key] = Judged(True, balance)
+        judged[key] = JudgedPile(True, balance)
     return [judged[key] for key in keys]
 
 
@@ -190,7 +191,7 @@ class _Pile:
         if box >= self._rules.built:
             by_statics = self._way.strict and box not in self._held and bool(self._pile.order)
             before = (yield from self._known()) if by_statics else None
-            ((is_allowed, after),) = yield Asked([pile], by_statics, before)
+            ((is_allowed, after),) = yield PileRequest([pile], by_statics, before)
             if not is_allowed:
                 return False
             if after is not None and after.trouble > _trouble(before) + SAME_TROUBLE:
@@ -217,7 +218,7 @@ class _Pile:
         for begin in range(0, len(queue), TRIED_AT_ONCE):
             numbers = queue[begin : begin + TRIED_AT_ONCE]
             piles = [pile for k in numbers if (pile := places[k].applied(waiting)) is not None]
-            for k, pile, (_, balance) in zip(numbers, piles, (yield Asked(piles, True, before)), strict=True):
+            for k, pile, (_, balance) in zip(numbers, piles, (yield PileRequest(piles, True, before)), strict=True):
                 if balance is None:
                     continue
                 rank = balance.trouble, in_the_way[k], balance.weakness, places[k].corner_mm[2], k
@@ -233,7 +234,7 @@ class _Pile:
     def _known(self) -> Judging[Balance | None]:
         """The balance of the pile; None without boxes."""
         if self._balance is None and self._pile.order:
-            ((_, self._balance),) = yield Asked([self._pile], True)
+            ((_, self._balance),) = yield PileRequest([self._pile], True)
         return self._balance
 
     def _in_the_way(self, places: Sequence[Place], later: Collection[int]) -> list[int]:

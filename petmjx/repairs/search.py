@@ -60,8 +60,8 @@ MOST_NEARLY: Final = 6
 when they were judged, because a box tilted."""
 
 MOST_ANEW: Final = 2
-"""Largest number of changed plans that are built anew at once. Each plan is built in up to sixteen ways. A way takes
-two tenths of a second."""
+"""Largest number of changed plans that are built anew at once. Each plan is built in up to sixteen ways. All ways
+together take about a second."""
 
 CONFIRMED_AT_ONCE: Final = 2
 """Of the plans that stand when judged, this many are scored at once."""
