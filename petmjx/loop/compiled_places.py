@@ -22,7 +22,7 @@ from petmjx.loop.place_kernel import lower_boxes
 _THREADS: Final = 4
 """Number of threads that lower boxes. Machine code does not need Python's lock, so the threads do not wait for it."""
 
-_WORTH_THREADS: Final = 1024
+_WORTH_THREADS: Final = 256
 """Smallest number of new boxes for which threads are started."""
 
 

@@ -39,7 +39,9 @@ def lower_boxes(
     corner: wp.array2d(dtype=wp.vec3d),
     support: wp.array2d(dtype=wp.float64),
 ) -> None:
-    """One thread for each new box. The arguments are those of ``lowered_boxes``; the last three are its results."""
+    """One thread for each new box. The arguments are those of ``petmjx.loop.compiled_places.lowered_boxes``, except
+    that ``size``, ``high`` (the highest corners of the boxes on the pallets) and ``extent`` include the free space. The
+    last three arguments are the results: the number of places of each new box, their corners and supported shares."""
     row = wp.tid()
     on = pallet[row]
     new = size[row]
