@@ -7,6 +7,7 @@ The corner of a box is put above a point, and the box is lowered until it rests 
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -30,8 +31,8 @@ _WORTH_A_THREAD: Final = 50_000
 """Smallest number of pairs (a point and a box) for which another thread is started."""
 
 _WORTH_COMPILING: Final = 256
-"""Smallest number of requested boxes for which compiled code is used, if Warp is installed. Compiling takes a second,
-once per machine."""
+"""Smallest number of requested boxes for which compiled code is used, if Warp is installed. Compiling takes one to
+three seconds; the code is kept for later runs."""
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
@@ -79,21 +80,22 @@ def free_places(
         points = stock.find_points(placements.pallet, gap_mm)
         of_each = points.count(placements.pallet)
         if len(placements) >= _WORTH_COMPILING and not hulls and why_no_warp_on_cpu() is None:
-            from petmjx.loop.compiled_places import lowered_boxes  # this import loads Warp
+            with suppress(Exception):  # Warp cannot be loaded, or cannot compile the kernel
+                from petmjx.loop.compiled_places import lowered_boxes
 
-            row, corner, support = lowered_boxes(
-                placements.pallet,
-                placements.size_mm,
-                *points.tables,
-                stock.corner_mm,
-                stock.size_mm,
-                stock.count,
-                (extent_mm[0] + gap_mm, extent_mm[1] + gap_mm),
-                max_height_mm,
-                least_support,
-                gap_mm,
-            )
-            return Places(row, placements.pallet[row], corner, support, None)
+                row, corner, support = lowered_boxes(
+                    placements.pallet,
+                    placements.size_mm,
+                    *points.tables,
+                    stock.corner_mm,
+                    stock.size_mm,
+                    stock.count,
+                    (extent_mm[0] + gap_mm, extent_mm[1] + gap_mm),
+                    max_height_mm,
+                    least_support,
+                    gap_mm,
+                )
+                return Places(row, placements.pallet[row], corner, support, None)
     else:
         of_each = np.full(len(placements), len(grid))
     # pallets with similar numbers of boxes are computed together, which saves time

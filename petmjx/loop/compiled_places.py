@@ -22,8 +22,8 @@ from petmjx.loop.place_kernel import lower_boxes
 _THREADS: Final = 4
 """Number of threads that lower boxes. Machine code does not need Python's lock, so the threads do not wait for it."""
 
-_WORTH_THREADS: Final = 256
-"""Smallest number of new boxes for which threads are started."""
+_AT_ONCE: Final = 1024
+"""Largest number of new boxes in one launch, which bounds the memory of the results."""
 
 
 @functools.cache
@@ -49,7 +49,7 @@ def lowered_boxes(
     """At points of n pallets, lower m boxes until they rest on something.
 
     Args:
-        pallet: (m,) pallet of each new box; ``size_mm``: (m, 3) sizes of the new boxes.
+        pallet: (m,) pallet of each of m ≥ 1 new boxes; ``size_mm``: (m, 3) sizes of the new boxes.
         points: (n, p) points of the pallets as x + iy, mm; ``n_points``: (n,) number of points of each pallet.
         box_corner_mm, box_size_mm: (n, k, 3) corners and sizes of the boxes on the pallets; ``n_boxes``: (n,) their
             numbers.
@@ -62,31 +62,32 @@ def lowered_boxes(
         box follow one another, sorted by height, then by x, then by y.
     """
     kernel = _kernel()
-    m, most = len(pallet), int(n_points[pallet].max(initial=0))
-    count, corner, support = np.zeros(m, np.int64), np.empty((m, most, 3)), np.empty((m, most))
     xy = np.ascontiguousarray(points).view(np.float64).reshape(*points.shape, 2)
 
     def table(values: NDArray[Any], kind: Any) -> Any:
         return wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu", copy=False)
 
     free_mm = np.array([gap_mm, gap_mm, 0.0])
-    free_mm = np.array([gap_mm, gap_mm, 0.0])
     sizes, highs = size_mm + free_mm, box_corner_mm + box_size_mm + free_mm
-    limits = wp.vec2d(*extent_mm), max_height_mm, least_support, gap_mm
     piles = table(xy, wp.vec2d), table(n_points, wp.int64), table(box_corner_mm, wp.vec3d), table(highs, wp.vec3d)
+    limits = wp.vec2d(*extent_mm), max_height_mm, least_support, gap_mm
 
-    def lower(rows: slice) -> None:
-        inputs = [
-            table(pallet[rows], wp.int64),
-            table(sizes[rows], wp.vec3d),
-            *piles,
-            table(n_boxes, wp.int64),
-            *limits,
-        ]
-        outputs = [table(count[rows], wp.int64), table(corner[rows], wp.vec3d), table(support[rows], wp.float64)]
-        wp.launch(kernel, dim=len(pallet[rows]), inputs=inputs, outputs=outputs, device="cpu")
+    def lower(rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+        most = int(n_points[pallet[rows]].max())
+        count, corner, support = (
+            np.zeros(len(rows), np.int64),
+            np.empty((len(rows), most, 3)),
+            np.empty((len(rows), most)),
+        )
+        new = table(pallet[rows], wp.int64), table(sizes[rows], wp.vec3d)
+        outputs = [table(count, wp.int64), table(corner, wp.vec3d), table(support, wp.float64)]
+        inputs = [*new, *piles, table(n_boxes, wp.int64), *limits]
+        wp.launch(kernel, dim=len(rows), inputs=inputs, outputs=outputs, device="cpu")
+        is_place = np.arange(most) < count[:, None]
+        return np.repeat(rows, count), corner[is_place], support[is_place]
 
-    share = -(-m // _THREADS) if m >= _WORTH_THREADS else max(m, 1)
-    on_threads(lower, [slice(begin, begin + share) for begin in range(0, m, share)], _THREADS)
-    is_place = np.arange(most) < count[:, None]
-    return np.repeat(np.arange(m), count), corner[is_place], support[is_place]
+    m = len(pallet)
+    n_pieces = max(min(_THREADS, m), -(-m // _AT_ONCE))
+    parts = on_threads(lower, np.array_split(np.arange(m), n_pieces), _THREADS)
+    row, corner, support = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return row, corner, support

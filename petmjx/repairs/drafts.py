@@ -101,9 +101,9 @@ class Draft:
     @cached_property
     def bears(self) -> BoolArray:
         """(m, m) whether the column's box lies on the row's, directly or through others."""
-        bears = self.on_top
-        while not ((more := bears | bears @ self.on_top) == bears).all():
-            bears = more
+        bears = self.on_top.copy()
+        for box in np.argsort(-self.corner_mm[:, 2], kind="stable"):  # a box lies only on boxes with lower bottoms
+            bears[box] |= bears[bears[box]].any(axis=0)
         return bears
 
     def above(self, box: int) -> list[int]:

@@ -299,11 +299,16 @@ def test_worlds_that_may_be_simulated_again_come_first_and_the_longest_are_exami
     live = np.ones(3, bool)
     queues.add(jobs, np.arange(3), live, SHORT)
     assert np.asarray(queues.order).tolist() == [[0, 1, 2]]
-    monkeypatch.setattr(block_queues, "MOST_EXAMINED", 2)
+    monkeypatch.setattr(block_queues, "EXAMINED_AT_ONCE", 2)
+    monkeypatch.setattr(block_queues, "EXAMINING_S", 0.0)
     queues.examine(jobs, live)
     assert np.asarray(queues.order).tolist() == [[1, 0, 2]]
     queues.examine(jobs, live)
     assert np.asarray(queues.order).tolist() == [[2, 1, 0]]
+    monkeypatch.setattr(block_queues, "MOST_EXAMINED_BOXES", 8)
+    queues.add(jobs, np.arange(3), live, SHORT)
+    queues.examine(jobs, live)
+    assert np.asarray(queues.order).tolist() == [[0, 2, 1]], "the world of nine boxes is large"
 
 
 def test_worlds_on_their_way_come_first_on_a_cpu_all_that_have_been_placed() -> None:

@@ -92,12 +92,14 @@ def test_places_with_less_support_are_left_out() -> None:
 
 
 @pytest.mark.parametrize("gap_mm", [0.0, 6.0])
-@pytest.mark.parametrize("worth_threads", [10_000, 1])
+@pytest.mark.parametrize("at_once", [1024, 17])
 def test_machine_code_finds_the_same_places_as_numpy(
-    gap_mm: float, worth_threads: int, monkeypatch: pytest.MonkeyPatch
+    gap_mm: float, at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compiled = pytest.importorskip("petmjx.loop.compiled_places", reason="warp-lang is not installed (extra: warp)")
-    monkeypatch.setattr(compiled, "_WORTH_THREADS", worth_threads)
+    monkeypatch.setattr(compiled, "_AT_ONCE", at_once)
+    lowered_boxes, calls = compiled.lowered_boxes, []
+    monkeypatch.setattr(compiled, "lowered_boxes", lambda *values: calls.append(lowered_boxes(*values)) or calls[-1])
     rng, n = np.random.default_rng(33401), 40
     stock = lively_stock(rng, n)
     pallet = np.repeat(rng.permutation(n), 2)
@@ -111,6 +113,19 @@ def test_machine_code_finds_the_same_places_as_numpy(
         assert len(by_numpy.row) > n
         for numpy_values, values in zip(by_numpy[:4], by_code[:4], strict=True):
             np.testing.assert_array_equal(values, numpy_values)
+    assert len(calls) == 2
+
+
+def test_numpy_finds_the_places_if_warp_cannot_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled = pytest.importorskip("petmjx.loop.compiled_places", reason="warp-lang is not installed (extra: warp)")
+    rng, n = np.random.default_rng(33402), 8
+    stock, request = lively_stock(rng, n), boxes(rng.uniform(100, 600, (n, 3)), np.arange(n))
+    by_numpy = free_places(stock, request, EXTENT_MM, 1800.0, hulls=False)
+    tried = []
+    monkeypatch.setattr(compiled, "_kernel", lambda: tried.append(1) or 1 / 0)
+    monkeypatch.setattr(candidate_places, "_WORTH_COMPILING", 1)
+    assert_same(free_places(stock, request, EXTENT_MM, 1800.0, hulls=False)[:4], by_numpy[:4])
+    assert tried
 
 
 def part(spots: Places, row: int) -> Places:
