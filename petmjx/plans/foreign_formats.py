@@ -60,7 +60,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
             value = decoded_json(text)
         except InputError:
             if (python_value := python_values(start)) is None:
-                if (sources := _sources_of_document(text, path) or _sources_of_printed(start)) is None:
+                if (sources := _sources_of_document(text, path) or _sources_of_printed(text)) is None:
                     raise
                 return sources
             value = python_value
@@ -83,7 +83,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
         return [printed]
     if (kind := program_kind(start)) is not None:
         raise NoGeometry(kind)
-    if (sources := _sources_of_printed(start)) is not None:
+    if (sources := _sources_of_printed(text)) is not None:
         return sources
     return _sources_of_document(text, path) or sources_of_tables(*read_raw_tables(data))
 

@@ -50,7 +50,7 @@ _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density
 of foam, and the upper limit above the density of iron parts."""
 _DECK: Final = re.compile(
-    r"^\W*(?:euro?|epal|chep|gma)?[\W\d_]*(?:pallet|palette|paleta|palet|pale|bancale|europalette|europallet|epal|eur|skid)\b",
+    r"^\W{0,20}(?:euro?|epal|chep|gma)?[\W\d_]{0,20}(?:pallet|palette|paleta|palet|pale|bancale|europalette|europallet|epal|eur|skid)\b",
     re.IGNORECASE,
 )
 """Names of pallets in lists of boxes, such as "EUR", "EPAL 1", "Euro pallet", "Palette"."""

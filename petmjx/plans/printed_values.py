@@ -21,7 +21,7 @@ _MOST_PRINTED: Final = 8 << 20
 _DEEPEST: Final = 30
 """Largest depth of brackets that is read."""
 _BEGINS: Final = re.compile(
-    r"(?:[\[({]\s*){0,30}(?:[A-Za-z_][\w.]*\s*)?[\[({]\s*"
+    r"\s*(?:[\[({]\s*){0,30}(?:[A-Za-z_][\w.]*\s*)?[\[({]\s*"
     r"(?::[A-Za-z][\w-]*\s|[A-Za-z_$][\w$]*\s*(?::(?!:)|=)|\[['\"]?\w+['\"]?\]\s*=|[A-Za-z_][\w.]*\s*[\[({])"
 )
 """The beginning of a printed structure: "[Box3D { position:", "{:pack [", "Array ( [x] =>"."""
@@ -34,7 +34,7 @@ _GAP: Final = re.compile(r"[\s,;]*")
 _QUOTED: Final = re.compile(r"""\\?(?:"((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'|`([^`]*)`)""")
 _NAME: Final = re.compile(
     r""":([A-Za-z][\w.?!/-]*)\s+"""  # EDN
-    r"""|\[\s*['"]?([^\]\[\n'"]+)['"]?\s*\]\s*=>?\s*"""  # PHP, Lua
+    r"""|\[\s*+['"]?([^\]\[\n'"]{1,200}+)['"]?\s*+\]\s*+=>?\s*"""  # PHP, Lua; possessive, for long white space
     r"""|:?['"]?([A-Za-z_$][\w$.-]*)['"]?\s*(?:=>|=(?!=)|:(?!:))\s*"""
 )
 _WORD: Final = re.compile(r"[^\s,;\[\](){}]+")
@@ -61,7 +61,8 @@ def printed_values(text: str) -> Any:
     if len(text) > _MOST_PRINTED or _BEGINS.match(text) is None or _JSON_NAME.search(text):
         return None
     values = JsonLines()
-    at, line = _behind_gap(text, 0), 1
+    at = _behind_gap(text, 0)
+    line = 1 + text.count("\n", 0, at)
     while at < len(text):
         if _OPEN.match(text, at) is None:
             raise _fault(text, at, "there is text behind a structure")

@@ -27,9 +27,11 @@ from petmjx.plans.raw_tables import BoxList, RawTable, not_placed
 _MOST_PRINTED: Final = 8 << 20
 """Largest text of Python values that is parsed, in characters. Their syntax tree takes 100 times as much memory."""
 _CONSTRUCTED: Final = re.compile(
-    r"\b(?:[A-Za-z_]\w*\.)*(?:Decimal|float(?:32|64)|u?int(?:8|16|32|64)|array)\(([^()]*?)(?:, dtype=\w+)?\)"
+    r"(?<![\w.])(?:[A-Za-z_]\w*\.){0,20}"
+    r"(?:Decimal|float(?:32|64)|u?int(?:8|16|32|64)|array)\(([^()]*?)(?:, dtype=\w+)?\)"
 )
-"""A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])"."""
+"""A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])". Here and below,
+repetitions have limits, as some texts would take very long without them."""
 _PRINTED_OBJECT: Final = re.compile(r"\[?\s*[A-Za-z_][\w.]*\(\s*[A-Za-z_]\w*=")
 """The beginning of an object with named fields as Python prints it: "Box(x=0, y=0, …)"."""
 _NOT_FINITE: Final = re.compile(r"(?<![\w'\"])(-?(?:nan|inf))(?![\w'\"])")
@@ -77,11 +79,12 @@ def _value_of(node: ast.expr) -> Any:
 
 
 _ITEM_LINE: Final = re.compile(
-    r"^\W*(?P<name>.*?)\((?P<width>[^x(),]+)x(?P<height>[^x(),]+)x(?P<depth>[^x(),]+),\s*weight:\s*(?P<weight>[^)]*)\)"
-    r"\s*pos\(\[?(?P<position>.*?)\]?\)\s*rt\((?P<rotation_type>[^()]*)"
+    r"^\W{0,20}(?P<name>.{0,200}?)\((?P<width>[^x(),]{1,50})x(?P<height>[^x(),]{1,50})x(?P<depth>[^x(),]{1,50}),\s{0,9}"
+    r"weight:\s{0,9}(?P<weight>[^)]{0,50})\)\s{0,9}pos\(\[?(?P<position>.{0,200}?)\]?\)\s{0,9}"
+    r"rt\((?P<rotation_type>[^()]*)"
 )
 _BIN_LINE: Final = re.compile(
-    r"^[:\W]*(?P<name>.*?)\((?P<width>[\d.]+)x(?P<height>[\d.]+)x(?P<depth>[\d.]+),\s*max_weight"
+    r"^\W{0,20}(?P<name>.{0,200}?)\((?P<width>[\d.]{1,50})x(?P<height>[\d.]{1,50})x(?P<depth>[\d.]{1,50}),\s{0,9}max_weight"
 )
 _FIELD_LINE: Final = re.compile(
     r"^(name|partno|part no|color|position|rotation type|W\*H\*D|volume|weight)\s*:\s*(.*)$"

@@ -7,6 +7,7 @@ import io
 import json
 import math
 import re
+import time
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -1421,3 +1422,34 @@ def test_a_date_in_place_of_a_number_is_called_so(tmp_path: Path) -> None:
     book.save(tmp_path / "a.xlsx")
     (skipped,) = petmjx.load_plans(tmp_path / "a.xlsx").skipped
     assert skipped.message.endswith("row 3: x must be a number, got a date")
+
+
+# Texts that programs print: comments, empty values, units, long repetitions.
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[{x = 1, [" + " " * 3000 + "x",
+        "[{'a': 1}, " + "a." * 100_000,
+        "pos( rt(\n" + "-" * 100_000,
+        "pos( rt(\n" + "a(1x1x1,weight:" * 10_000,
+        "x,y,z,length,width,height\n" + ("= " * 1000 + ",0,0,400,300,200\n") * 50,
+    ],
+    ids=["name", "number", "name of an item", "items", "cells"],
+)
+def test_long_repetitions_take_little_time(text: str, tmp_path: Path) -> None:
+    start = time.process_time()
+    assert not load(tmp_path, "a.csv" if text.startswith("x,") else "a.txt", text).plans
+    assert time.process_time() - start < 2.0
+
+
+def printed_box(number: int, **fields: Any) -> dict[str, Any]:
+    """The fields of one of two boxes that stand side by side."""
+    return {**fields, **BOX, "x": 400 * number}
+
+
+def test_empty_lines_above_printed_values_count(tmp_path: Path) -> None:
+    lines = [f"Box[{', '.join(map('{}={}'.format, box, box.values()))}]" for box in map(printed_box, range(3))]
+    (skipped,) = load(tmp_path, "a.txt", "\n\n" + "\n".join(lines).replace("x=400", "x=?")).skipped
+    assert "line 4: x must be a number" in skipped.message
