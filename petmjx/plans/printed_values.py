@@ -21,28 +21,47 @@ _MOST_PRINTED: Final = 8 << 20
 _DEEPEST: Final = 30
 """Largest depth of brackets that is read."""
 _BEGINS: Final = re.compile(
-    r"\s*(?:[\[({]\s*){0,30}(?:[A-Za-z_][\w.]*\s*)?[\[({]\s*"
-    r"(?::[A-Za-z][\w-]*\s|[A-Za-z_$][\w$]*\s*(?::(?!:)|=)|\[['\"]?\w+['\"]?\]\s*=|[A-Za-z_][\w.]*\s*[\[({])"
+    r"\s*(?:return\s*)?(?:&?[\[({]\s*){0,30}(?:&?[A-Za-z_][\w.\\]*(?: Object)?\s*)?&?[\[({]\s*"
+    r"(?::[A-Za-z][\w-]*\s|[A-Za-z_$][\w$]*\s*(?::(?!:)|=)|\[['\"]?[\w:\\]+['\"]?\]\s*="
+    r"|[A-Za-z_][\w.\\]*(?: Object)?\s*[\[({])"
 )
 """The beginning of a printed structure: "[Box3D { position:", "{:pack [", "Array ( [x] =>"."""
-_JSON_NAME: Final = re.compile(r'"[^"\n]*"\s*:')
-"""A name in JSON. A text with such names is JSON, perhaps damaged, and is not read here."""
-_OPEN: Final = re.compile(r"(?:Array\s*|#?([A-Za-z_][\w.:<>$]*)[ \t]*)?([\[({])")
-"""A bracket, perhaps behind a name. PHP begins a new line between both."""
+_RETURN: Final = re.compile(r"\s*(?:return\b)?")
+"""The beginning of a file of Lua that returns a table."""
+_JSON_NAME: Final = re.compile(r'"[^"\n]*"(?:\s*:(?![A-Za-z])|\s*:(?:true|false|null|NaN)\b)')
+"""A name in JSON. A text with such names is JSON, perhaps damaged, and is not read here. In EDN, the colon is part of
+the next name."""
+_OPEN: Final = re.compile(r"(?:Array\s*|[A-Za-z_][\w\\]* Object\s*|[#&]?([A-Za-z_][\w.:<>$]*)[ \t]*|&)?([\[({])")
+"""A bracket, perhaps behind a name. PHP begins a new line between both. A pointer of Go begins with "&", a tag of EDN
+with "#"."""
 _CLOSES: Final = {"[": "]", "(": ")", "{": "}"}
-_GAP: Final = re.compile(r"[\s,;]*")
+_SEPARATORS: Final = re.compile(r"[\s,;]*")
+_GAP: Final = re.compile(
+    r"(?:[\s,]++|;[^\S\n]*(?=\{:[\w-]+\s)[^\n]*|;;[^\n]*|;|//[^\n]*|/\*.*?\*/"
+    r"|--\[\[.*?\]\]|--(?=[\s{(\[])(?!\s*(?:[,;\])}]|$))[^\n]*)*+",
+    re.DOTALL,
+)
+"""White space, separators and comments. One semicolon begins a comment only before an object of EDN. "--" before a
+separator may be a value: nothing."""
+_SPACE: Final = re.compile(r"\s*")
 _QUOTED: Final = re.compile(r"""\\?(?:"((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'|`([^`]*)`)""")
 _NAME: Final = re.compile(
-    r""":([A-Za-z][\w.?!/-]*)\s+"""  # EDN
-    r"""|\[\s*+['"]?([^\]\[\n'"]{1,200}+)['"]?\s*+\]\s*+=>?\s*"""  # PHP, Lua; possessive, for long white space
-    r"""|:?['"]?([A-Za-z_$][\w$.-]*)['"]?\s*(?:=>|=(?!=)|:(?!:))\s*"""
+    r""":([A-Za-z][\w.?!/-]*)(?=\s)"""  # EDN
+    r"""|\[\s*+['"]?([^\]\[\n'"]{1,200}+)['"]?\s*+\]\s*+=>?"""  # PHP, Lua; possessive, for long white space
+    r"""|:?['"]?([A-Za-z_$][\w$.-]*)['"]?\s*(?:=>|=(?!=)|:(?!:))"""
 )
+_EMPTY: Final = re.compile(r"[ \t]+(?=[A-Za-z_]\w{0,99}[:=](?:[^\s,;]++(?!\s*[,;])|[ \t]{1,9}[A-Za-z_]\w{0,99}[:=]))")
+"""White space behind a name that has no value: the next name follows (Go's "Note: Weight:5"). If a separator follows
+that name's value, both are a text: "id: sku:123, x: 0"."""
 _WORD: Final = re.compile(r"[^\s,;\[\](){}]+")
-_TEXT: Final = re.compile(r"[^,;\[\](){}\n]{0,1000}?(?=\s{0,9}(?:[,;\])}\n]|$)|\s{1,9}:?[A-Za-z_]\w{0,99}(?::|=)\S)")
+_TEXT: Final = re.compile(
+    r"[^,;\[\](){}\n]{0,1000}?(?=\s{0,9}(?:[,;\])}\n]|$)"
+    r"|\s{1,9}:?[A-Za-z_]\w{0,99}[:=](?:\S|\s{0,9}(?:[\])}\n]|$)|\s{1,9}[A-Za-z_]\w{0,99}[:=]))"
+)
 """A value behind a name, which may have several words. It ends before a separator, a bracket or the next name."""
 _CONSTANTS: Final = {"true": True, "false": False, **dict.fromkeys(("nil", "null", "none", "undefined"), None)}
-_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?[fFdDmMlL]?")
-_PAIR: Final = re.compile(r"([A-Za-z][\w .#/-]{0,40}?) ?[:=]\s{0,9}")
+_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?([fFdDL]?|[mM])")
+_PAIR: Final = re.compile(r"([A-Za-z][\w .#/-]{0,40}?) ?[:=]")
 _LONGEST_LINE: Final = 2_000
 """Longest line that is read as named values, in characters."""
 _SEARCHED: Final = 40
@@ -61,7 +80,7 @@ def printed_values(text: str) -> Any:
     if len(text) > _MOST_PRINTED or _BEGINS.match(text) is None or _JSON_NAME.search(text):
         return None
     values = JsonLines()
-    at = _behind_gap(text, 0)
+    at = _behind_gap(text, _behind(_RETURN, text, 0))
     line = 1 + text.count("\n", 0, at)
     while at < len(text):
         if _OPEN.match(text, at) is None:
@@ -108,23 +127,23 @@ def _pairs_of_line(line: str) -> Mapping[str, Any]:
     pairs: dict[str, Any] = {}
     at, end = len(line) - len(line.lstrip()), len(line) if len(line) <= _LONGEST_LINE else 0
     while at < end:
-        if (match := _PAIR.match(line, at)) is None or match.end() == end or match[1] in pairs:
+        if (match := _PAIR.match(line, at)) is None or match[1] in pairs:
             return {}
         try:
             pairs[match[1]], at = _value_of_name(line, match.end(), 0)
         except InputError:
             return {}
-        if (gap := _GAP.match(line, at)) is not None:
+        if (gap := _SEPARATORS.match(line, at)) is not None:
             at = gap.end()
     return pairs
 
 
-def _value(text: str, at: int, depth: int) -> tuple[Any, int]:
+def _value(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any, int]:
     """The value at a position of a text, and the position behind it."""
     if depth > _DEEPEST:
         raise _fault(text, at, "brackets are nested too deeply")
     if (opened := _OPEN.match(text, at)) is not None:
-        value, end = _inside(text, opened.end(), _CLOSES[opened[2]], depth)
+        value, end = _inside(text, opened.end(), opened[1] or "", _CLOSES[opened[2]], depth)
         # Some(5) of Rust is 5
         return (value[0] if opened[1] == "Some" and isinstance(value, list) and len(value) == 1 else value), end
     if (quoted := _QUOTED.match(text, at)) is not None:
@@ -132,25 +151,43 @@ def _value(text: str, at: int, depth: int) -> tuple[Any, int]:
     word = _WORD.match(text, at)
     if word is None:
         raise _fault(text, at, "a value is missing")
-    return _scalar(word[0]), word.end()
+    return _scalar(word[0], decimal_marks), word.end()
 
 
-def _value_of_name(text: str, at: int, depth: int) -> tuple[Any, int]:
-    """The value behind a name."""
+def _value_of_name(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any, int]:
+    """The value behind a name and its sign; "" if the line ends, or the next name follows. Brackets and quoted
+    texts may stand on the next line.
+
+    Args:
+        decimal_marks: letters that may end a number without being a unit.
+    """
+    if (empty := _EMPTY.match(text, at)) is not None:
+        return "", empty.end()
+    behind = _behind(_SPACE, text, at)
+    if "\n" in text[at:behind]:
+        is_value = _NAME.match(text, behind) is None and (_OPEN.match(text, behind) or _QUOTED.match(text, behind))
+        if not is_value:
+            return "", behind
+    at = behind
     if _OPEN.match(text, at) is not None or _QUOTED.match(text, at) is not None:
         return _value(text, at, depth)
     if (words := _TEXT.match(text, at)) is None:
         raise _fault(text, at, "a value has no end")
-    return _scalar(words[0].strip()), words.end()
+    return _scalar(words[0].strip(), decimal_marks), words.end()
 
 
-def _inside(text: str, at: int, close: str, depth: int) -> tuple[Any, int]:
-    """The values in brackets, and the position behind the brackets: an object if they have names, else a list."""
+def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any, int]:
+    """The values in brackets, and the position behind the brackets: an object if they have names, else a list.
+
+    Args:
+        kind: the name before the bracket.
+    """
     pairs: dict[str, Any] = {}
     items: list[Any] = []
+    places: list[int] = []
     begin = at
     while True:
-        at = _behind_gap(text, at)
+        at = _behind_gap(text, at, depth)
         if at == len(text):
             raise _fault(text, begin, "a bracket is not closed")
         if text[at] in "])}":
@@ -158,33 +195,57 @@ def _inside(text: str, at: int, close: str, depth: int) -> tuple[Any, int]:
                 raise _fault(text, at, f"{text[at]} closes no bracket")
             break
         if (name := _NAME.match(text, at)) is not None:
-            key = next(filter(None, name.groups()))
+            key = next(filter(None, name.groups())).strip()
+            key = re.sub(r"(?::[\w\\]+)?:(?:private|protected)$", "", key)  # PHP: "x:protected", "x:Box:private"
             if key in pairs:
                 raise _fault(text, at, f"{printable_name(key)} stands twice")
-            pairs[key], at = _value_of_name(text, name.end(), depth + 1)
+            if name[1]:  # a text of EDN has quotation marks, so that no value has several words
+                pairs[key], at = _value(text, _behind(_SPACE, text, name.end()), depth + 1, "M")
+            else:
+                of_csharp = kind and close == "}" and name[0].endswith(" =")
+                pairs[key], at = _value_of_name(text, name.end(), depth + 1, "mM" if of_csharp else "")
         else:
+            places.append(at)
             value, at = _value(text, at, depth + 1)
             items.append(value)
     if pairs and items:
         raise _fault(text, begin, "a value has no name")
+    others = [place for place, item in zip(places, items, strict=True) if not (item is None or _has_objects(item))]
+    if others and any(isinstance(item, dict) for item in items):
+        raise _fault(text, others[0], "it is no object, unlike others in its list")
     return (pairs or items), at + 1
 
 
-def _scalar(text: str) -> Any:
-    """A number, true, false or nothing; else the text."""
+def _has_objects(value: Any) -> bool:
+    """Whether a value is an object, or an empty list, or a list with one of these."""
+    return isinstance(value, dict) or (isinstance(value, list) and (not value or any(map(_has_objects, value))))
+
+
+def _scalar(text: str, decimal_marks: str = "") -> Any:
+    """A number, true, false or nothing; else the text. "0.4m" is a length, except where m marks decimal numbers."""
     if text.lower() in _CONSTANTS:
         return _CONSTANTS[text.lower()]
-    if _NUMBER.fullmatch(text):
-        text = text.rstrip("fFdDmMlL")
+    if (number := _NUMBER.fullmatch(text)) is not None and (number[1] not in ("m", "M") or number[1] in decimal_marks):
+        text = text.rstrip("fFdDmML")
         return float(text) if re.search(r"[.eE]", text) else int(text) if len(text) < 20 else float(text)
     return text
 
 
-def _behind_gap(text: str, at: int) -> int:
-    """The position of the first character that is neither white space nor a separator."""
-    match = _GAP.match(text, at)
-    assert match is not None  # the gap may be empty
-    return match.end()
+def _behind_gap(text: str, at: int, depth: int = 0) -> int:
+    """The position behind white space, separators, comments and values that EDN leaves out ("#_{:x 0}")."""
+    at = _behind(_GAP, text, at)
+    while text.startswith("#_", at):
+        _, end = _value(text, _behind(_GAP, text, at + 2), depth + 1)
+        at = _behind(_GAP, text, end)
+    if text.startswith(("/*", "--[["), at):
+        raise _fault(text, at, "a comment has no end")
+    return at
+
+
+def _behind(pattern: re.Pattern[str], text: str, at: int) -> int:
+    """The position behind a match of a pattern that may be empty."""
+    match = pattern.match(text, at)
+    return at if match is None else match.end()
 
 
 def _fault(text: str, at: int, why: str) -> InputError:

@@ -1453,3 +1453,72 @@ def test_empty_lines_above_printed_values_count(tmp_path: Path) -> None:
     lines = [f"Box[{', '.join(map('{}={}'.format, box, box.values()))}]" for box in map(printed_box, range(3))]
     (skipped,) = load(tmp_path, "a.txt", "\n\n" + "\n".join(lines).replace("x=400", "x=?")).skipped
     assert "line 4: x must be a number" in skipped.message
+
+
+def three_printed(pattern: str, **fields: Any) -> str:
+    """Three boxes side by side, each in a pattern with the names and values of its fields."""
+    boxes = [printed_box(number, **fields) for number in range(3)]
+    return "".join(pattern % box + "\n" for box in boxes)
+
+
+VALUES = "length: %(length)s, width: %(width)s, height: %(height)s, weight: %(weight)s"
+SPACED = "X:%(x)s Y:%(y)s Z:%(z)s Length:%(length)s Width:%(width)s Height:%(height)s"
+EDN = "{:x %(x)s :y 0 :z 0 :length 400 :width 300 :height 200 :weight 5}"
+OBJECT = "{x: %(x)s, y: %(y)s, z: %(z)s, " + VALUES + "}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" + three_printed(OBJECT + ", // {x: 0, y: 300}") + "// " + OBJECT % printed_box(5) + "\n]",
+        "[" + three_printed(OBJECT) + "/* " + three_printed(OBJECT) + "*/]",
+        "{" + three_printed(OBJECT).replace(":", "=") + "--"
+        + OBJECT % BOX + "\n-- a = {1}\n--[[ " + three_printed(OBJECT) + "]]}",
+        "[" + three_printed(EDN) + "#_" + EDN % printed_box(5) + "\n;; " + EDN % BOX + "\n; " + EDN % BOX + "\n]",
+        "return {" + three_printed(OBJECT).replace(":", "=") + "}",
+        "[" + three_printed('{:id "A" ' + EDN[1:]) + "]",
+        "[" + three_printed("&{" + SPACED + " Weight:%(weight)s}") + "]",
+        "[" + three_printed("{Note: " + SPACED + " Name: Tag: Weight:%(weight)s}") + "]",
+        "[" + three_printed("{" + SPACED + " Note: Weight:%(weight)s Tag:}") + "]",
+        "[" + three_printed("Box {\n  Note = \n  Weight = 5.0m\n  " + SPACED.replace(":", " = ")
+                      .replace("s ", "s\n  ") + "\n}") + "]",
+        three_printed("note= weight=%(weight)s " + SPACED.replace(":", "=") + " tag="),
+        "[" + three_printed("Box { x: %(x)smm, y: 0.0m, z: 0cm, length: 0.4m, width: 30cm, height: 20cm, weight: 5 }")
+        + "]",
+        "[" + three_printed("Box { at:\n  { x: %(x)s, y: 0, z: 0 },\n note:\n 'a', " + VALUES + " }") + "]",
+        "Array\n(\n" + "".join(
+            f"[{number}] => Box Object\n(\n[note:protected] => \n[id:Box:private] => \n"
+            + "".join(f"[{name}] => {value}\n" for name, value in printed_box(number).items()) + ")\n"
+            for number in range(3)) + ")\n",
+    ],
+)  # fmt: skip
+def test_comments_and_empty_values_of_printed_boxes(text: str, tmp_path: Path) -> None:
+    plan_set = load(tmp_path, "a.txt", text)
+    assert not plan_set.skipped
+    (plan,) = plan_set.plans
+    np.testing.assert_allclose(plan.corner_mm, [[0, 0, 0], [400, 0, 0], [800, 0, 0]], atol=1e-6)
+    np.testing.assert_allclose(plan.size_mm, [[400, 300, 200]] * 3, atol=1e-6)
+    np.testing.assert_allclose(plan.mass_kg, 5.0)
+
+
+def test_pallets_behind_empty_values_of_printed_boxes(tmp_path: Path) -> None:
+    boxes = [f"{{Label: Pallet:{number} {SPACED % printed_box(number)}}}" for number in (0, 1)]
+    assert [plan.n_boxes for plan in load(tmp_path, "a.txt", f"[{' '.join(boxes)}]").plans] == [1, 1]
+    (plan,) = load(tmp_path, "a.txt", "[" + three_printed("{id: sku:1%(x)s, " + OBJECT[1:]) + "]").plans
+    assert plan.item_ids == ("sku:10", "sku:1400", "sku:1800")
+
+
+@pytest.mark.parametrize(
+    ("other", "fault"),
+    [
+        ("Box(400, 0, 0, 400, 300, 200)", "line 3, column 1 (it is no object, unlike others in its list)"),
+        ("...", "line 3, column 1 (it is no object, unlike others in its list)"),
+        ("17", "line 3, column 1 (it is no object, unlike others in its list)"),
+        ("/* {x: 1}", "line 3, column 1 (a comment has no end)"),
+    ],
+)
+def test_other_values_among_printed_boxes_are_named(other: str, fault: str, tmp_path: Path) -> None:
+    text = f"[\n{OBJECT % BOX},\n{other},\n{OBJECT % printed_box(1)}]"
+    (skipped,) = load(tmp_path, "a.txt", text).skipped
+    assert skipped.message.endswith(fault)
+    assert load(tmp_path, "a.txt", text.replace(other, "nil")).plans[0].n_boxes == 2
