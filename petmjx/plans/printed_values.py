@@ -8,7 +8,7 @@ semicolons or white space, and a name is followed by ":", "=" or "=>", or begins
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from petmjx.common.errors import InputError
@@ -80,16 +80,19 @@ def printed_values(text: str) -> Any:
     if len(text) > _MOST_PRINTED or _BEGINS.match(text) is None or _JSON_NAME.search(text):
         return None
     values = JsonLines()
+    places: list[int] = []
     at = _behind_gap(text, _behind(_RETURN, text, 0))
     line = 1 + text.count("\n", 0, at)
     while at < len(text):
         if _OPEN.match(text, at) is None:
             raise _fault(text, at, "there is text behind a structure")
         values.lines.append(line)
+        places.append(at)
         value, end = _value(text, at, 0)
         values.append(value)
         end = _behind_gap(text, end)
         at, line = end, line + text.count("\n", at, end)
+    _check_alike(text, places, values, 2)
     return values[0] if len(values) == 1 else values
 
 
@@ -202,18 +205,24 @@ def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any,
             if name[1]:  # a text of EDN has quotation marks, so that no value has several words
                 pairs[key], at = _value(text, _behind(_SPACE, text, name.end()), depth + 1, "M")
             else:
-                of_csharp = kind and close == "}" and name[0].endswith(" =")
-                pairs[key], at = _value_of_name(text, name.end(), depth + 1, "mM" if of_csharp else "")
+                of_dotnet = close == "}" and name[0].endswith(" =")  # C# writes the record's name, F# does not
+                marks = ("mM" if kind else "M") if of_dotnet else ""
+                pairs[key], at = _value_of_name(text, name.end(), depth + 1, marks)
         else:
             places.append(at)
             value, at = _value(text, at, depth + 1)
             items.append(value)
     if pairs and items:
         raise _fault(text, begin, "a value has no name")
-    others = [place for place, item in zip(places, items, strict=True) if not (item is None or _has_objects(item))]
-    if others and any(isinstance(item, dict) for item in items):
-        raise _fault(text, others[0], "it is no object, unlike others in its list")
+    _check_alike(text, places, items, 1)
     return (pairs or items), at + 1
+
+
+def _check_alike(text: str, places: Sequence[int], items: Sequence[Any], least: int) -> None:
+    """Refuse items that hold no objects beside at least ``least`` objects: such boxes would be lost."""
+    others = [place for place, item in zip(places, items, strict=True) if not (item is None or _has_objects(item))]
+    if others and sum(isinstance(item, dict) for item in items) >= least:
+        raise _fault(text, others[0], "it is no object, unlike others in its list")
 
 
 def _has_objects(value: Any) -> bool:

@@ -1522,3 +1522,19 @@ def test_other_values_among_printed_boxes_are_named(other: str, fault: str, tmp_
     (skipped,) = load(tmp_path, "a.txt", text).skipped
     assert skipped.message.endswith(fault)
     assert load(tmp_path, "a.txt", text.replace(other, "nil")).plans[0].n_boxes == 2
+
+
+def test_other_values_among_lines_of_printed_boxes_are_named(tmp_path: Path) -> None:
+    text = three_printed("Box " + OBJECT) + "Box(400, 0, 0, 400, 300, 200)\n"
+    (skipped,) = load(tmp_path, "a.txt", text).skipped
+    assert skipped.message.endswith("line 4, column 1 (it is no object, unlike others in its list)")
+
+
+def test_decimal_numbers_of_printed_boxes(tmp_path: Path) -> None:
+    fields = ", ".join(f"{name.title()} = {value}M" for name, value in BOX.items())
+    for text, weight in ((f"[{{ {fields} }}]", "5M"), (f"[Box {{ {fields.replace('M', 'm')} }}]", "5m")):
+        assert weight in text
+        (plan,) = load(tmp_path, "a.txt", text).plans
+        np.testing.assert_array_equal(plan.size_mm, [[400, 300, 200]])
+    (skipped,) = load(tmp_path, "a.txt", f"[Box {{ {fields.replace('M', 'm').replace(' =', ':')} }}]").skipped
+    assert "weight has the unit m" in skipped.message.lower()
