@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +20,7 @@ from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_ar
 from petmjx.plans.printed_values import printed_values, values_of_lines
 from petmjx.plans.python_objects_and_texts import is_printed_object, python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
-from petmjx.plans.raw_tables import BoxList, RawTable, united, with_titles
+from petmjx.plans.raw_tables import BoxList, RawTable, not_placed, rows_with_boxes, united, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
 from petmjx.plans.text_tables import decoded_text
 from petmjx.plans.workbooks import read_raw_tables, tables_of_page, value_of_xml
@@ -154,8 +155,24 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
             names = [""] * len(names)
         joined = united(with_titles(tables))
         boxes = BoxList(joined, "", tuple(names), _containers_above(joined))
+        if boxes.has_places:
+            boxes = _without_unplaced(boxes)
         sources.append(with_known_form(boxes, kind))
     return sorted(sources, key=lambda source: (source.boxes.has_places, len(source.boxes.table.rows)), reverse=True)
+
+
+def _without_unplaced(boxes: BoxList) -> BoxList:
+    """A list of boxes without those that a column such as "placed" says are not placed."""
+    table, kept = boxes.table, rows_with_boxes(boxes.table)
+    if len(kept) == len(table.rows):
+        return boxes
+    rows, places = [table.rows[row] for row in kept], [table.places[row] for row in kept]
+    return replace(
+        boxes,
+        table=replace(table, rows=rows, places=places),
+        parts=tuple(boxes.parts[row] for row in kept),
+        left_out=(*boxes.left_out, *not_placed(len(table.rows) - len(kept))),
+    )
 
 
 _SIZE_ABOVE: Final = re.compile(

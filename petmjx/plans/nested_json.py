@@ -32,11 +32,10 @@ from petmjx.plans.nested_containers import (
     plan_names_of,
 )
 from petmjx.plans.raw_cells import cell_number, decimal_of
-from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, not_placed, united
+from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, flags_unplaced, not_placed, united
 
 _DEEPEST: Final = 12
 """Largest depth of nesting that is searched."""
-_PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
 
 
 class JsonLines(list[Any]):
@@ -300,8 +299,7 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
         return None
     box_members, left = [], 0
     for number, row in enumerate(flat):
-        flags = [value for name, value in row.items() if name.lower() in _PLACED_FLAGS and value in (True, False)]
-        if flags and not all(flags):
+        if flags_unplaced(row.items()):
             left += 1
         else:
             box_members.append(number)

@@ -21,6 +21,10 @@ GROUPED: Final = "grouped"
 """This value replaces the decimal sign of a column in which no number has decimals. In a column without decimals,
 points and commas only separate thousands."""
 
+YES_WORDS: Final = frozenset(("true", "yes", "ja", "oui", "si", "sí", "tak", "sim", "y", "j", "1"))
+NO_WORDS: Final = frozenset(("false", "no", "nein", "non", "nie", "nee", "não", "nao", "n", "0"))
+"""Texts, in lower case, that mean yes and no in a cell."""
+
 
 class CellNumber(NamedTuple):
     """A number in a cell, and the unit after it ("" if there is none)."""

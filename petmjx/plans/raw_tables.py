@@ -4,7 +4,7 @@ lists of boxes (``BoxList``): raw tables with information from the objects aroun
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.text import count_text
 from petmjx.plans.column_names import ColumnMeaning, column_meanings
+from petmjx.plans.raw_cells import NO_WORDS, YES_WORDS, cell_text
 
 MOST_ROWS: Final = 1_000_000
 """Largest number of rows of a table, the same as in a sheet. As Python values, a table of a million boxes takes a
@@ -168,6 +169,31 @@ class BoxList:
     def has_sizes(self) -> bool:
         """Whether the boxes have sizes."""
         return bool(self.kinds & {"size", "sizes", "high", "corners"})
+
+
+_PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
+"""Names of fields and columns, in lower case, that tell whether a box is placed."""
+
+
+def flags_unplaced(fields: Iterable[tuple[str, Any]]) -> bool:
+    """Whether a flag among the fields of a box, such as "placed: no", tells that the box is not placed.
+
+    Args:
+        fields: names and values of the fields.
+    """
+    return any(name.lower() in _PLACED_FLAGS and cell_text(value).lower() in NO_WORDS for name, value in fields)
+
+
+def rows_with_boxes(table: RawTable) -> list[int]:
+    """Numbers of the rows whose boxes are placed, by the flags of the table. A column is a flag only if it has no other
+    texts than yes and no."""
+    flags = [
+        (name, table.column(name))
+        for name in table.header
+        if name.lower() in _PLACED_FLAGS
+        and {cell_text(cell).lower() for cell in table.column(name)} <= YES_WORDS | NO_WORDS | {""}
+    ]
+    return [row for row in range(len(table.rows)) if not flags_unplaced((name, cells[row]) for name, cells in flags)]
 
 
 def not_placed(count: int) -> tuple[str, ...]:

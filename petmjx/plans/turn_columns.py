@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.raw_cells import cell_number, cell_text
+from petmjx.plans.raw_cells import NO_WORDS, YES_WORDS, cell_number, cell_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,12 +110,8 @@ def letters_of(cell: Any) -> tuple[int, int, int] | None:
     return None
 
 
-_YES: Final = frozenset(
-    ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "sim", "x", "y", "j", "1")
-)
-_NO: Final = frozenset(
-    ("false", "no", "nein", "non", "nie", "nee", "não", "nao", "original", "none", "n", "0", "", "-")
-)
+_YES: Final = YES_WORDS | {"rotated", "turned", "gedreht", "x"}
+_NO: Final = NO_WORDS | {"original", "none", "", "-"}
 
 
 _YES_AND_NO: Final = tuple(map(frozenset, ("sn", "on", "tn", "vf", "tf", "wf")))

@@ -1538,3 +1538,19 @@ def test_decimal_numbers_of_printed_boxes(tmp_path: Path) -> None:
         np.testing.assert_array_equal(plan.size_mm, [[400, 300, 200]])
     (skipped,) = load(tmp_path, "a.txt", f"[Box {{ {fields.replace('M', 'm').replace(' =', ':')} }}]").skipped
     assert "weight has the unit m" in skipped.message.lower()
+
+
+def test_boxes_with_a_flag_that_says_no_are_left_out(tmp_path: Path) -> None:
+    boxes = [{**BOX, "placed": "yes"}, {**BOX, "x": 400, "placed": "No"}]
+    as_lists = f"columns: [{', '.join(boxes[0])}]\ndata:\n- [0, 0, 0, 400, 300, 200, 5, yes]\n"
+    contents = {
+        "a.yaml": f"{as_lists}- [400, 0, 0, 400, 300, 200, 5, no]\n",
+        "a.json": json.dumps(boxes),
+        "a.csv": "\n".join(",".join(map(str, row)) for row in (boxes[0], *(box.values() for box in boxes))),
+    }
+    for name, content in contents.items():
+        plan_set = load(tmp_path, name, content)
+        assert [plan.n_boxes for plan in plan_set] == [1], name
+        assert "1 box is not placed, and left out" in notes_of(plan_set)
+    other_words = contents["a.csv"].replace("No", "by hand")  # such a column is no flag
+    assert [plan.n_boxes for plan in load(tmp_path, "a.csv", other_words)] == [2]
