@@ -14,7 +14,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.column_names import TITLE_WORDS, names_unplaced, plain_text, words_of
+from petmjx.plans.column_names import TITLE_WORDS, names_unplaced, plain_text, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.header_and_total_rows import (
     count_known_names,
@@ -150,7 +150,7 @@ def _sections(
     trailing: list[str] = []
     short_titles: dict[str, str] = {}
     remarks: list[tuple[tuple[Any, ...], str]] = []
-    n_unplaced = 0
+    is_unplaced, n_unplaced = False, 0
     for index in range(first, end):
         row, place = rows[index], f"row {index + begin}"
         filled = [cell for cell in row if cell is not None]
@@ -159,15 +159,20 @@ def _sections(
         if is_total(row, geometric):
             notes.append(f"{place} is a total, and left out")
             continue
+        if row[0] is not None and len(filled) == 1 and _are_none_unplaced(cell_text(row[0])):
+            notes += _remark_notes([(row, place)])
+            continue
         is_remark = _is_remark(row, geometric)
         if len(filled) == 1 and width > 2 and isinstance(filled[0], str) and not (_mostly_numbers(row) or is_remark):
             trailing.append(filled[0])
+            is_unplaced = row[0] is not None and _are_unplaced(filled[0])
             continue
         if _is_title(row, geometric, names_pallets):
             short_titles[_line(row)] = _short_title(filled)
             trailing.append(_line(row))
+            is_unplaced = row[0] is not None and _are_unplaced(_line(row))
             continue
-        if trailing and _are_unplaced(trailing[-1]):
+        if trailing and is_unplaced:
             n_unplaced += 1
             continue
         if is_remark:
@@ -210,13 +215,13 @@ def _remark_notes(remarks: Sequence[tuple[tuple[Any, ...], str]]) -> list[str]:
 
 
 def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequence[int]) -> bool:
-    """Whether a row of several cells is the title of a section: it has no number, and says that boxes are not placed;
-    or it begins with a text that has a word for pallets or orders, and most sizes and places are missing.
+    """Whether a row of several cells is the title of a section: it has no number, and its words say only that boxes are
+    not placed; or it begins with a text that has a word for pallets or orders, and most sizes and places are missing.
 
     Args:
         pallet_columns: columns whose cells name pallets in every row, so that a cell there is no title.
     """
-    if not any(map(is_number, row)) and _are_unplaced(_line(row)):
+    if row[0] is not None and not any(map(is_number, row)) and _are_unplaced(_line(row)):
         return True
     begin = next((index for index, cell in enumerate(row) if cell is not None), None)
     if begin is None or begin in pallet_columns or not isinstance(row[begin], str):
@@ -225,8 +230,28 @@ def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequ
 
 
 def _are_unplaced(title: str) -> bool:
-    """Whether the boxes below a title are not part of a plan. A pallet of leftovers is a plan."""
-    return names_unplaced(title) and not TITLE_WORDS.intersection(words_of(title))
+    """Whether the boxes below a title are not part of a plan. Such a title says nothing else, as "Unplaced items (3)".
+    Below "Layer 2 (remaining)" or "scan failed" are boxes of the plan, and a pallet of leftovers is a plan."""
+    words = [word for word in words_of(title) if not word.isdecimal()]
+    others = [word for word in words if word not in _BOXES_OF_TITLES and not names_unplaced(word)]
+    return names_unplaced(title) and not others
+
+
+def _are_none_unplaced(title: str) -> bool:
+    """Whether a text says that all boxes are placed, as "Unplaced: none" and "0 boxes not placed"."""
+    words = re.findall(r"\w+", title.lower()) or [""]
+    is_none = words[-1] in _NONE or words[0] == "0"
+    return is_none and _are_unplaced(" ".join(word for word in words if word not in _NONE))
+
+
+_NONE: Final = frozenset(("none", "0", "keine"))
+_BOXES_OF_TITLES: Final = word_set(
+    "box boxes item items article articles artikel carton cartons karton kartons kiste kisten packstuck packstucke "
+    "packstuecke parcel parcels package packages piece pieces case cases product products colis caisse caisses caja "
+    "cajas articulo articulos scatola scatole articolo articoli pudelko pudelka artykul artykuly list of the not "
+    "placed packed"
+)
+"""Words in titles of sections of boxes that are not placed, beside the words that say so."""
 
 
 def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:

@@ -1554,3 +1554,24 @@ def test_boxes_with_a_flag_that_says_no_are_left_out(tmp_path: Path) -> None:
         assert "1 box is not placed, and left out" in notes_of(plan_set)
     other_words = contents["a.csv"].replace("No", "by hand")  # such a column is no flag
     assert [plan.n_boxes for plan in load(tmp_path, "a.csv", other_words)] == [2]
+
+
+@pytest.mark.parametrize("title", ["Unplaced", "Unplaced items (2)", "2 boxes not placed:", "Nicht: unpacked"])
+def test_only_titles_that_say_nothing_else_are_of_boxes_that_are_not_placed(tmp_path: Path, title: str) -> None:
+    lines = table(",".join(FIELDS)).splitlines()
+    plan_set = load(tmp_path, "a.csv", "\n".join([*lines[:5], title, *lines[5:]]))
+    is_other = title.startswith("Nicht")
+    assert sum(plan.n_boxes for plan in plan_set) == (8 if is_other else 4)
+    assert ("4 boxes are not placed, and left out" in notes_of(plan_set)) is not is_other
+
+
+@pytest.mark.parametrize(
+    "line", ["scan failed,,,,,,", ",,,,,,Label print failed", "Layer 2 (remaining)", "Unplaced: none", "0 not placed"]
+)
+def test_boxes_below_a_remark_are_read(tmp_path: Path, line: str) -> None:
+    lines = table(",".join(FIELDS)).splitlines()
+    plan_set = load(tmp_path, "a.csv", "\n".join([*lines[:5], line, *lines[5:]]))
+    assert sum(plan.n_boxes for plan in plan_set) == 8
+    if line in ("Unplaced: none", "0 not placed"):
+        assert len(plan_set.plans) == 1
+        assert "row 6 is a remark, and left out" in notes_of(plan_set)
