@@ -122,11 +122,12 @@ _DIMENSIONS: Final = word_set(
 )
 _HALF: Final = word_set("half halfsize halfextents halfextent")
 _BOUNDS: Final = word_set("bbox aabb bounds")
-_CONTAINER: Final = word_set(
+CONTAINER_WORDS: Final = word_set(
     "container containers bin bins pallet pallets palette paletten paleta palet pale palety palete paletes bancale "
     "bancali truck carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw "
     "camion"
 )
+"""Words for pallets and other containers."""
 PALLET_WORDS: Final = word_set(
     "pallet pallets palette paletten palet paleta pale palety palete bancale bancali pal palno palnr palletno palletid "
     "palid lu hu su nve sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit versandelement carrier "
@@ -181,7 +182,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
         "piece serial serialno serialnumber doosnr"
     ),
     "group": word_set("group productgroup gruppe warengruppe category kategorie categorie categoria"),
-    "plan": word_set("plan plans planid load stack batch solution pattern") | _CONTAINER,
+    "plan": word_set("plan plans planid load stack batch solution pattern") | CONTAINER_WORDS,
     "material": word_set("werkstoff"),
     "strength": word_set("loadbear strength maxload tragkraft bearing"),
 }
@@ -345,6 +346,17 @@ def names_unplaced(name: str) -> bool:
     return bool(_UNPLACED.intersection(words)) or "not placed" in text or "not packed" in text
 
 
+_DECK: Final = re.compile(
+    r"^\W{0,20}(?:euro?|epal|chep|gma)?[\W\d_]{0,20}(?:pallet|palette|paleta|palet|pale|bancale|europalette|europallet|epal|eur|skid)\b",
+    re.IGNORECASE,
+)
+
+
+def names_deck(text: str) -> bool:
+    """Whether a text is the name of a pallet, such as "EUR", "EPAL 1", "Euro pallet", "Palette"."""
+    return _DECK.search(plain_text(text)) is not None
+
+
 def is_unit(text: str) -> bool:
     """Whether a text is only a unit, as in a line of units below the headers: "mm", "[kg]"."""
     word = plain_text(text).strip(" []().").lower()
@@ -451,7 +463,7 @@ def _numbered_sizes(names: Sequence[str]) -> Iterator[tuple[str, int, bool]]:
             stems.setdefault(match[1], {})[int(match[2])] = index
     for stem, columns in stems.items():
         words = set(words_of(stem.rpartition(".")[2]))
-        if sorted(columns) in ([0, 1, 2], [1, 2, 3]) and words & _DIMENSIONS and not words & _CONTAINER:
+        if sorted(columns) in ([0, 1, 2], [1, 2, 3]) and words & _DIMENSIONS and not words & CONTAINER_WORDS:
             for axis, number in enumerate(sorted(columns)):
                 yield str(axis), columns[number], bool(words & _PLACED)
 
@@ -511,10 +523,10 @@ def _meaning(name: str) -> ColumnMeaning | None:
     tail = words_of(_INDEX.sub(" ", base.rpartition(".")[2])) or words
     path = words[: -len(tail)] if len(words) > len(tail) else []
     length_unit = unit if unit in LENGTH_UNITS else ""
-    contained = bool(_CONTAINER.intersection(tail[:-1])) and tail[-1] not in _CONTAINER
+    contained = bool(CONTAINER_WORDS.intersection(tail[:-1])) and tail[-1] not in CONTAINER_WORDS
     meaning = _geometry(tail, path, index, of_sharp)
     if meaning is not None:
-        if meaning.kind in ("size", "sizes") and _CONTAINER.intersection(path) and not _BOX.intersection(path):
+        if meaning.kind in ("size", "sizes") and CONTAINER_WORDS.intersection(path) and not _BOX.intersection(path):
             contained = True  # "pallet.length"
         return replace(meaning, unit=length_unit, of_container=contained)
     if len(words) == 1 and words[0] in _WEIGHTS_BY_UNIT:
@@ -584,7 +596,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     is_dims = bool(words & _DIMENSIONS or context & _DIMENSIONS)
     if "masse" in words and not of_sharp and not index and axis is None:
         is_dims = bool((words | context) & (_DIMENSIONS - {"masse"}))
-    if words & _CONTAINER and words & {"location", "nr", "no", "id"} and axis is None and not index:
+    if words & CONTAINER_WORDS and words & {"location", "nr", "no", "id"} and axis is None and not index:
         return None
     is_position = bool(everything & _POSITION) or bool(everything & CENTRE_WORDS and (axis or index))
     if size_word and is_position and not is_dims and not index and "left" not in words:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 from petmjx.plans.box_fields import flattened
-from petmjx.plans.column_names import column_meanings, word_set, words_of
+from petmjx.plans.column_names import CONTAINER_WORDS, column_meanings, names_deck, word_set, words_of
 from petmjx.plans.raw_cells import cell_number, cell_text
 
 LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
@@ -65,32 +65,120 @@ def fields_of_part(member: NestedBox) -> dict[str, Any]:
     }
 
 
-def fields_of_article(member: NestedBox) -> dict[str, Any]:
+def articles_around(members: Sequence[NestedBox]) -> frozenset[int]:
+    """The objects around boxes (their ``id``) that are articles with the places of their boxes. All members of a list
+    are articles, or none is.
+
+    The members of a list with a name such as "items" may also be pallets. They are articles if they have sizes or a
+    word for articles, and if no member has a word for pallets in its fields or its name. If each member has a box at
+    the place of a box of another member, the members are pallets.
+    """
+    lists: dict[tuple[int, str], dict[int, Mapping[str, Any]]] = {}
+    boxes: dict[int, list[Mapping[str, Any]]] = {}
+    for member in members:
+        for level, (step, holder) in enumerate(member.around):
+            if step.endswith("]") and _is_article(step):
+                lists.setdefault((level, step.partition("[")[0]), {})[id(holder)] = holder
+                boxes.setdefault(id(holder), []).append(member.value)
+    return frozenset(
+        number
+        for holders in lists.values()
+        if all(map(_describes_article, holders.values())) and not _at_same_places([boxes[number] for number in holders])
+        for number in holders
+    )
+
+
+def _describes_article(holder: Mapping[str, Any]) -> bool:
+    """Whether an object has sizes or a word for articles in its fields, and no word for pallets in its fields or its
+    name."""
+    names = [str(name) for name in holder]
+    if any(CONTAINER_WORDS.intersection(words_of(name)) and "per" not in words_of(name) for name in names):
+        return False
+    if any(CONTAINER_WORDS.intersection(words_of(_name_text(holder.get(name)))) for name in ("name", "id", "label")):
+        return False
+    flat = flattened({name: value for name, value in holder.items() if not isinstance(value, list | tuple)})
+    has_sizes = any(
+        meaning is not None and meaning.kind in ("size", "sizes") for meaning in column_meanings(list(flat))
+    )
+    return has_sizes or any(_ARTICLES.intersection(words_of(name)) for name in flat)
+
+
+def _at_same_places(groups: Sequence[Sequence[Mapping[str, Any]]]) -> bool:
+    """Whether each group of boxes has a box at the place of a box of another group."""
+    places = []
+    for group in groups:
+        flats = [flattened(box) for box in group]
+        names = [
+            name
+            for name, meaning in zip(flats[0], column_meanings(list(flats[0])), strict=True)
+            if meaning is not None and meaning.kind in _PLACES
+        ]
+        places.append({tuple(str(flat.get(name)) for name in names) for flat in flats} if names else set())
+    counts = Counter(place for group in places for place in group)
+    return len(groups) > 1 and all(any(counts[place] > 1 for place in group) for group in places)
+
+
+def fields_of_article(member: NestedBox, articles: Collection[int]) -> tuple[dict[str, Any], str]:
     """The weight, the name and the sizes that a box lacks, from its article: an object "cargo" or "item" beside the
-    list of boxes, or the member of a list of articles that contains this list."""
-    own_fields = list(flattened(member.value))
-    given = {meaning.kind for meaning in column_meanings(own_fields) if meaning is not None}
+    list of boxes, or the member of a list of articles that contains this list. Also a note that tells where weights or
+    sizes are from; "" if there are none.
+
+    Args:
+        articles: objects that are articles (``articles_around``).
+    """
+    own_fields = flattened(member.value)
+    own_kinds = dict(zip(own_fields, column_meanings(list(own_fields)), strict=True))
+    given = {meaning.kind for meaning in own_kinds.values() if meaning is not None}
     if not given & _PLACES or "weight" in given:
-        return {}
+        return {}, ""
     for step, holder in reversed(member.around):
-        inner = (value for name, value in holder.items() if isinstance(value, Mapping) and _is_article(str(name)))
-        article = next(inner, holder if _is_article(step) and step.endswith("]") else None)
-        if article is None:
+        inner = (
+            (name, value) for name, value in holder.items() if isinstance(value, Mapping) and _is_article(str(name))
+        )
+        around = (f"{step.partition('[')[0]}[]", holder) if id(holder) in articles else ("", None)
+        source, article = next(inner, around)
+        if article is None or any(names_deck(text) for text in article.values() if isinstance(text, str)):
             continue
         flat = flattened({name: value for name, value in article.items() if not isinstance(value, list | tuple)})
         meanings = dict(zip(flat, column_meanings(list(flat)), strict=True))
         kinds = {meaning.kind for meaning in meanings.values() if meaning is not None and not meaning.of_container}
-        if not kinds & {"weight", "size", "sizes"} or kinds & _PLACES:
+        if (
+            not kinds & {"weight", "size", "sizes"}
+            or kinds & _PLACES
+            or _is_deck(_sizes_in(flat), _sizes_in(own_fields))
+        ):
             continue
         lacking = _OF_ARTICLES - given - ({"size", "sizes"} if given & {"size", "sizes", "high"} else set())
-        return {
-            name: flat[name]
+        fields = {
+            name: meaning.kind
             for name, meaning in meanings.items()
             if meaning is not None and meaning.kind in lacking and name not in own_fields
         }
-    return {}
+        taken = {"weights": "weight", "sizes": "size"}
+        words = [word for word, kind in taken.items() if kind in {value.removesuffix("s") for value in fields.values()}]
+        return {name: flat[name] for name in fields}, f"{' and '.join(words)} from {source}" if words else ""
+    return {}, ""
 
 
+def _is_deck(sizes: Mapping[str, float], of_box: Mapping[str, float]) -> bool:
+    """Whether an object is as flat as a deck, and larger than a box beside it.
+
+    Args:
+        sizes: axis → size of the object; empty if it has no sizes.
+        of_box: axis → size of the box.
+    """
+    if not sizes or not of_box:
+        return False
+    (thickness, *base), (height, *base_of_box) = sorted(sizes.values()), sorted(of_box.values())
+    ratios = [thickness / height, *(side / other for side, other in zip(base, base_of_box, strict=True))]
+    in_other_unit = max(ratios) <= _SAME * min(ratios)
+    return thickness <= _FLAT * base[0] and min(ratios[1:]) > _SAME and not in_other_unit
+
+
+_FLAT: Final = 0.4
+"""Largest ratio of a deck's height and width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
+_SAME: Final = 1.02
+"""Largest ratio of sizes that are the same, but for rounding."""
 _PLACES: Final = frozenset(("position", "positions", "low"))
 _OF_ARTICLES: Final = frozenset(("weight", "size", "sizes", "article", "item_id"))
 _ARTICLES: Final = word_set(
@@ -104,15 +192,24 @@ def _is_article(name: str) -> bool:
     return bool(words) and words[-1] in _ARTICLES and not CONTAINERS.intersection(words)
 
 
-def plan_names_of(members: Sequence[NestedBox]) -> list[str]:
+def plan_names_of(members: Sequence[NestedBox], articles: Collection[int]) -> list[str]:
     """The name of each member's plan: the differing names of the objects around it, or, if none differ, the innermost
-    name."""
+    name.
+
+    Args:
+        articles: objects that are articles (``articles_around``).
+    """
     depth = max((len(member.around) for member in members), default=0)
     levels = [
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
         for level in range(depth)
     ]
-    several = [level for level in levels if len({id(holder) for _, holder in level}) > 1 and not _is_part(level[0][0])]
+    several = [
+        level
+        for level in levels
+        if len({id(holder) for _, holder in level}) > 1
+        and not (_is_part(level[0][0]) or all(id(holder) in articles for _, holder in level))
+    ]
     if not several:
         return [_only_name(members[0].around)] * len(members) if members else []
     names = []
@@ -125,9 +222,9 @@ def plan_names_of(members: Sequence[NestedBox]) -> list[str]:
 
 
 def _is_part(step: str) -> bool:
-    """Whether the members of a list with this name are parts of one plan: its layers, several stacks, or articles."""
+    """Whether the members of a list with this name are parts of one plan: its layers, or several stacks."""
     words = set(words_of(step))
-    return bool(words & LAYERS) or (step.endswith("]") and (bool(words & STACKS) or _is_article(step)))
+    return bool(words & LAYERS) or (bool(words & STACKS) and step.endswith("]"))
 
 
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
@@ -166,10 +263,14 @@ def _name_text(value: Any) -> str:
     return cell_text(value) if isinstance(value, int | float) and not isinstance(value, bool) else ""
 
 
-def container_around(member: NestedBox) -> dict[str, float]:
-    """The size of the container of a box, by axis; empty if no size is given."""
+def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, float]:
+    """The size of the container of a box, by axis; empty if no size is given.
+
+    Args:
+        articles: objects that are articles (``articles_around``).
+    """
     for step, holder in reversed(member.around):
-        if step.endswith("]") and _is_article(step):
+        if id(holder) in articles:
             continue
         for name, inner in holder.items():
             words = words_of(str(name))

@@ -26,6 +26,7 @@ from petmjx.plans.nested_containers import (
     LAYERS,
     STACKS,
     NestedBox,
+    articles_around,
     container_around,
     fields_of_article,
     fields_of_part,
@@ -279,10 +280,13 @@ def _is_plan_key(value: Mapping[str, Any]) -> bool:
 def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     """Turn a list of objects into a table; None if the objects are not boxes."""
     flat = [_fields_of(member) for member in members]
+    articles, sources = articles_around(members), list[str]()
     for row, member in zip(flat, members, strict=True):
         row.update(fields_of_part(member))
-        row.update(fields_of_article(member))
-    notes: list[str] = []
+        fields, source = fields_of_article(member, articles)
+        row.update(fields)
+        sources.append(source)
+    notes = list(filter(None, dict.fromkeys(sources)))
     for left_out in (_without_static, _without_other_kinds, _without_floors):
         members, flat, lines = left_out(members, flat)
         notes += lines
@@ -306,11 +310,11 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     rows = [tuple(_cell(flat[number].get(name)) for name in header) for number in box_members]
     places = [members[number].place or f"[{number}]" for number in box_members]
     table = RawTable(header, rows, places, decimal_of(rows) or "", title=path, has_header=not numbered)
-    parts = plan_names_of([members[number] for number in box_members])
+    parts = plan_names_of([members[number] for number in box_members], articles)
     containers: dict[str, Mapping[str, float]] = {}
     for number, part in zip(box_members, parts, strict=True):
         if part not in containers:
-            containers[part] = container_around(members[number])
+            containers[part] = container_around(members[number], articles)
     containers = {part: sizes for part, sizes in containers.items() if sizes}
     keyed: Mapping[str, Any] = next(
         (holder for _, holder in reversed(members[0].around) if len(holder) > 1 and _is_plan_key(holder)), {}

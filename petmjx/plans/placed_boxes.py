@@ -4,7 +4,6 @@ finds sizes, coordinates and weights that are out of range."""
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -16,7 +15,7 @@ from petmjx.common.text import count_text, printable_name, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import role_of
-from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, plain_text
+from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, names_deck
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.plan_fields import (
     FARTHEST_MM,
@@ -49,11 +48,6 @@ _LEAST_KG_M3: Final = 25.0
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density
 of foam, and the upper limit above the density of iron parts."""
-_DECK: Final = re.compile(
-    r"^\W{0,20}(?:euro?|epal|chep|gma)?[\W\d_]{0,20}(?:pallet|palette|paleta|palet|pale|bancale|europalette|europallet|epal|eur|skid)\b",
-    re.IGNORECASE,
-)
-"""Names of pallets in lists of boxes, such as "EUR", "EPAL 1", "Euro pallet", "Palette"."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
@@ -179,7 +173,7 @@ def pallet_rows(
         level = np.sort(size[row, :2])
         narrow, wide = _OF_DECKS_MM
         as_large = narrow[0] <= level[0] <= wide[0] and narrow[1] <= level[1] <= wide[1]
-        if above and as_large and size[row, 2] <= _HIGHEST_DECK_MM and any(map(_DECK.search, map(plain_text, names))):
+        if above and as_large and size[row, 2] <= _HIGHEST_DECK_MM and any(map(names_deck, names)):
             decks.add(row)
     return decks
 
@@ -202,7 +196,7 @@ def named_decks(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> 
             row
             for row in rows.tolist()
             if any(
-                isinstance(cell, str) and name != names_plan and _DECK.search(plain_text(cell))
+                isinstance(cell, str) and name != names_plan and names_deck(cell)
                 for name, cell in zip(header, columns.source.boxes.table.rows[row], strict=True)
             )
         ]

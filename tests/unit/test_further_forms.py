@@ -1575,3 +1575,47 @@ def test_boxes_below_a_remark_are_read(tmp_path: Path, line: str) -> None:
     if line in ("Unplaced: none", "0 not placed"):
         assert len(plan_set.plans) == 1
         assert "row 6 is a remark, and left out" in notes_of(plan_set)
+
+
+def two_pallets(names: Sequence[str], field: str, box: dict[str, Any] = BOX) -> dict[str, Any]:
+    """Two pallets with two boxes each, in a list of items."""
+    boxes = [{name: value for name, value in box.items() if name != "weight"} | {"x": x} for x in (0, 400)]
+    return {"items": [{field: name, "boxes": boxes} for name in names]}
+
+
+@pytest.mark.parametrize("field", ["name", "pallet_id", "sku"])
+def test_pallets_in_a_list_of_items_are_several_plans(tmp_path: Path, field: str) -> None:
+    """The boxes of articles with a word for articles lie at other places."""
+    plan_set = load(tmp_path, "a.json", json.dumps(two_pallets(["pallet 1", "pallet 2"], field)))
+    assert [plan.n_boxes for plan in plan_set] == [2, 2]
+    articles = two_pallets(["P", "Q"], "sku")["items"]
+    apart = [{**box, "x": 800} for box in articles[1]["boxes"][:1]]
+    plan_set = load(tmp_path, "b.json", json.dumps({"items": [articles[0], {**articles[1], "boxes": apart}]}))
+    assert [plan.n_boxes for plan in plan_set] == [3]
+
+
+def test_the_weight_of_a_pallet_is_not_that_of_its_boxes(tmp_path: Path) -> None:
+    boxes = two_pallets(["A"], "name")["items"][0]["boxes"]
+    deck = {"sku": "7", "weight": 25, "length": 1200, "width": 800, "height": 144}
+    for content in (
+        {"items": [{"name": "pallet 1", "weight": 480, "boxes": boxes}]},
+        {"boxes": boxes, "item": {"name": "EUR pallet", "weight": 25}},
+        {"boxes": boxes, "item": deck},
+    ):
+        plan_set = load(tmp_path, "a.json", json.dumps(content))
+        np.testing.assert_allclose(plan_set.plans[0].mass_kg, 7.2)
+        assert "no weights" in notes_of(plan_set)
+
+
+def test_a_note_tells_which_object_gives_weights(tmp_path: Path) -> None:
+    boxes = two_pallets(["A"], "name")["items"][0]["boxes"]
+    sizes = {name: BOX[name] for name in ("length", "width", "height", "weight")}
+    places = [{axis: box[axis] for axis in "xyz"} for box in boxes]
+    for content, note in (
+        ({"items": [{"sku": "P", "weight": 5, "boxes": boxes}]}, "weights from items[]"),
+        ({"boxes": boxes, "item": {"weight": 5}}, "weights from item"),
+        ({"items": [{**sizes, "places": places}]}, "weights and sizes from items[]"),
+    ):
+        plan_set = load(tmp_path, "a.json", json.dumps(content))
+        np.testing.assert_allclose(plan_set.plans[0].mass_kg, 5)
+        assert f"; {note};" in notes_of(plan_set)
