@@ -71,19 +71,23 @@ def articles_around(members: Sequence[NestedBox]) -> frozenset[int]:
 
     The members of a list with a name such as "items" may also be pallets. They are articles if they have sizes or a
     word for articles, and if no member has a word for pallets in its fields or its name. If each member has a box at
-    the place of a box of another member, the members are pallets.
+    the place of a box of another member, the members are pallets. Lists with one name in several objects are alike.
     """
-    lists: dict[tuple[int, str], dict[int, Mapping[str, Any]]] = {}
+    lists: dict[tuple[int, str], dict[int, dict[int, Mapping[str, Any]]]] = {}
     boxes: dict[int, list[Mapping[str, Any]]] = {}
     for member in members:
         for level, (step, holder) in enumerate(member.around):
             if step.endswith("]") and _is_article(step):
-                lists.setdefault((level, step.partition("[")[0]), {})[id(holder)] = holder
+                around = id(member.around[level - 1][1]) if level else 0
+                alike = lists.setdefault((level, step.partition("[")[0]), {})
+                alike.setdefault(around, {})[id(holder)] = holder
                 boxes.setdefault(id(holder), []).append(member.value)
     return frozenset(
         number
-        for holders in lists.values()
-        if all(map(_describes_article, holders.values())) and not _at_same_places([boxes[number] for number in holders])
+        for alike in lists.values()
+        if all(_describes_article(holder) for holders in alike.values() for holder in holders.values())
+        and not any(_at_same_places([boxes[number] for number in holders]) for holders in alike.values())
+        for holders in alike.values()
         for number in holders
     )
 

@@ -1592,6 +1592,9 @@ def test_pallets_in_a_list_of_items_are_several_plans(tmp_path: Path, field: str
     apart = [{**box, "x": 800} for box in articles[1]["boxes"][:1]]
     plan_set = load(tmp_path, "b.json", json.dumps({"items": [articles[0], {**articles[1], "boxes": apart}]}))
     assert [plan.n_boxes for plan in plan_set] == [3]
+    pallets = [{"id": number, "items": [articles[0], {**articles[1], "boxes": apart}]} for number in (1, 2)]
+    plan_set = load(tmp_path, "c.json", json.dumps({"pallets": pallets}))
+    assert [(plan.plan_id, plan.n_boxes) for plan in plan_set] == [("c/1", 3), ("c/2", 3)]
 
 
 def test_the_weight_of_a_pallet_is_not_that_of_its_boxes(tmp_path: Path) -> None:
