@@ -131,8 +131,8 @@ def fields_of_article(member: NestedBox, articles: Collection[int]) -> tuple[dic
         articles: objects that are articles (``articles_around``).
     """
     own_fields = flattened(member.value)
-    own_kinds = dict(zip(own_fields, column_meanings(list(own_fields)), strict=True))
-    given = {meaning.kind for meaning in own_kinds.values() if meaning is not None}
+    box_meanings = dict(zip(own_fields, column_meanings(list(own_fields)), strict=True))
+    given = {meaning.kind for meaning in box_meanings.values() if meaning is not None}
     if not given & _PLACES or "weight" in given:
         return {}, ""
     for step, holder in reversed(member.around):
@@ -176,11 +176,11 @@ def _is_deck(sizes: Mapping[str, float], of_box: Mapping[str, float]) -> bool:
     (thickness, *base), (height, *base_of_box) = sorted(sizes.values()), sorted(of_box.values())
     ratios = [thickness / height, *(side / other for side, other in zip(base, base_of_box, strict=True))]
     in_other_unit = max(ratios) <= _SAME * min(ratios)
-    return thickness <= _FLAT * base[0] and min(ratios[1:]) > _SAME and not in_other_unit
+    return thickness <= FLAT * base[0] and min(ratios[1:]) > _SAME and not in_other_unit
 
 
-_FLAT: Final = 0.4
-"""Largest ratio of a deck's height and width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
+FLAT: Final = 0.4
+"""Largest ratio of a pallet's height and width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
 _SAME: Final = 1.02
 """Largest ratio of sizes that are the same, but for rounding."""
 _PLACES: Final = frozenset(("position", "positions", "low"))

@@ -17,6 +17,7 @@ from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import role_of
 from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, names_deck
 from petmjx.plans.input_conventions import Limits
+from petmjx.plans.nested_containers import FLAT
 from petmjx.plans.plan_fields import (
     FARTHEST_MM,
     LARGEST_KG,
@@ -51,8 +52,6 @@ of foam, and the upper limit above the density of iron parts."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
-_FLAT: Final = 0.4
-"""Largest ratio of a pallet's height and width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
 _AHEAD: Final = 0.49
 """Smallest distance between the coordinates of a pallet and of a box on it, as a share of the pallet's height. For
 centres of thin boxes, it is little more than a half."""
@@ -204,7 +203,7 @@ def named_decks(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> 
             return set(), ""
         (deck,), others = named, rows[rows != named[0]]
         thickness, width, _ = sides[deck].tolist()
-        if not thickness <= _FLAT * width or not (sides[deck, 1:] >= sides[others, 1:].max(axis=0)).all():
+        if not thickness <= FLAT * width or not (sides[deck, 1:] >= sides[others, 1:].max(axis=0)).all():
             return set(), ""
         ahead = geometry.place[others] - geometry.place[deck] > _AHEAD * thickness
         axes &= {axis for axis, index in (("y", 1), ("z", 2)) if ahead[:, index].all()}
