@@ -152,7 +152,7 @@ class _Loads(NamedTuple):
 
     Attributes:
         box: (k,) the boxes, sorted.
-        step: (k,) first step at which the load is beyond an edge; the last one if it is always inside.
+        step: (k,) first step at which the load is beyond an edge; without meaning if it is always inside.
         least_mm, last_mm: (k,) smallest and last distance from the edge, mm; negative beyond.
         is_sure: (k,) whether the load is beyond an edge however supports share the loads on them.
         perhaps: (k,) whether the last load depends on how supports share the loads on them.
@@ -172,21 +172,14 @@ class _Loads(NamedTuple):
 
     def of(self, rows: slice | IntArray) -> _Loads:
         """Some rows."""
-        ends = self.least_mm[rows], self.last_mm[rows]
-        return _Loads(self.box[rows], self.step[rows], *ends, self.is_sure[rows], self.perhaps[rows])
+        return _Loads._make(values[rows] for values in self)
 
     @classmethod
     def joined(cls, some: Sequence[_Loads], first: IntArray) -> _Loads:
         """The loads of several drafts, with boxes and steps of each draft that are counted from one of ``first``."""
         begin = np.repeat(first[:-1], [len(loads.box) for loads in some])
-        return cls(
-            np.concatenate([loads.box for loads in some]) + begin,
-            np.concatenate([loads.step for loads in some]) + begin,
-            np.concatenate([loads.least_mm for loads in some]),
-            np.concatenate([loads.last_mm for loads in some]),
-            np.concatenate([loads.is_sure for loads in some]),
-            np.concatenate([loads.perhaps for loads in some]),
-        )
+        joined = cls._make(map(np.concatenate, zip(*some, strict=True)))
+        return joined._replace(box=joined.box + begin, step=joined.step + begin)
 
 
 def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> _Loads:
@@ -279,10 +272,10 @@ def _missing(low: FloatArray, high: FloatArray, begin: int) -> FloatArray:
     stands &= low[:, :, None, 2] < high[:, None, begin:, 2] - TOLERANCE_MM
     stood, lowered = np.divmod(np.flatnonzero(stands), n - begin)
     lowered += stood // n * n + begin  # boxes are numbered over all drafts
-    ends = [
-        [ends.take(boxes) for boxes in (stood, lowered) for ends in (low[..., axis].ravel(), high[..., axis].ravel())]
-        for axis in (0, 1)
-    ]
+    ends = []
+    for axis in (0, 1):
+        begins_and_ends = low[..., axis].ravel(), high[..., axis].ravel()
+        ends.append([values.take(boxes) for boxes in (stood, lowered) for values in begins_and_ends])
     shared = [
         np.minimum(high_end, own_high) - np.maximum(low_end, own_low) for low_end, high_end, own_low, own_high in ends
     ]

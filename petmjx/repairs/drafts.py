@@ -220,9 +220,8 @@ class Draft:
 
 def key_of(draft: Draft) -> bytes:
     """Equal for drafts that are the same."""
-    order = np.array(draft.order)
-    places = np.round(np.hstack([draft.corner_mm, draft.size_mm])[order], 3)
-    key: bytes = order.tobytes() + places.tobytes() + np.array(draft.film_turns).tobytes()
+    places = np.round(np.hstack([draft.corner_mm, draft.size_mm])[draft.rows], 3)
+    key: bytes = draft.rows.tobytes() + places.tobytes() + np.array(draft.film_turns).tobytes()
     return key
 
 
@@ -379,7 +378,7 @@ class Rules:
             sizes.setdefault(len(draft.size_mm), []).append(number)
         for size, numbers in sizes.items():
             is_whole = changed is None or (parent is not None and size != len(parent.size_mm))
-            bears = None if is_whole or parent is None else self._bears(parent)
+            bears = None if is_whole or parent is None else self._may_bear(parent)
             for begin in range(0, len(numbers), AT_ONCE):
                 chunk = numbers[begin : begin + AT_ONCE]
                 boxes = None if is_whole or changed is None else [changed[number] for number in chunk]
@@ -406,7 +405,7 @@ class Rules:
     def _allow(
         self, drafts: Sequence[Draft], changed: Sequence[Collection[int]] | None, bears: BoolArray | None
     ) -> BoolArray:
-        """``allow`` for drafts with the same number of rows. ``bears``: as from ``_bears``, of their parent."""
+        """``allow`` for drafts with the same number of rows. ``bears``: as from ``_may_bear``, of their parent."""
         layouts = _Layouts.of(drafts)
         is_placed, limits = layouts.is_placed, self._limits(layouts.rank.shape[1])
         is_changed = np.ones_like(is_placed)
@@ -448,7 +447,7 @@ class Rules:
         self._limits_of[m] = _Limits(overlap_mm, gap_mm, through_mm, blocked)
         return self._limits_of[m]
 
-    def _bears(self, draft: Draft) -> BoolArray:
+    def _may_bear(self, draft: Draft) -> BoolArray:
         """(m, m) whether the column's box may float without the row's, which is near below."""
         layouts, rows = _Layouts.of([draft]), draft.rows
         row, other = layouts.beside(np.zeros_like(rows), rows)

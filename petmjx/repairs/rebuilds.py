@@ -217,8 +217,9 @@ class _Pile:
         before = yield from self._known()
         for begin in range(0, len(queue), TRIED_AT_ONCE):
             numbers = queue[begin : begin + TRIED_AT_ONCE]
-            piles = [pile for k in numbers if (pile := places[k].applied(waiting)) is not None]
-            for k, pile, (_, balance) in zip(numbers, piles, (yield PileRequest(piles, True, before)), strict=True):
+            piles = {k: pile for k in numbers if (pile := places[k].applied(waiting)) is not None}
+            judged = yield PileRequest([*piles.values()], True, before)
+            for (k, pile), (_, balance) in zip(piles.items(), judged, strict=True):
                 if balance is None:
                     continue
                 rank = balance.trouble, in_the_way[k], balance.weakness, places[k].corner_mm[2], k
