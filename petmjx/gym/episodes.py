@@ -226,12 +226,12 @@ class Episodes:
         actions. Several kinds are examined in one call, and their number grows from call to call, because even a call
         for few boxes takes time."""
         kinds = {row: self._queues.kinds(row) for row in rows.tolist()}
-        first = dict.fromkeys(kinds, 1)  # kind 0 is the kind of the next box, which is known to have no legal action
-        most = 1
-        while first:
-            spans = {row: range(begin, min(begin + most, len(kinds[row][0]))) for row, begin in first.items()}
-            boxes = [kinds[row][1][span.start : span.stop] for row, span in spans.items()]
-            episodes = np.repeat(np.fromiter(spans, np.int64, len(spans)), [len(of_row) for of_row in boxes])
+        begin = most = 1  # kind 0 is the kind of the next box, which is known to have no legal action
+        while kinds:
+            searched = np.array([*kinds], np.int64)
+            boxes = [of_row[begin : begin + most] for _, of_row in kinds.values()]
+            counts = np.array([len(of_row) for of_row in boxes])
+            episodes = np.repeat(searched, counts)
             table = Table.empty(len(episodes), self.n_actions)
             if len(episodes):
                 self._actions.fill(table, np.arange(len(episodes)), *parts_of(np.concatenate(boxes)[:, None]), episodes)
@@ -240,21 +240,17 @@ class Episodes:
             into, of_first = np.unique(episodes[sources], return_index=True)
             sources = sources[of_first]
             self.table.copy(into, table, sources)
-            chosen = dict(zip(into.tolist(), sources.tolist(), strict=True))
-            n_left_out: dict[int, int] = {}
-            at = 0
-            for row, span in spans.items():
-                if row in chosen:
-                    n_left_out[row] = int(kinds[row][0][span.start + chosen[row] - at])
-                elif not span:
-                    n_left_out[row] = int(self._queues.counts[row])
-                else:
-                    first[row] = span.stop
-                at += len(span)
+            is_exhausted = counts == 0
+            n_left_out = dict(
+                zip(searched[is_exhausted].tolist(), self._queues.counts[searched[is_exhausted]], strict=True)
+            )
+            first_of = dict(zip(kinds, np.cumsum(counts) - counts, strict=True))
+            for row, source in zip(into.tolist(), sources, strict=True):
+                n_left_out[row] = kinds[row][0][begin + source - first_of[row]]
             self._queues.leave_out(np.array([*n_left_out], np.int64), np.array([*n_left_out.values()], np.int64))
             for row in n_left_out:
-                del first[row]
-            most = min(2 * most, _MOST_KINDS)
+                del kinds[row]
+            begin, most = begin + most, min(2 * most, _MOST_KINDS)
 
     # ------------------------------------------------------------------ observations
 

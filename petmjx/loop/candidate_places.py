@@ -7,6 +7,8 @@ The corner of a box is put above a point, and the box is lowered until it rests 
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, NamedTuple
 
@@ -79,23 +81,20 @@ def free_places(
     if grid is None:
         points = stock.find_points(placements.pallet, gap_mm)
         of_each = points.count(placements.pallet)
-        if len(placements) >= _WORTH_COMPILING and not hulls and why_no_warp_on_cpu() is None:
-            with suppress(Exception):  # Warp cannot be loaded, or cannot compile the kernel
-                from petmjx.loop.compiled_places import lowered_boxes
-
-                row, corner, support = lowered_boxes(
-                    placements.pallet,
-                    placements.size_mm,
-                    *points.tables,
-                    stock.corner_mm,
-                    stock.size_mm,
-                    stock.count,
-                    (extent_mm[0] + gap_mm, extent_mm[1] + gap_mm),
-                    max_height_mm,
-                    least_support,
-                    gap_mm,
-                )
-                return Places(row, placements.pallet[row], corner, support, None)
+        if len(placements) >= _WORTH_COMPILING and not hulls and (lowered_boxes := _machine_code()) is not None:
+            row, corner, support = lowered_boxes(
+                placements.pallet,
+                placements.size_mm,
+                *points.tables,
+                stock.corner_mm,
+                stock.size_mm,
+                stock.count,
+                (extent_mm[0] + gap_mm, extent_mm[1] + gap_mm),
+                max_height_mm,
+                least_support,
+                gap_mm,
+            )
+            return Places(row, placements.pallet[row], corner, support, None)
     else:
         of_each = np.full(len(placements), len(grid))
     # pallets with similar numbers of boxes are computed together, which saves time
@@ -123,6 +122,18 @@ def free_places(
     by_row = np.argsort(row, kind="stable")
     row, corner, support = row[by_row], corner[by_row], support[by_row]
     return Places(row, placements.pallet[row], corner, support, centred[by_row] if hulls else None)
+
+
+@functools.cache
+def _machine_code() -> Callable[..., tuple[NDArray[np.intp], FloatArray, FloatArray]] | None:
+    """``petmjx.loop.compiled_places.lowered_boxes``; None if Warp is not installed, or cannot compile the code."""
+    if why_no_warp_on_cpu() is None:
+        with suppress(Exception):  # whatever Warp raises, NumPy finds the places
+            from petmjx.loop import compiled_places
+
+            compiled_places.load()
+            return compiled_places.lowered_boxes
+    return None
 
 
 def _lowered_boxes(

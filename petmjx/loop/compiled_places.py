@@ -7,7 +7,6 @@ bit for bit. Machine code does not need Python's global lock, for which NumPy's 
 
 from __future__ import annotations
 
-import functools
 from typing import Any, Final
 
 import numpy as np
@@ -26,11 +25,10 @@ _AT_ONCE: Final = 1024
 """Largest number of new boxes in one launch, which bounds the memory of the results."""
 
 
-@functools.cache
-def _kernel() -> Any:
+def load() -> None:
+    """Compile and load the code, or load it as it was compiled before. Must be called before ``lowered_boxes``."""
     set_up_warp()
     wp.load_module(lower_boxes.module, device="cpu")  # several threads launch the kernel, but one must load it
-    return lower_boxes
 
 
 def lowered_boxes(
@@ -61,7 +59,6 @@ def lowered_boxes(
         (c,) the new box of each of c places, (c, 3) corners, mm, and (c,) supported shares of bases. The places of a
         box follow one another, sorted by height, then by x, then by y.
     """
-    kernel = _kernel()
     xy = np.ascontiguousarray(points).view(np.float64).reshape(*points.shape, 2)
 
     def table(values: NDArray[Any], kind: Any) -> Any:
@@ -82,7 +79,7 @@ def lowered_boxes(
         new = table(pallet[rows], wp.int64), table(sizes[rows], wp.vec3d)
         outputs = [table(count, wp.int64), table(corner, wp.vec3d), table(support, wp.float64)]
         inputs = [*new, *piles, table(n_boxes, wp.int64), *limits]
-        wp.launch(kernel, dim=len(rows), inputs=inputs, outputs=outputs, device="cpu")
+        wp.launch(lower_boxes, dim=len(rows), inputs=inputs, outputs=outputs, device="cpu")
         is_place = np.arange(most) < count[:, None]
         return np.repeat(rows, count), corner[is_place], support[is_place]
 

@@ -3,6 +3,8 @@ other pallets that are computed together."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,14 @@ def test_places_with_less_support_are_left_out() -> None:
     assert_same(some, Places(*(values[borne] for values in spots)))
 
 
+@pytest.fixture
+def code_not_loaded() -> Iterator[None]:
+    candidate_places._machine_code.cache_clear()
+    yield
+    candidate_places._machine_code.cache_clear()
+
+
+@pytest.mark.usefixtures("code_not_loaded")
 @pytest.mark.parametrize("gap_mm", [0.0, 6.0])
 @pytest.mark.parametrize("at_once", [1024, 17])
 def test_machine_code_finds_the_same_places_as_numpy(
@@ -116,13 +126,14 @@ def test_machine_code_finds_the_same_places_as_numpy(
     assert len(calls) == 2
 
 
+@pytest.mark.usefixtures("code_not_loaded")
 def test_numpy_finds_the_places_if_warp_cannot_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = pytest.importorskip("petmjx.loop.compiled_places", reason="warp-lang is not installed (extra: warp)")
     rng, n = np.random.default_rng(33402), 8
     stock, request = lively_stock(rng, n), boxes(rng.uniform(100, 600, (n, 3)), np.arange(n))
     by_numpy = free_places(stock, request, EXTENT_MM, 1800.0, hulls=False)
     tried = []
-    monkeypatch.setattr(compiled, "_kernel", lambda: tried.append(1) or 1 / 0)
+    monkeypatch.setattr(compiled, "load", lambda: tried.append(1) or 1 / 0)
     monkeypatch.setattr(candidate_places, "_WORTH_COMPILING", 1)
     assert_same(free_places(stock, request, EXTENT_MM, 1800.0, hulls=False)[:4], by_numpy[:4])
     assert tried
