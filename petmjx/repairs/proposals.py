@@ -132,7 +132,8 @@ def _makers(
     """Kinds of changes, and what proposes such changes for a cause.
 
     Args:
-        near: boxes to change for the cause. new: those of them that were not changed for other causes.
+        near: boxes to change for the cause.
+        new: those boxes of ``near`` that were not changed for other causes.
         done: boxes that were changed for other causes.
     """
     most_mm = options.most_move_mm

@@ -299,7 +299,8 @@ class Search(Candidates):
         """Of repairs with the same number of changes, those that stand most often in a few worlds with errors.
 
         Args:
-            scored: plans that stand when scored. judged: plans that stand when judged.
+            scored: plans that stand when scored.
+            judged: plans that stand when judged.
         """
         different = [*{key_of(state.draft): state for state in (*judged, *scored)}.values()]
         chosen = [different[k] for k in self._safest(different)[:MOST_COMPARED]]
