@@ -59,8 +59,8 @@ PlansOrRun = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="PLANS|DIR",
-        help="Or the folder of a run, whose options are then used; name its plan files after it if they were moved. "
-        "Without any: the bundled samples.",
+        help="Or the folder of a run, whose options are then used. If its plan files were moved, name them after the "
+        "folder. Without plans or a folder: the bundled samples.",
     ),
 ]
 Variant = Annotated[
@@ -68,7 +68,7 @@ Variant = Annotated[
     typer.Option(
         "--variant",
         metavar="N",
-        help="Number of the world (variant in the table worlds), if the run has several of the plan.",
+        help="Number of the world (column variant of the table worlds), if the run has several worlds of the plan.",
         rich_help_panel=SIMULATED,
     ),
 ]

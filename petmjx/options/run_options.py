@@ -263,8 +263,7 @@ class RunOptions(CheckedRecord):
     force_intervals: Annotated[bool, CliFlag("--force-intervals")] = Field(
         False,
         description="also compute, for each box at rest, the smallest and the largest force on its top that balance "
-        "and friction allow; takes a tenth of a second or more per world; needs SciPy (extra packers); changes no "
-        "other result",
+        "and friction allow; takes a tenth of a second or more per world; changes no other result",
     )
     keep: Annotated[Literal["all", "worlds"], CliFlag("--keep", "all|worlds")] = Field(
         "all",

@@ -96,8 +96,8 @@ def _deck_heights(
 ) -> dict[str, float]:
     """Height of the deck of each plan, mm. All plans of a file measure heights from the same level.
 
-    This level is 0 if the lowest box of any plan is at 0; else it is the height of the lowest box of the file. So a
-    plan that lacks its bottom layer floats. If heights are measured from the middle of a container, the deck is at
+    This level is 0 if the lowest box of any plan is at 0; else it is the height of the lowest box of the file. So if a
+    plan lacks its bottom layer, its boxes float. If heights are measured from the middle of a container, the deck is at
     the plan's own lowest box (half the container's height below 0).
     """
     small = {name: _LEVEL * float(np.nanmedian(size[rows, 2])) for name, rows in plans.items()}

@@ -362,7 +362,7 @@ class Question:
         profiles = resolve(options.profile)
         if len(profiles) != 1:
             names = ", ".join(profile.name for profile in profiles)
-            raise InputError(f"profile {printable_name(options.profile)} is a family: name one of {names}")
+            raise InputError(f"profile {printable_name(options.profile)} is a family of profiles: name one of {names}")
         axes: dict[str, Any] = {"profile": options.profile, "direction": options.direction_deg}
         if profiles[0].strength is not Strength.ANGLE:
             axes[str(profiles[0].strength)] = options.level
