@@ -508,7 +508,7 @@ class CriteriaOptions(CheckedRecord):
     a run."""
 
     friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
-        PHYSICS["pallet"].box_friction[0], description="coefficient of friction where boxes lie, for force balance"
+        PHYSICS["pallet"].box_friction[0], description="coefficient of friction under boxes, for force balance"
     )
     side_friction: Annotated[float, within(0, 10), CliFlag("--side-friction", "MU")] = Field(
         0.0, description="coefficient of friction where boxes touch side by side, for force balance with leaning"
@@ -516,10 +516,13 @@ class CriteriaOptions(CheckedRecord):
     tolerance_mm: Annotated[float, within(0, 100), CliFlag("--tolerance-mm", "MM")] = Field(
         DEFAULT_TOLERANCE_MM, description="gaps and overlaps up to this count as touching, mm"
     )
-    carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE", default="that of the run, or footprint")] = Field(
+    carrier: Annotated[
+        AnyCarrier,
+        CliFlag("--carrier", "NAME|FILE", default="that of the run; else footprint, the plan's bounding box"),
+    ] = Field(
         Carrier.FOOTPRINT,
-        description="carrier on which the boxes stand, as for petmjx score; by default that of the run. Gaps between "
-        "boards bear nothing; a carrier without boards reaches under all boxes",
+        description="carrier on which the boxes stand, as for petmjx score; gaps between boards bear nothing; a "
+        "carrier without boards is taken to reach under all boxes",
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
     only: tuple[str, ...] | None = Field(None, description="names of criteria; by default all")

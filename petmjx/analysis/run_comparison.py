@@ -81,9 +81,9 @@ class Comparison:
             are null. Differences are computed only for plans that are equal in both runs.
         other_plans: ids of plans that are in both runs but have different contents.
         only_a, only_b: ``plan_id`` and ``variant`` of each world that is only in run a, or only in run b.
-        n_not_stable: number of worlds that are stable in neither run. same_reason, same_culprit: among these worlds,
-            the number of worlds with the same reason in both runs, and the number of worlds in which the same box
-            failed first in both runs.
+        n_not_stable: number of worlds that are stable in neither run.
+        same_reason: number of these worlds with the same reason in both runs.
+        same_culprit: number of these worlds in which the same box failed first in both runs.
         notes: reasons to doubt the comparison, one line each.
     """
 

@@ -59,8 +59,8 @@ PlansOrRun = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="PLANS|DIR",
-        help="Or the folder of a run, whose options are then used; name its plan files after it if they were moved. "
-        "Without any: the bundled samples.",
+        help="Or the folder of a run, whose options are then used. If its plan files were moved, name them after the "
+        "folder. Without plans or a folder: the bundled samples.",
     ),
 ]
 Variant = Annotated[
@@ -68,7 +68,7 @@ Variant = Annotated[
     typer.Option(
         "--variant",
         metavar="N",
-        help="Number of the world (variant in the table worlds), if the run has several of the plan.",
+        help="Number of the world (column variant of the table worlds), if the run has several worlds of the plan.",
         rich_help_panel=SIMULATED,
     ),
 ]
@@ -150,7 +150,7 @@ class _Option:
         value = self.info.default
         if isinstance(value, CheckedRecord):
             value = getattr(value, "name", "")
-        if value is None:
+        if self.flag.default or value is None:
             default = self.flag.default
         elif isinstance(value, bool):
             default = "on" if value else ""
@@ -336,8 +336,9 @@ def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 def _as_typed(line: str, typed: Mapping[str, str]) -> str:
-    """The text of an error; if it begins with the name of a field, the option that the user typed replaces this name.
-    An error that begins with the name of a file is not changed, because it is about the content of the file."""
+    """The text of an error. If the text begins with the name of a field, this name is replaced by the option that the
+    user typed. An error that begins with the name of a file is not changed, because it is about the content of the
+    file."""
     for path, option in typed.items():
         path_match = re.match(rf"(?:simulation\.|orders_)?{re.escape(path)}(?:\[\d+\])?(?=[ :])", line)
         if path_match:

@@ -18,7 +18,8 @@ def compare(
     runs: Annotated[
         list[str],
         typer.Argument(
-            metavar="DIR", help="Folders of two runs, a and b; with --packers two or more, also as NAME=DIR."
+            metavar="DIR",
+            help="Folders of two runs, a and b. With --packers: folders of two or more runs, also as NAME=DIR.",
         ),
     ],
     packers: Annotated[
@@ -33,7 +34,9 @@ def compare(
     ] = 40,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="With --packers: also write all tables there (Parquet, CSV)."),
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="With --packers: also write all tables to this folder (Parquet, CSV)."
+        ),
     ] = None,
     pdf: Pdf = None,
     svg: Svg = None,

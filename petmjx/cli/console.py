@@ -39,7 +39,8 @@ def results_console() -> Console:
 
 
 _LEAST_COLUMNS: Final = 20
-"""Smallest width that the variable COLUMNS may give. In less, no table can be read; in none, rich prints nothing."""
+"""Smallest width that the variable COLUMNS may give, in columns of characters. In a smaller width, no table can be
+read; with the width 0, rich prints nothing."""
 
 
 def prepare_streams() -> None:

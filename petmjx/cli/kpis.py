@@ -32,7 +32,9 @@ def kpis(
         Path | None,
         typer.Option("--out", "-o", metavar="DIR", help="Folder for kpis.parquet, kpis.csv and summary.json."),
     ] = None,
-    xlsx: Annotated[bool, typer.Option("--xlsx", help="Also kpis.xlsx, in --out (extra packers).")] = False,
+    xlsx: Annotated[
+        bool, typer.Option("--xlsx", help="Also write kpis.xlsx to --out (needs the extra packers).")
+    ] = False,
     leaderboard: Annotated[
         str | None,
         typer.Option(

@@ -25,11 +25,13 @@ def label(
         typer.Argument(
             metavar="ORDERS",
             help="A file of orders: BED-BPP's JSON, a table or sheet of items, or another tool's form "
-            "(docs/plan-format.md). Without one: drawn orders, as of petmjx samples.",
+            "(docs/plan-format.md). Without a file: random orders, as in petmjx samples.",
         ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write.")] = Path("labels"),
-    n: Annotated[int, typer.Option("-n", metavar="N", help="Number of labels, of orders one after another.")] = 10_000,
+    n: Annotated[
+        int, typer.Option("-n", metavar="N", help="Number of labels. Orders are used one after another.")
+    ] = 10_000,
     seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Seed of the orders and places.")] = 0,
     errors: Annotated[
         int | None,
@@ -47,7 +49,8 @@ def label(
         typer.Option(
             "--pallets",
             metavar="N",
-            help="Pallets that are packed side by side; the number changes no label. [default: 4096 on a GPU, else 64]",
+            help="Number of pallets that are packed side by side, which changes no label. [default: 4096 on a GPU, "
+            "else 64]",
         ),
     ] = None,
     max_height_mm: Annotated[

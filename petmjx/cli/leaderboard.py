@@ -32,7 +32,9 @@ def leaderboard(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder of the site.")] = Path("leaderboard"),
     orders: Annotated[
         Path | None,
-        typer.Option("--orders", metavar="FILE", help="Orders of the plans, in any form: boxes left out and KPIs."),
+        typer.Option(
+            "--orders", metavar="FILE", help="Orders of the plans, in any form; adds boxes left out and KPIs."
+        ),
     ] = None,
     baselines: Annotated[
         bool, typer.Option("--baselines", help="Also rate petmjx's own packers on these orders; needs --orders.")

@@ -25,7 +25,8 @@ def loads(
         typer.Option(
             "--articles",
             metavar="FILE",
-            help="How much articles, groups or materials can bear: CSV, Parquet or TOML; default: what plans say.",
+            help="File with the loads that articles, groups or materials can bear: CSV, Parquet or TOML. "
+            "[default: the strengths in the plans]",
         ),
     ] = None,
     out: Annotated[

@@ -47,8 +47,8 @@ _BY_SIGNAL = {
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
-"""The exception for wrong usage, Click's UsageError. The module in which Click's UsageError is defined depends on the
-version of typer, so the exception is taken from a class that inherits from it."""
+"""The exception for wrong usage, Click's UsageError. The module that defines UsageError depends on the version of
+typer. So UsageError is found as the base class of ``typer.BadParameter``."""
 
 
 _SETTINGS = SimpleNamespace(debug=False)
@@ -232,7 +232,7 @@ def _inside(error: Exception) -> str:
 
 
 def _report(message: str, code: ExitCode) -> int:
-    """Print one line to standard error. With --debug, the traceback is printed before this line."""
+    """Print one line on standard error. With --debug, the traceback is printed before this line."""
     with suppress(OSError):  # standard error may be closed
         if _SETTINGS.debug and code not in _BY_SIGNAL.values():
             import traceback

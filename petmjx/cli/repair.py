@@ -38,12 +38,15 @@ def repair(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="FILE", help="The plans, repaired where a repair is known: *.json, *.csv, *.parquet."
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="File for all plans, repaired if a repair was found: *.json, *.csv, *.parquet.",
         ),
     ] = None,
     html: Annotated[
         Path | None,
-        typer.Option("--html", metavar="FILE", help="A page with each plan before and after, side by side."),
+        typer.Option("--html", metavar="FILE", help="Page that shows each plan before and after its repair."),
     ] = None,
     overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,

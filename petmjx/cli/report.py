@@ -20,7 +20,8 @@ def report(
         typer.Option(
             "--plans",
             metavar="PATH",
-            help="File or folder with the runs' plans; can be given again. By default what the runs have kept.",
+            help="File or folder with the runs' plans. May be given several times. [default: the plans that are kept "
+            "in the runs' folders]",
         ),
     ] = None,
     pdf: Annotated[
@@ -28,7 +29,7 @@ def report(
         typer.Option(
             "--pdf",
             metavar="FILE",
-            help="Of one run of a chain: instead of the page a PDF with one page to send about each plan.",
+            help="For one run of a chain: instead of the page, write a PDF with one page about each plan.",
         ),
     ] = None,
     overwrite: opt.Overwrite = False,

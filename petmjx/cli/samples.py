@@ -52,7 +52,7 @@ def samples(
             "--loose-share",
             metavar="0…1",
             help="Share of plans that the packer baseline packs with a support rule too loose to be safe.  "
-            f"[default: {DEFAULT_LOOSE_SHARE}; with --packer 0]",
+            f"[default: {DEFAULT_LOOSE_SHARE}; 0 if --packer is given]",
         ),
     ] = None,
     orders: Annotated[
@@ -60,7 +60,7 @@ def samples(
         typer.Option(
             "--orders",
             metavar="FILE",
-            help="Pack the orders of this file instead of drawn ones: BED-BPP's JSON, a table or sheet "
+            help="Pack the orders of this file instead of random orders: BED-BPP's JSON, a table or sheet "
             "of items with sizes and quantities, or another tool's form (docs/plan-format.md).",
         ),
     ] = None,
@@ -71,8 +71,8 @@ def samples(
             "--packer",
             metavar="NAME",
             help="baseline: lowest place first, by support; balanced: denser, and every box keeps its balance; "
-            "physical: denser still, of packings that stand in simulation, also as a robot places them; "
-            "learned: takes boxes as they come, by weights trained with physics.  "
+            "physical: denser still, of packings that stand in simulations, also with the errors of a robot; "
+            "learned: packs boxes in the sequence of the order, by weights trained with physics.  "
             "[default: baseline, with some loose plans]",
         ),
     ] = None,
@@ -91,7 +91,7 @@ def samples(
             "--workers",
             metavar="N",
             min=1,
-            help="Number of processes that pack (physical: that search), which does not change the plans.  "
+            help="Number of processes that pack (with physical: that search). It does not change the plans.  "
             "[default: one for each CPU]",
         ),
     ] = None,

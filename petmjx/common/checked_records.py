@@ -110,7 +110,7 @@ class CliFlag:
 
     Attributes:
         metavar: placeholder for the option's value in the help.
-        default: text that the help shows as the default if the field's own default is None.
+        default: text that the help shows instead of the field's own default.
     """
 
     name: str

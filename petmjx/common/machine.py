@@ -42,7 +42,7 @@ def cpu_threads() -> int:
 
 
 def own_environment() -> dict[str, str]:
-    """Environment variables with which another Python interpreter imports the same modules as this one."""
+    """Environment variables with which another Python interpreter imports the same modules as this interpreter."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
     # With PYTHONSAFEPATH, no file in the current folder hides a module.
     return {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}

@@ -1,5 +1,5 @@
-"""Safe reading of files that users name: reading always ends, also if a path leads to a device or a FIFO, and the size
-is limited. Pipes that a command line names are read, too (``named_pipes``)."""
+"""Safe reading of files that users name: reading always ends, even if a path leads to a device or a FIFO, and the size
+is limited. Pipes that are named on a command line are read, too (``named_pipes``)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _WAIT_MS: Final = 250
 
 
 class _Pipes:
-    """The pipes that a command line names, and the content of those that have been read.
+    """The pipes that are named on a command line, and the content of the pipes that have been read.
 
     Attributes:
         words: the words of the command line, and their parts that may be paths.
@@ -86,9 +86,9 @@ _pipes: _Pipes | None = None
 
 @contextmanager
 def named_pipes(words: Iterable[str]) -> Iterator[None]:
-    """Context of the command line, in which pipes that its words name are read like files: ``<(…)`` of a shell, FIFOs,
-    and ``/dev/stdin``. A pipe is read once, to its end; its content stays in memory until the context ends. Only on
-    Linux: elsewhere pipes are refused."""
+    """Context of the command line, in which pipes that are arguments of the command are read like files: ``<(…)`` of a
+    shell, FIFOs, and ``/dev/stdin``. A pipe is read once, to its end; its content stays in memory until the context
+    ends. This works only on Linux. On other systems, pipes are refused."""
     global _pipes
     parts = {part for word in words for part in (word, *re.split(r"[=,]", word))}
     before, _pipes = _pipes, _Pipes(frozenset(parts - {""}))
@@ -140,14 +140,14 @@ def _content_of_pipe(path: Path) -> int:
 
 
 def regular_file(path: Path) -> Path:
-    """The path from which a file is read: the path itself, or for a pipe that the command line names, a file in memory
-    with its content. Raises OSError."""
+    """The path from which a file is read: the path itself, or, for a pipe that is named on the command line, the path
+    of a file in memory with the content of the pipe. Raises OSError."""
     return path if _pipes is None else _pipes.file_of(path)
 
 
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading. FIFOs, sockets and devices are refused at once, because reading some of them
-    would never end. Pipes that the command line names are files (``named_pipes``).
+    would never end. Pipes that are named on the command line count as files (``named_pipes``).
 
     Raises:
         OSError: the file cannot be read, or is not a regular file; ``strerror`` has the reason.

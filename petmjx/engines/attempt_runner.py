@@ -74,7 +74,8 @@ class AttemptRunner(Generic[AnyWorld]):
             results, such as the drives of a settled pallet, into the stream.
         check_pool: pool of processes that check outcomes; None if this process checks them.
         most: largest number of jobs in a list, for engines that cannot read a stream.
-        joined: the worlds in the stream of ``run_stream`` for which another attempt is made, and its runner.
+        joined: world → runner of its further attempt, for worlds whose further attempt is in the stream of
+            ``run_stream``.
     """
 
     attempt: AttemptRecipe
@@ -227,7 +228,8 @@ class AttemptRunner(Generic[AnyWorld]):
             engine: name of the engine that made the outcomes; empty if each outcome names its engine.
             checked: whether the engine has already checked the outcomes.
             wait: if True, wait until the pool has checked all outcomes. If ``wait`` is False, yield only the outcomes
-                that are ready; later calls yield the remaining outcomes. until: see ``CheckPool.exchanged``.
+                that are ready; later calls yield the remaining outcomes.
+            until: see ``CheckPool.exchanged``.
         """
         if checked:
             answered = arrivals

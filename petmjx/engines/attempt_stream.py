@@ -70,8 +70,8 @@ def score_worlds(
     waits while the jobs in the stream have ``PENDING_BOXES`` boxes (``PENDING_BOXES_GPU`` for a GPU). Invalid worlds
     are collected, and simulated again together at the end, or earlier if ``most_pending`` of them wait. So the memory
     of a run does not grow with its number of worlds. If CPU threads make an attempt beside a GPU
-    (petmjx/engines/attempts.py), this attempt begins at once. An attempt in stiffer contacts at a world from which
-    others may follow also begins at once, together with first attempts, if the engine can do that
+    (petmjx/engines/attempts.py), this attempt begins at once. If other worlds may follow from a world, its attempt in
+    stiffer contacts also begins at once, together with first attempts, if the engine can mix the two
     (``Capability.STIFF_JOBS``).
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
@@ -99,9 +99,9 @@ def score_worlds(
     engines = Engines(engine, progress)
     if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
-    # Attempts in stiffer contacts join only if states of placements are kept. In other runs, CPU threads make most of
-    # these attempts. If states are kept, no attempt in the list divides the timestep, because a state counts time in
-    # steps.
+    # Attempts in stiffer contacts run together with first attempts only if states of placements are kept. In other
+    # runs, CPU threads make most of these attempts. If states are kept, no attempt in the list divides the timestep,
+    # because a state counts time in steps.
     keeps = following is not None and all(recipe.timestep_divisor == 1 for recipe in attempts)
     joins = keeps and getattr(engine, "streams", False) and Capability.STIFF_JOBS in engine.capabilities
     joins = joins and sim.physics.cone is Cone.ELLIPTIC
@@ -267,8 +267,9 @@ class _AttemptRun(Generic[AnyWorld]):
 
     def _join(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
         """Put an attempt in stiffer contacts into the stream, where it runs together with first attempts. Returns False
-        if the attempt must wait for its turn: the engine cannot mix attempts, or thousands of worlds with errors may
-        need this attempt, for which the usual blocks are faster, or the world is recorded."""
+        if the attempt must wait in ``retry_queue``. The attempt must wait if the engine cannot mix attempts, if the
+        world is recorded, or if thousands of worlds with errors may need the attempt: many such attempts are faster if
+        they do not run together with first attempts."""
         world, before, _ = pending
         if attempt.stiff not in self.stream.stiff or world.job.record is not None:
             return False
@@ -355,7 +356,7 @@ class _AttemptTasks(Generic[AnyWorld]):
         """
         if self._in_flight:
             for answer in self.engines.attempt_simulator.ended(wait=wait):
-                if answer.number not in self._in_flight:  # an answer to the task READY of this or an earlier run
+                if answer.number not in self._in_flight:  # an answer to a task READY, which has no world
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):

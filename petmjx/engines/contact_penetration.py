@@ -1,8 +1,8 @@
 """Contact penetration: how far boxes sink into their supports because simulated contacts are softer than any carton.
 
 ``petmjx.world.contact_laws`` computes the depth of a contact at rest. The depth follows from the plan, the masses and
-the largest force on each box, which are in the CPU's memory whichever engine simulates. The depth is not read from
-final poses: if a stack fell because its support gave way, the final poses do not show the depth.
+the largest force on each box. On all engines, these data are in the CPU's memory. The depth is not read from final
+poses: if a stack fell because its support gave way, the final poses do not show the depth.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ slowly is still found."""
 
 
 def stiffened(sim: Simulation, share: float, timestep_divisor: int = 1) -> Simulation:
-    """The options ``sim``, but with stiffer contacts, with the longer wait for quiet boxes that these need, and with
-    shorter waits for boxes that are never quiet.
+    """The options ``sim``, but with stiffer contacts. Boxes in stiffer contacts must be quiet for longer
+    (``STIFF_QUIET_STEPS``), and the wait for boxes that are never quiet is shorter (``STIFF_INTERVAL_S``).
 
     Args:
         share: see ``stiffened_physics``.

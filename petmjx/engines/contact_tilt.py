@@ -49,8 +49,8 @@ times smaller. In stacks that fell, the distance of a load from its edge was at 
 
 SURE: Final = 1.0
 """Multiple of the loss that replaces ``SAFETY`` for a stack in which a load acts beyond an edge in the plan. A stack
-with a load beyond an edge would also fall on hard contacts. So soft contacts may be the cause only if some other load
-is nearer to its edge than that other load's loss."""
+with a load beyond an edge would also fall on hard contacts. So soft contacts may be the cause only if the distance of
+another load from its edge is smaller than the loss of this other load."""
 
 BEYOND_M: Final = 0.0004
 """A load that is farther beyond an edge than this distance, m, surely acts beyond the edge. The distance is half a

@@ -72,8 +72,9 @@ is begun earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives t
 
 
 FALL_STEPS = 1350
-"""Steps from the first box that tips over to the drop that ends a world whose boxes are placed one by one. 22 plans of
-two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these steps place boxes."""
+"""Number of steps of a fall while boxes are placed one by one: from the first box that tips over to the drop that ends
+the world. 22 plans of two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these
+steps place boxes."""
 
 STATIC_FALL_STEPS = 400
 """Number of steps of a static check in which boxes fall, until one has dropped and the world ends. If a static check
@@ -89,8 +90,8 @@ one by one, since all boxes may fall. Static checks of plans of 24 boxes took 1 
 placing the boxes one by one, and those of generated plans of 41 boxes 1.6 to 5 times as long."""
 
 LOST = 0.3
-"""Steps and cost of a fall in a placement with errors, relative to a fall without errors. A world with errors ends when
-a box has tilted too far, before the box drops."""
+"""Number of steps of a fall in a placement with errors, relative to a fall without errors. The cost of the fall has the
+same factor. A world with errors ends when a box has tilted too far, before the box drops."""
 
 BOARDS_COST = 1.35
 """Cost of a step on a carrier of boards, or between walls, relative to a slab. The measured cost was 1.2 to 1.7 for
@@ -111,8 +112,8 @@ share of 0.285 of the fixed schedule's steps; the share is 0.45 with few boxes, 
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 """Number of steps of a placement with errors of places or sizes, relative to a placement whose boxes appear exactly at
-their places. Boxes with errors are moved apart and then appear, or are carried to their places and get stuck at their
-neighbours."""
+their places. The first value is for boxes that are moved apart and then appear. The second value is for boxes that are
+carried to their places, and get stuck at their neighbours."""
 
 GIVING_STEPS = 1.4
 """Number of steps of a placement with compliant boxes, relative to the same placement with rigid boxes. A pile of boxes
@@ -120,9 +121,10 @@ so soft that it does not come to rest takes up to fifteen times as many steps.""
 
 
 DISPLACED_COST, CARRIED_COST = 2.8, 4.5
-"""Cost of a placement with errors on a device, relative to a placement without errors: of boxes that appear at places
-with errors, and may slip into gaps between other boxes; and of boxes that are carried to their places. 8,000 worlds of
-500 plans took 35 s, and 4,000 worlds of 250 plans by hand took 30 s; 10,003 worlds without errors took 17 s."""
+"""Cost of a placement with errors on a device, relative to a placement without errors. The first value is for boxes
+that appear at places with errors, and may slip into gaps between other boxes. The second value is for boxes that are
+carried to their places. 8,000 worlds of 500 plans took 35 s, and 4,000 worlds of 250 plans by hand took 30 s; 10,003
+worlds without errors took 17 s."""
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
@@ -252,7 +254,7 @@ class Work:
 
     @property
     def steps(self) -> FloatArray:
-        """(n,) expected steps of each plan, including soft starts."""
+        """(n,) expected number of steps of each plan, including soft starts."""
         ways = zip((self.planned, self.displaced, self.carried), self.ways, strict=True)
         placing = sum((count * self.placement_steps(way) for count, way in ways), np.zeros(len(self.boxes)))
         return self.placements * SOFT_STARTS + placing + self.shaken * self.drive_steps
@@ -272,20 +274,20 @@ class Work:
         )
 
     def placement_steps(self, way: WayOfPlacing) -> FloatArray:
-        """(n,) expected steps of one placement of each plan, not counting the soft start."""
+        """(n,) expected number of steps of one placement of each plan, not counting the soft start."""
         return way.steps * self.share * self._placing_steps + way.falls * self.fall_steps
 
     @property
     def on_device(self) -> float:
-        """Cost of all placements of a plan on a device, with and without errors, in units of the cost of one placement
-        of this plan without errors whose boxes are not carried."""
+        """Cost of all placements of a plan on a device, with and without errors. The unit is the cost of one placement
+        of this plan without errors in which boxes are not carried."""
         planned = CARRIED_COST if self.sim.placing.carries else 1.0
         return planned * self.planned + DISPLACED_COST * self.displaced + CARRIED_COST * self.carried
 
     @property
     def _placing_steps(self) -> FloatArray:
-        """(n,) expected steps of one placement whose boxes appear exactly at their places and stand, not counting its
-        soft start."""
+        """(n,) expected number of steps of one placement of each plan if boxes appear exactly at their places and
+        stand. The soft start is not counted."""
         if self.sim.schedule is Schedule.FIXED:
             return self.fixed_steps
         if self.sim.check is Check.STATIC:

@@ -46,8 +46,8 @@ _Numbered = tuple[int, Job]
 
 
 class HandoverEngine(Engine, Generic[Faster]):
-    """An engine that simulates on C MuJoCo until worlds take longer than expected, and then in kernels, for all jobs
-    that have not begun.
+    """An engine that begins a run on C MuJoCo. If worlds take longer than expected, kernels simulate all jobs that have
+    not begun by then.
 
     Only first attempts (first simulations of worlds) go to the kernels. C MuJoCo makes all further attempts, which need
     double precision. Each outcome names the engine that made it.

@@ -40,10 +40,11 @@ class KnifeEdge(NamedTuple):
     """The distance of a load from an edge of its supports.
 
     Attributes:
-        edge_m: distance of the load from the edge, m; positive inside the edge, negative beyond it. box: number of the
-        box whose supports carry the load. when: ``BY_PLAN`` (at the planned places), ``AT_REST`` or ``WHILE_BUILT``.
-        step: for ``WHILE_BUILT``, number of the box after whose placement the load acts; otherwise -1. own_weight:
-        whether the load is only the box's own weight.
+        edge_m: distance of the load from the edge, m; positive inside the edge, negative beyond it.
+        box: number of the box whose supports carry the load.
+        when: ``BY_PLAN`` (at the planned places), ``AT_REST`` or ``WHILE_BUILT``.
+        step: for ``WHILE_BUILT``, number of the box after whose placement the load acts; otherwise -1.
+        own_weight: whether the load is only the box's own weight.
     """
 
     edge_m: float

@@ -30,10 +30,11 @@ TEXT: Final = ""
 
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
-"""The largest force on tops includes the force in a step if a box is faster than ``RESTLESS_M_S`` when the step begins,
-and a box accelerates upwards by more than ``RISING_M_S2``. Of all other steps, only those at which the rules check
-whether the pallet is quiet are included (docs/rules.md, section 7). In all other steps, a force exceeds the weight on
-the top by at most a twentieth, since boxes press with more than their weight only while they accelerate upwards."""
+"""Two kinds of steps count for the largest force on a box's top. In a step of the first kind, any box is faster than
+``RESTLESS_M_S`` when the step begins, and any box accelerates upwards by more than ``RISING_M_S2``. In a step of the
+second kind, the rules check whether the pallet is quiet (docs/rules.md, section 7). In all other steps, a force exceeds
+the weight on the top by at most a twentieth, since boxes press with more than their weight only while they accelerate
+upwards."""
 
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5
@@ -45,10 +46,10 @@ pallet is quiet."""
 
 CONFIRM_S: Final = 1.0
 """A simulation that only has to confirm a fall (``Job.confirms``) ends at a sample at least this time after the first
-sign of failure, s, if the culprit is still over a threshold. In addition, either two further boxes must have been
-placed since the sign, or the last box at least this time ago, because a board may tip until the next box brings it
-back. In stiff contacts, a pile that slides takes fifteen iterations of the solver per step, and would slide for
-thousands of steps more."""
+sign of failure, s, if the culprit is still over a threshold. In addition, two further boxes must have been placed since
+the sign, or all boxes must have been placed, the last one at least ``CONFIRM_S`` seconds ago. The reason is that a
+board may tip until the next box brings it back. In stiff contacts, a pile that slides takes fifteen iterations of the
+solver per step, and would slide for thousands of steps more."""
 
 
 class SampleAt(StrEnum):

@@ -205,8 +205,8 @@ class Actions:
         table.margin[into] = margin[stands]
 
     def _sides_of(self, size_mm: FloatArray, upright: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(b, s) which of s orientations each of b boxes may have. An orientation is not allowed if the box looks the
-        same in an earlier orientation."""
+        """(b, s) which of s orientations each of b boxes may have. If a box has the same extents in two orientations,
+        only the first of the two is allowed."""
         sizes = size_mm[:, self._sides]
         may = np.ones(sizes.shape[:2], bool)
         if self._options.sides != ALL:
@@ -238,9 +238,9 @@ class Actions:
         pallet: NDArray[np.intp],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Two arrays (c,): the row of each place's episode, and the number of the place's action. If the number is
-        ``count`` or more, the place has no action. If actions are candidates, they are numbered box by box, with the
-        lowest places of a box first, and equally low ones in the order of x and then y. If actions are cells, they are
-        numbered by pallet, box, orientation and cell."""
+        ``count`` or more, the place has no action. If actions are candidates, they are numbered box by box. The places
+        of a box are sorted by height, the lowest first, then by x, then by y. If actions are cells, they are numbered
+        by pallet, box, orientation and cell."""
         source = places.row[chosen]
         row = at[source]
         if self._grid is not None:

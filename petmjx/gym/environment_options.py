@@ -56,8 +56,8 @@ class PalletizingOptions:
             ``geometry``: all actions with which the box is on the carrier and not too high. The name of a criterion of
             docs/criteria.md (``support_75``, … or ``centre``): actions that fulfil the criterion. ``physics``: actions
             after which the pallet stands in a trial, which is a simulation on a copy of the pallet. ``sure``: actions
-            after which the pallet surely stands, so that no trial is needed. ``loads``: actions after which the pallet
-            stands in a trial and no box is overloaded.
+            after which the pallet stands according to bounds (``petmjx.loop.placement_bounds``), so that no trial is
+            needed. ``loads``: actions after which the pallet stands in a trial and no box is overloaded.
         max_height_mm: largest allowed height of a box's top, mm.
         gap_mm: free space that a robot needs between a box and its neighbours along x and y, mm.
         rewards: weights of the terms of the reward (``petmjx.loop.rewards.TERMS``).

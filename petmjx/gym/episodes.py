@@ -1,5 +1,5 @@
-"""The states and the steps of n episodes that run side by side, in the class ``Episodes``, on which all environments
-are built."""
+"""The class ``Episodes``: the states and the steps of n episodes that run side by side. All environments are built on
+this class."""
 
 from __future__ import annotations
 

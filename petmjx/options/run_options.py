@@ -205,7 +205,7 @@ class RunOptions(CheckedRecord):
         "number of workers, workers is auto; by default workers run on this machine",
     )
     limit: Annotated[int | None, within(1, 2**63 - 1), CliFlag("--limit", "N")] = Field(
-        None, ge=1, description="simulate only the first plans, up to this number"
+        None, ge=1, description="use only the first plans, up to this number"
     )
     units: Annotated[
         str | None, AfterValidator(_units), CliFlag("--units", "LENGTH,MASS", default=f"{PLAN_UNITS}; {_OR_BY_FILE}")
@@ -263,8 +263,7 @@ class RunOptions(CheckedRecord):
     force_intervals: Annotated[bool, CliFlag("--force-intervals")] = Field(
         False,
         description="also compute, for each box at rest, the smallest and the largest force on its top that balance "
-        "and friction allow; takes a tenth of a second or more per world; needs SciPy (extra packers); changes no "
-        "other result",
+        "and friction allow; takes a tenth of a second or more per world; changes no other result",
     )
     keep: Annotated[Literal["all", "worlds"], CliFlag("--keep", "all|worlds")] = Field(
         "all",

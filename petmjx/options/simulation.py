@@ -219,7 +219,7 @@ class Simulation(CheckedRecord):
         "before the next box, s. A world that still moves then has the flag moving",
     )
     duration_s: Annotated[float, within(0, LONGEST_S), CliFlag("--duration", "S")] = Field(
-        10.0, gt=0, description="length of the static check, s"
+        10.0, gt=0, description="length of the static check, s; with schedule adaptive: its largest length"
     )
     settle_s: Annotated[float, within(0, LONGEST_S), CliFlag("--settle", "S")] = Field(
         2.0,
@@ -252,8 +252,8 @@ class Simulation(CheckedRecord):
     )
     check_timestep: Annotated[bool, CliFlag("--check-timestep")] = Field(
         False,
-        description="simulate worlds whose margin is below 0.5 a second time, at half the timestep, and name the "
-        "worlds whose verdict changes (flag timestep)",
+        description="simulate worlds whose margin is between -0.5 and 0.5 a second time, at half the timestep, and "
+        "name the worlds whose verdict changes (flag timestep)",
     )
     soft: Annotated[bool, CliFlag("--soft")] = Field(
         False,

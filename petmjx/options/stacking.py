@@ -39,13 +39,13 @@ class Stacking(CheckedRecord):
 
     interlocked_loss: Annotated[float, within(0, 1), CliFlag("--interlocked-loss", "SHARE")] = Field(
         0.5,
-        description="share of its strength that a box loses if no wall of the boxes on it stands on its own walls; "
-        "the loss is smaller if some walls do",
+        description="share of its strength that a box loses if no wall of the boxes above stands on the box's own "
+        "walls; if some of them do, the loss is smaller",
     )
     overhang_loss: Annotated[float, within(0, 1), CliFlag("--overhang-loss", "SHARE")] = Field(
         1.0,
         description="share of its strength that a box would lose if all of its walls hung over nothing; the actual "
-        "loss is in proportion to the walls that do",
+        "loss is this share times the part of the walls that hangs over nothing",
     )
     gap_loss: Annotated[float, within(0, 1), CliFlag("--gap-loss", "SHARE")] = Field(
         0.26,

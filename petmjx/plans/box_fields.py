@@ -75,8 +75,8 @@ def rows_of_numbers(value: Sequence[Any]) -> list[dict[str, Any]] | None:
 
 
 def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dict[str, Any]:
-    """Path → value for all values inside an object: In a path, "." leads into an object, and "[0]" into a short list of
-    numbers. Longer lists are left out."""
+    """Path → value, for all values inside an object. In a path, "." leads into an object, and "[0]" into a short list
+    of numbers. Longer lists are left out."""
     flat: dict[str, Any] = {}
     for name, inner in value.items():
         path = prefix[:-1] if name in _VALUES and prefix.endswith(".") else f"{prefix}{name}"

@@ -49,7 +49,7 @@ ROLES: Final = (
 """Roles that the option ``columns`` can assign to a column. ``sizes`` and ``position`` are three numbers in one
 column."""
 IGNORED: Final = "-"
-"""If a user gives this instead of a column's name, no column has the role."""
+"""With this text instead of a column's name, a user says that no column has the role."""
 _READ_CELLS: Final = 200
 """Number of cells of a column that are read to find its meaning."""
 _NO_WEIGHT: Final = word_set(

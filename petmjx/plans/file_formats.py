@@ -76,7 +76,7 @@ _GROUPED: Final = re.compile(
 
 
 def foreign_kind_of(path: Path) -> str | None:
-    """The format of a file that is neither text nor Parquet, from :func:`foreign_kind`.
+    """The error text of :func:`foreign_kind` about the format of a file; None if the file may be JSON or CSV.
 
     Raises:
         OSError: the file cannot be read, or is not a regular file.
@@ -124,8 +124,7 @@ def looks_like_json(data: bytes | bytearray) -> bool:
 
 
 def separator_mark(header: bytes | bytearray) -> str | None:
-    """The error text for a first row that is Excel's separator mark, such as "sep=;". None if the content is text or
-    Parquet."""
+    """The error text for a first row that is Excel's separator mark, such as "sep=;". None for any other first row."""
     if not _SEPARATOR_MARK.fullmatch(header):
         return None
     mark = header.decode("utf-8", "replace").strip().strip('"')[:5]

@@ -1,7 +1,7 @@
 """Many plans joined into a few long arrays (``JoinedPlans``), one for each field of all their boxes.
 
-Plans that were read together share their arrays. Another process gets a few columns several times as fast as thousands
-of plans with an array for each field.
+Plans that were read together share their arrays. Sending a few long arrays to another process is several times as fast
+as sending thousands of plans, each with an array for each field.
 """
 
 from __future__ import annotations

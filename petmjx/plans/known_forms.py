@@ -172,9 +172,10 @@ _BOX_RECORDS: Final = word_set(
 
 
 def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:
-    """A list in which rows of pallets come before the rows of their boxes, as parts without the rows of pallets. A
-    column with the types of records shows which rows these are: "PALLET", "BOX", "BOX", "PALLET", "BOX" … Also returns
-    the vertical axis that the places of pallets and boxes show ("y", "z"; "": none)."""
+    """Divide a list into plans by its rows of pallets. In such a list, the row of a pallet comes before the rows of the
+    boxes on the pallet, and a column has the type of each row: "PALLET", "BOX", "BOX", "PALLET", "BOX" … The rows of
+    pallets are removed. A list without rows of pallets is returned unchanged. Also returns the vertical axis that the
+    places of pallets and boxes show ("y", "z"; "": none)."""
     table = boxes.table
     if not table.has_header or any(boxes.parts):
         return boxes, ""
@@ -202,8 +203,8 @@ def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:
 
 
 def _axis_above(boxes: BoxList, last_of_pallet: Mapping[int, int]) -> str:
-    """The vertical axis, "y" or "z": the only one of the two along which all boxes are farther than their pallet. "" if
-    there is no such axis.
+    """The vertical axis, "y" or "z": the only one of the two along which each box has a larger coordinate than its
+    pallet. "" if there is no such axis.
 
     Args:
         last_of_pallet: row of a pallet → the last row of its boxes.
@@ -239,8 +240,8 @@ def _name_in(row: Sequence[Any], but: int) -> str:
 
 
 def _container_in(boxes: BoxList, row: int) -> Mapping[str, float]:
-    """Axis → size of the deck, from the row of a pallet. The smallest of the three sizes is the height of the pallet,
-    and no limit of its load."""
+    """Axis → size of the deck, from the row of a pallet. The smallest of the three sizes is left out: it is the height
+    of the pallet, and does not limit the load."""
     sizes = {}
     for index, meaning in enumerate(boxes.meanings):
         number = cell_number(boxes.table.rows[row][index], boxes.table.decimal)

@@ -66,12 +66,13 @@ def fields_of_part(member: NestedBox) -> dict[str, Any]:
 
 
 def articles_around(members: Sequence[NestedBox]) -> frozenset[int]:
-    """The objects around boxes (their ``id``) that are articles with the places of their boxes. All members of a list
-    are articles, or none is.
+    """The objects around boxes that are articles, by their ``id``. Such an article holds the places of all boxes of
+    this article. Either all members of a list are articles, or none is.
 
-    The members of a list with a name such as "items" may also be pallets. They are articles if they have sizes or a
-    word for articles, and if no member has a word for pallets in its fields or its name. If each member has a box at
-    the place of a box of another member, the members are pallets. Lists with one name in several objects are alike.
+    The members of a list with a name such as "items" may also be pallets. The members are articles if they have sizes
+    or a word for articles, and if no member has a word for pallets in its fields or its name. If each member has a box
+    at the place of a box of another member, the members are pallets. If several objects have a list of the same name,
+    the members of all these lists are articles, or none is.
     """
     lists: dict[tuple[int, str], dict[int, dict[int, Mapping[str, Any]]]] = {}
     boxes: dict[int, list[Mapping[str, Any]]] = {}
@@ -93,8 +94,8 @@ def articles_around(members: Sequence[NestedBox]) -> frozenset[int]:
 
 
 def _describes_article(holder: Mapping[str, Any]) -> bool:
-    """Whether an object has sizes or a word for articles in its fields, and no word for pallets in its fields or its
-    name."""
+    """Whether an object has sizes or a word for articles in its fields, and neither its fields nor its name has a word
+    for pallets."""
     names = [str(name) for name in holder]
     if any(CONTAINER_WORDS.intersection(words_of(name)) and "per" not in words_of(name) for name in names):
         return False
@@ -182,7 +183,7 @@ def _is_deck(sizes: Mapping[str, float], of_box: Mapping[str, float]) -> bool:
 FLAT: Final = 0.4
 """Largest ratio of a pallet's height and width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
 _SAME: Final = 1.02
-"""Largest ratio of sizes that are the same, but for rounding."""
+"""Largest ratio of two sizes that count as the same, since files have rounded sizes."""
 _PLACES: Final = frozenset(("position", "positions", "low"))
 _OF_ARTICLES: Final = frozenset(("weight", "size", "sizes", "article", "item_id"))
 _ARTICLES: Final = word_set(
@@ -197,8 +198,9 @@ def _is_article(name: str) -> bool:
 
 
 def plan_names_of(members: Sequence[NestedBox], articles: Collection[int]) -> list[str]:
-    """The name of each member's plan: the differing names of the objects around it, or, if none differ, the innermost
-    name.
+    """The name of each member's plan, from the objects around the member. If several objects hold the members, the
+    names of these objects are joined. If one object holds all members, the innermost name around them is the name of
+    the only plan.
 
     Args:
         articles: objects that are articles (``articles_around``).

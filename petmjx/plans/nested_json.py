@@ -388,7 +388,7 @@ def _named(names: Sequence[str], kinds: Collection[str]) -> set[str]:
 def _but(
     others: Collection[int], members: Sequence[NestedBox], flat: list[dict[str, Any]]
 ) -> tuple[Sequence[NestedBox], list[dict[str, Any]]]:
-    """The members of a list, and their fields, without some of them."""
+    """The members of a list, and their fields, without the members at the indices ``others``."""
     kept = [number for number in range(len(flat)) if number not in others]
     return [members[number] for number in kept], [flat[number] for number in kept]
 

@@ -285,7 +285,7 @@ def _as_rows(
 
 
 def with_properties(order: Order, articles: Articles | None) -> Order:
-    """The order, in which items without properties get their properties from a table of articles."""
+    """A copy of the order, in which items without properties have the properties from a table of articles."""
     if articles is None:
         return order
     return replace(order, items=tuple(_filled_up(item, articles) for item in order.items))

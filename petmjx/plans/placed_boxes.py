@@ -53,8 +53,8 @@ _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
 _AHEAD: Final = 0.49
-"""Smallest distance between the coordinates of a pallet and of a box on it, as a share of the pallet's height. For
-centres of thin boxes, it is little more than a half."""
+"""Smallest distance between a pallet and a box on it along the vertical axis, as a share of the pallet's height. If
+coordinates are those of centres, this share is little more than a half for a thin box."""
 _LEVEL: Final = 0.01
 """Largest distance between the bottom of the lowest box and the deck at which the box counts as standing on the deck,
 as a share of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
@@ -96,8 +96,8 @@ def _deck_heights(
 ) -> dict[str, float]:
     """Height of the deck of each plan, mm. All plans of a file measure heights from the same level.
 
-    This level is 0 if the lowest box of any plan is at 0; else it is the height of the lowest box of the file. So a
-    plan that lacks its bottom layer floats. If heights are measured from the middle of a container, the deck is at
+    This level is 0 if the lowest box of any plan is at 0; else it is the height of the lowest box of the file. So if a
+    plan lacks its bottom layer, its boxes float. If heights are measured from the middle of a container, the deck is at
     the plan's own lowest box (half the container's height below 0).
     """
     small = {name: _LEVEL * float(np.nanmedian(size[rows, 2])) for name, rows in plans.items()}
@@ -113,8 +113,8 @@ def _deck_heights(
 
 
 def rows_below_deck(low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray) -> set[int]:
-    """Numbers of the rows of boxes below the deck, whose heights are probably wrong. A plan's deck is at 0 if boxes
-    are at 0 that the boxes below 0 cannot carry: they have less than half of the area."""
+    """Numbers of the rows of boxes below the deck, whose heights are probably wrong. A plan's deck is taken to be at 0
+    if the boxes below 0 have less than half of the area of the boxes at 0: then they cannot carry the boxes at 0."""
     below: set[int] = set()
     area = size[:, 0] * size[:, 1]
     for rows in plans.values():
@@ -182,7 +182,7 @@ def named_decks(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> 
     The numbers are empty, and the axis is "", if a plan has no such row, or if rows do not show one axis.
 
     Such a row is named as a pallet, is flat, and has the largest base of its plan. Along the vertical axis, and only
-    along this axis, all boxes of the plan are farther than the pallet.
+    along this axis, all boxes of the plan have larger coordinates than the pallet.
     """
     geometry = columns.geometries[0]
     sides = np.sort(geometry.size, axis=1)
@@ -347,8 +347,8 @@ def empty_rows(columns: BoxColumns) -> dict[int, tuple[str, str]]:
 
 
 def first_bad_row(columns: BoxColumns, wishes: Wishes) -> tuple[int, str] | None:
-    """The first row that is bad however the file is read, and its fault: a bad cell, or a size that is not positive.
-    None if all rows are good."""
+    """The first row that is bad in every reading of the file, and its fault: a bad cell, or a size that is not
+    positive. None if all rows are good."""
     weight = columns.columns.get("weight", "") if wishes.density_kg_m3 is not None else ""
     faults = {row: f"{name} {text}" for row, (name, text) in columns.faults.items() if name != weight}
     geometries = columns.geometries

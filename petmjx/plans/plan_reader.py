@@ -101,8 +101,7 @@ def load_plans(
         strict: whether to raise an error instead of skipping anything.
         max_boxes: largest number of boxes. Plans with more boxes are skipped.
         carrier_extent_mm: extent of the carrier along x and y. Boxes that reach beyond this extent are reported as
-            outside.
-            None: the extent of the plan's boxes.
+            outside. None: the extent of the plan's boxes.
         units: unit of lengths (mm, cm, m, in or ft) and unit of masses (kg, g, lb or t) in the plans, such as "cm,g";
             None: mm and kg, or for files of other tools the most plausible units.
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
@@ -189,7 +188,7 @@ def read_json_plans(
         extent_mm: see :func:`load_plans`.
 
     Returns:
-        The plans, and the counts of the fields that petmjx ignores, of which ``PlanSet.notes`` does not tell.
+        The plans, and the counts of the fields that petmjx ignores. ``PlanSet.notes`` does not mention these fields.
 
     Raises:
         InputError: a plan is unusable, and ``strict`` does not allow it to be skipped.

@@ -89,7 +89,7 @@ class SegmentContent(NamedTuple):
     """The plans of a segment, numbered from 0.
 
     Attributes:
-        unread: counts of the fields that petmjx ignores. ``plan_set.notes`` does not tell of them.
+        unread: counts of the fields that petmjx ignores. ``plan_set.notes`` does not mention these fields.
     """
 
     plan_set: PlanSet

@@ -42,7 +42,7 @@ _GAP: Final = re.compile(
     re.DOTALL,
 )
 """White space, separators and comments. One semicolon begins a comment only before an object of EDN. "--" before a
-separator may be a value: nothing."""
+separator is no comment, since it may stand for a missing value."""
 _SPACE: Final = re.compile(r"\s*")
 _QUOTED: Final = re.compile(r"""\\?(?:"((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'|`([^`]*)`)""")
 _NAME: Final = re.compile(
@@ -51,8 +51,9 @@ _NAME: Final = re.compile(
     r"""|:?['"]?([A-Za-z_$][\w$.-]*)['"]?\s*(?:=>|=(?!=)|:(?!:))"""
 )
 _EMPTY: Final = re.compile(r"[ \t]+(?=[A-Za-z_]\w{0,99}[:=](?:[^\s,;]++(?!\s*[,;])|[ \t]{1,9}[A-Za-z_]\w{0,99}[:=]))")
-"""White space behind a name that has no value: the next name follows (Go's "Note: Weight:5"). If a separator follows
-that name's value, both are a text: "id: sku:123, x: 0"."""
+"""White space after a name that has no value. The next name and its value follow this white space, as in Go's "Note:
+Weight:5". If a separator follows this value, what looks like the next name is a text: in "id: sku:123, x: 0", the value
+of "id" is "sku:123"."""
 _WORD: Final = re.compile(r"[^\s,;\[\](){}]+")
 _TEXT: Final = re.compile(
     r"[^,;\[\](){}\n]{0,1000}?(?=\s{0,9}(?:[,;\])}\n]|$)"
@@ -101,7 +102,7 @@ def values_of_lines(text: str) -> JsonLines | None:
     texts. Lines above and below are left out.
 
     Raises:
-        InputError: a line between two such lines is none. The error names the line.
+        InputError: a line between two lines of named values has no named values. The error names the line.
     """
     lines = text.splitlines()
     first = [line for line in lines[:_SEARCHED] if line.strip()]
@@ -219,7 +220,8 @@ def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any,
 
 
 def _check_alike(text: str, places: Sequence[int], items: Sequence[Any], least: int) -> None:
-    """Refuse items that hold no objects beside at least ``least`` objects: such boxes would be lost."""
+    """Refuse a list in which at least ``least`` items are objects, and another item holds no object: the box of this
+    item would be lost."""
     others = [place for place, item in zip(places, items, strict=True) if not (item is None or _has_objects(item))]
     if others and sum(isinstance(item, dict) for item in items) >= least:
         raise _fault(text, others[0], "it is no object, unlike others in its list")
@@ -231,7 +233,8 @@ def _has_objects(value: Any) -> bool:
 
 
 def _scalar(text: str, decimal_marks: str = "") -> Any:
-    """A number, true, false or nothing; else the text. "0.4m" is a length, except where m marks decimal numbers."""
+    """A number, true, false or nothing; else the text. "0.4m" is a length, and so a text, unless "m" is one of the
+    ``decimal_marks``: then it is the number 0.4."""
     if text.lower() in _CONSTANTS:
         return _CONSTANTS[text.lower()]
     if (number := _NUMBER.fullmatch(text)) is not None and (number[1] not in ("m", "M") or number[1] in decimal_marks):

@@ -1,5 +1,6 @@
 """Boxes in Python objects: py3dbp's packers, arrays, nested dictionaries, and data frames. Also boxes in text that
-Python programs print: dictionaries and lists, and the text of py3dbp and of bp3d, which it follows.
+programs print: Python's dictionaries and lists, and the text of py3dbp and of bp3d, the program on which py3dbp is
+modelled.
 
 Source of the texts: ``Item.string`` (github.com/enzoruiz/3dbinpacking), ``Item.String`` (github.com/gedex/bp3d).
 """

@@ -259,7 +259,8 @@ _TRIPLE: Final = re.compile(r"^\s*([\d.,]+)\s*[x×X*/;|]\s*([\d.,]+)\s*[x×X*/;|
 
 
 _MANY: Final = 10
-"""If numbers with a point are this many times as many as numbers with a comma, the commas are no decimal signs."""
+"""If the numbers with a point are more than this many times as frequent as the numbers with a comma, the commas are no
+decimal signs."""
 
 
 def decimal_of(rows: Sequence[Sequence[Any]]) -> str:

@@ -134,7 +134,8 @@ class BoxList:
     Attributes:
         table: the boxes.
         path: path of the list in the file, with [] after each list on the path: "containers[].stack.placements[]".
-        parts: (n,) for each row, the name of its plan; "" if the plan has no name. If it is left out, no plan has one.
+        parts: (n,) for each row, the name of its plan; "" if the plan has no name. If ``parts`` is left out, no plan
+            has a name.
         containers: name of a plan → axis (as in ``ColumnMeaning``) → size of the plan's container, in the file's unit.
         left_out: lines about boxes that are not placed.
         around: fields of the objects that contain the first box of the list.

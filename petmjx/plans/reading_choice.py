@@ -50,8 +50,9 @@ _UNUSUAL: Final = 1.0
 """A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _SHIFTED: Final = 3.6
-"""Cost of a reading with coordinates of corners if they are probably those of centres (``are_centres``). Half of it is
-the cost of a reading with centres that are perhaps tops, since only one axis shows this."""
+"""Cost of a reading with coordinates of corners if they are probably those of centres (``are_centres``). A reading with
+coordinates of centres costs half as much if they are perhaps those of tops (``begins_half_a_box_along_y``), since only
+one axis shows this."""
 _ON_SIDE: Final = 1.0
 """Cost of a reading in which boxes are listed from back to front, but not from the ground up: y may be the vertical.
 The cost is that of y upwards in a file that does not name the vertical."""

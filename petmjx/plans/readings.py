@@ -89,8 +89,8 @@ class Reading:
     Attributes:
         form: name of the file's form, in words.
         columns: role → name of its column.
-        units: unit of lengths; masses: unit of masses. If sizes and coordinates have different units, ``units`` is, for
-            example, "cm/mm".
+        units: unit of lengths. If sizes and coordinates have different units, ``units`` is, for example, "cm/mm".
+        masses: unit of masses.
         anchor: the point of a box that coordinates describe.
         up: the file's vertical axis, "x", "y" or "z".
         along: names of the sizes that lie along the plan's x, y and z, before boxes are turned.
@@ -104,8 +104,8 @@ class Reading:
         notes: lines about values that were added or left out.
         unused: names of the columns that are not used.
         odd: lines about values that are improbable in every reading.
-        cost: cost of the reading; an implausible reading has a high cost. layout_cost: the part of the cost that does
-            not come from names and units.
+        cost: cost of the reading; an implausible reading has a high cost.
+        layout_cost: the part of the cost that does not come from names and units.
         evidence: the numbers on which the cost is based.
         alternatives: other readings with a similar cost, most plausible first.
     """
@@ -173,10 +173,11 @@ class Wishes:
     Attributes:
         columns: role → name of the column, for roles that can be chosen.
         exact: all columns, if they come from a written reading; else empty.
-        units: unit of lengths, as in ``Reading``; masses: unit of masses.
+        units: unit of lengths, as in ``Reading``.
+        masses: unit of masses.
         anchor, up, sizes, origin: as in ``Reading``.
-        along: names of the sizes along x, y and z; rule: how boxes are turned. ``along`` and ``rule`` can only come
-            from a written reading.
+        along: names of the sizes along x, y and z. ``along`` and ``rule`` can only come from a written reading.
+        rule: how boxes are turned.
         density_kg_m3: density of boxes that have no weight.
         deck_mm: extents of the carrier along x and y.
     """

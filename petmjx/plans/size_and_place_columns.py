@@ -218,7 +218,8 @@ def _still_columns(extraction: ColumnExtraction) -> set[int]:
 
 
 _STILL: Final = 0.9
-"""Share of equal cells in columns of places that do not vary: a cell may be damaged."""
+"""Smallest share of equal cells in a column of places that do not vary. The share is below 1, since a cell may be
+damaged."""
 _COMPARED: Final = 3
 """Number of first cells that are compared with the others."""
 

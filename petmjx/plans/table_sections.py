@@ -230,15 +230,16 @@ def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequ
 
 
 def _are_unplaced(title: str) -> bool:
-    """Whether the boxes below a title are not part of a plan. Such a title says nothing else, as "Unplaced items (3)".
-    Below "Layer 2 (remaining)" or "scan failed" are boxes of the plan, and a pallet of leftovers is a plan."""
+    """Whether the boxes below a title are not part of a plan. Such a title says only that the boxes are not placed, as
+    in "Unplaced items (3)". A title with further words, such as "Layer 2 (remaining)" or "scan failed", is the title of
+    boxes of the plan, and a pallet of leftovers is a plan."""
     words = [word for word in words_of(title) if not word.isdecimal()]
     others = [word for word in words if word not in _BOXES_OF_TITLES and not names_unplaced(word)]
     return names_unplaced(title) and not others
 
 
 def _are_none_unplaced(title: str) -> bool:
-    """Whether a text says that all boxes are placed, as "Unplaced: none" and "0 boxes not placed"."""
+    """Whether a text says that all boxes are placed, as in "Unplaced: none" and "0 boxes not placed"."""
     words = re.findall(r"\w+", title.lower()) or [""]
     is_none = words[-1] in _NONE or words[0] == "0"
     return is_none and _are_unplaced(" ".join(word for word in words if word not in _NONE))
@@ -251,7 +252,7 @@ _BOXES_OF_TITLES: Final = word_set(
     "cajas articulo articulos scatola scatole articolo articoli pudelko pudelka artykul artykuly list of the not "
     "placed packed"
 )
-"""Words in titles of sections of boxes that are not placed, beside the words that say so."""
+"""Words that may stand in the title of a section of boxes that are not placed, in addition to the words that say so."""
 
 
 def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:

@@ -1,6 +1,6 @@
 """Reads YAML and TOML (``value_of_yaml``, ``value_of_toml``) as the nested values that JSON has.
 
-Of YAML, the part is read that programs write: block mappings and sequences, flow mappings and sequences, scalars,
+petmjx reads the part of YAML that programs write: block mappings and sequences, flow mappings and sequences, scalars,
 comments, and several documents in one file. Anchors, tags and texts of several lines are refused.
 """
 
@@ -27,7 +27,7 @@ _TOML_PAIR: Final = re.compile(r"^\s*[\w\"'.-]+\s*=\s*\S")
 _QUOTED_OR_COMMENT: Final = re.compile(rf"((?:^|[\[{{,:]|-\s)\s*{_QUOTED})|(?:^|\s)#.*")
 """A text in quotes (group 1) or a comment. Within a plain text, quotes are characters: "Bob's", "5\" box"."""
 _NUMBER: Final = re.compile(r"^[+-]?(?:(?:0|[1-9]\d*)\.?\d*|\.\d+)(?:[eE][+-]?\d+)?$")
-"""A number. Digits that begin with a needless 0, such as 00123, are an id."""
+"""A number. Digits that begin with a needless 0, such as 00123, are an id and not a number."""
 _WORDS: Final = {
     "": None, "~": None, "null": None, "true": True, "false": False, "yes": True, "no": False,
     ".nan": float("nan"), ".inf": float("inf"), "-.inf": float("-inf"),

@@ -2,8 +2,8 @@
 measures how harmful they are.
 
 The balance takes a fifth of a millisecond per draft, a simulation a tenth of a second and more. So the balance tells
-which of many changes are worth a simulation. The balance never decides: a load beyond an edge may lean on a neighbour,
-and stand.
+which of many changes are worth a simulation. The balance never decides: a box whose load is beyond an edge may lean on
+a neighbour, and stand.
 """
 
 from __future__ import annotations
@@ -24,11 +24,13 @@ AT_ONCE: Final = 128
 """Number of drafts that are computed at once."""
 
 DEEP_MM: Final = 50.0
-"""A load this far beyond an edge counts twice as much as one on the edge, and a load further beyond counts no more."""
+"""The weight of a load increases from 1 on the edge to 2 at this distance beyond the edge, mm. Further beyond, the
+weight stays 2."""
 
 SAFE_MM: Final = 12.0
-"""A load this far inside its edges is safe. If a robot places two boxes, the error of their relative place has a
-standard deviation of 3 mm (docs/confidence.md). ``SAFE_MM`` is four standard deviations."""
+"""A load is safe if it is inside the edges of its supports by at least this distance, mm. If a robot places two boxes,
+the error of their relative place has a standard deviation of 3 mm (docs/confidence.md). ``SAFE_MM`` is four standard
+deviations."""
 
 ROOM_MM: Final = 8.0
 """A box that is lowered between two neighbours has enough room if the gap between the neighbours is larger than the box
@@ -55,7 +57,7 @@ class Balance(NamedTuple):
             the edge decreases from 1 on the edge to 0 at ``SAFE_MM`` inside. A box that is lowered between two
             others adds 1 to the sum if it has no room, and less with more room: 0 with ``ROOM_MM`` of room.
         squeezed: numbers of the boxes that are lowered between two others with less room than ``ROOM_MM``.
-        loads: the loads of all boxes, from which those of a draft with one more box follow.
+        loads: the loads of all boxes. ``balances_with_last`` computes from them the loads of a draft with one more box.
         missing_room: (n,) weight of each box in ``weakness`` because it is lowered between two others.
     """
 
@@ -80,7 +82,8 @@ def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0)
     """The balance of each draft.
 
     Args:
-        spare_mm: loads that are inside by less than this also count as beyond an edge.
+        spare_mm: a load that is inside an edge, but nearer to the edge than this distance, mm, also counts as beyond
+            it.
     """
     results: list[Balance] = []
     for begin in range(0, len(drafts), AT_ONCE):
@@ -89,7 +92,7 @@ def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0)
         built = building_loads_of(bearing, np.diff(bearing.boxes.first).tolist())
         perhaps = depends_on_sharing(bearing, built)
         edge_mm = MM_PER_M * built.edge_m - spare_mm
-        rows = np.flatnonzero(~np.isnan(edge_mm))  # what floats or overlaps may bear a load although nothing bears it
+        rows = np.flatnonzero(~np.isnan(edge_mm))  # a box without supports has no edge, although it may bear a load
         loads = _loads(built.box[rows], built.step[rows], edge_mm[rows], perhaps[rows])
         results += _balances(some, loads, _missing_room(some), bearing.boxes.first)
     return results
@@ -131,7 +134,8 @@ def _balances(
 
 
 def scenes_of(drafts: Sequence[Draft], sim: Simulation) -> list[Scene]:
-    """The scenes of drafts. To make those of plain drafts from arrays takes a fifth of the time."""
+    """The scenes of drafts. Plain scenes (``has_plain_scene``) are made from arrays, which takes a fifth of the
+    time."""
     plans = {id(draft.plan): draft.plan for draft in drafts}
     has_plain = {number: has_plain_scene(plan, sim) for number, plan in plans.items()}
     is_plain = [has_plain[id(draft.plan)] and not draft.sheet_kg for draft in drafts]
@@ -147,15 +151,15 @@ def scenes_of(drafts: Sequence[Draft], sim: Simulation) -> list[Scene]:
 
 
 class _Loads(NamedTuple):
-    """The loads of all boxes of several drafts while these are built, one row for each box. Boxes and steps count on
-    over all drafts.
+    """The loads of all boxes of several drafts while the drafts are built, one row for each box. The numbers of boxes
+    and steps continue from one draft to the next.
 
     Attributes:
         box: (k,) the boxes, sorted.
         step: (k,) first step at which the load is beyond an edge; without meaning if it is always inside.
         least_mm, last_mm: (k,) smallest and last distance from the edge, mm; negative beyond.
-        is_sure: (k,) whether the load is beyond an edge however supports share the loads on them.
-        perhaps: (k,) whether the last load depends on how supports share the loads on them.
+        is_sure: (k,) whether the load is beyond an edge in every possible sharing of loads among supports.
+        perhaps: (k,) whether the last load depends on how supports share loads.
     """
 
     box: IntArray
@@ -176,7 +180,7 @@ class _Loads(NamedTuple):
 
     @classmethod
     def joined(cls, some: Sequence[_Loads], first: IntArray) -> _Loads:
-        """The loads of several drafts, with boxes and steps of each draft that are counted from one of ``first``."""
+        """The loads of several drafts in one record. The boxes and steps of draft k are counted from ``first[k]``."""
         begin = np.repeat(first[:-1], [len(loads.box) for loads in some])
         joined = cls._make(map(np.concatenate, zip(*some, strict=True)))
         return joined._replace(box=joined.box + begin, step=joined.step + begin)
@@ -202,7 +206,8 @@ def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArra
 
 
 def _loads_with_last(bearing: Bearing, before: _Loads) -> _Loads:
-    """The loads of several drafts after the last box of each has been placed, from those before."""
+    """The loads of several drafts after the last box of each draft has been placed. ``before``: the loads before these
+    boxes were placed."""
     first = bearing.boxes.first
     n, last = int(first[-1]), first[1:] - 1
     is_last = np.zeros(n, bool)
@@ -252,8 +257,8 @@ def _balance(draft: Draft, loads: _Loads, missing_room: FloatArray) -> Balance:
 
 def _missing_room(drafts: Sequence[Draft], *, only_last: bool = False) -> list[FloatArray]:
     """For each draft, (n,) weight of each box, in packing order: the sum over the axes x and y along which the box is
-    lowered between two others. The weight of an axis is 1 without room to 0 with ``ROOM_MM`` of room. ``only_last``:
-    (1,) weight of the last box alone."""
+    lowered between two others. The weight of an axis decreases from 1 without room to 0 with ``ROOM_MM`` of room.
+    ``only_last``: (1,) weight of the last box alone."""
     results: dict[int, FloatArray] = {}
     for n in {len(draft.order) for draft in drafts}:
         numbers = [k for k, draft in enumerate(drafts) if len(draft.order) == n]

@@ -24,16 +24,16 @@ from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.trials import Asked, Steps, Trial
 
 PILE: Final = 4.0
-"""A box that falls is taken off together with all boxes that need it. This many of these boxes count as one fault,
-because there is no other place for a large pile, and it hides further faults."""
+"""A box that falls is taken off together with all boxes that need it. So many of these boxes count as one needed
+change: there is no other place for a large pile, and a large pile hides further faults."""
 
 AT_ONCE: Final = 24
-"""Number of changed plans that are judged at once. If one of them stands, as many again are judged, so that worlds with
-errors can choose from more plans."""
+"""Number of changed plans that are judged at once. If one of them stands, the same number is judged once more, so that
+worlds with errors can choose from more plans."""
 
 PER_BATCH: Final = 0.25
-"""Each time ``AT_ONCE`` changes of a plan were judged in vain, the plan counts as if its repair needed this much of a
-change more."""
+"""Each time ``AT_ONCE`` changes of a plan were judged in vain, the expected number of changes of its repair rises by
+this value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +158,9 @@ def way_of(state: State) -> tuple[object, ...]:
 
 
 def batch_of(queues: Sequence[list[Candidate]], count: int) -> list[Candidate]:
-    """Take equally many candidates off each ranked queue: the first of each way to change a box, then the second of
-    each. Otherwise, a batch would often be one move by many amounts, because statics ranks these candidates side by
-    side."""
+    """Take equally many candidates off each ranked queue: first the best candidate of each way to change a box, then
+    the second best of each way, and so on. Otherwise, the candidates of a batch would often be the same move by
+    different amounts, since statics ranks these candidates side by side."""
     batch = []
     for queue in queues:
         ways: Counter[tuple[object, ...]] = Counter()

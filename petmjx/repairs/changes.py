@@ -219,7 +219,7 @@ class Exchange(Change):
 
     Attributes:
         corners_mm: the new corner of each of the two boxes.
-        turns: whether each of the two is then turned by 90° against the plan.
+        turns: whether each of the two is turned by 90° from its orientation in the plan, after the exchange.
         differ: whether each of the two is turned by the exchange.
     """
 
@@ -251,7 +251,7 @@ class Exchange(Change):
 
 @dataclass(frozen=True)
 class Sheet(Change):
-    """A tie sheet is laid between two layers. All that is above is raised by its thickness."""
+    """A tie sheet is laid between two layers. All boxes above the sheet are raised by its thickness."""
 
     kind: ClassVar[Kind] = Kind.SHEET
     corner_mm: tuple[float, float, float]

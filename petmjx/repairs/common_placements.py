@@ -1,4 +1,4 @@
-"""Worlds that begin alike share the simulation of their first boxes (``CommonPlacements``).
+"""Worlds with the same first boxes share the simulation of these boxes (``CommonPlacements``).
 
 Changed plans differ from one another only from some box on. Their common placement is simulated once. It pauses before
 this box is placed, and all the worlds start from its state. Their outcomes are the same to the last bit as if each
@@ -18,8 +18,8 @@ from petmjx.engines.verdict import Outcome
 from petmjx.world.job import EngineState, Job
 
 LEAST_SAVED: Final = 40
-"""A common placement is simulated apart if this saves placements of at least this many boxes in all. A pause takes as
-long as some placements."""
+"""A common placement is simulated in a job of its own if this saves the placements of at least this many boxes in all.
+A pause takes as long as some placements."""
 
 MOST_KEPT_BYTES: Final = 64 << 20
 """Largest memory for the states of common placements that are kept for further worlds; as much again is used for worlds
@@ -32,7 +32,7 @@ class World(NamedTuple, Generic[Tag]):
     """A world to be simulated.
 
     Attributes:
-        tag: by which its outcome is recognised.
+        tag: the mark by which the outcome of the world is recognised.
         keys: the keys of its beginnings (``Engine.beginnings``): key k is equal for worlds that are the same until the
             box k is placed.
     """
@@ -57,7 +57,7 @@ class Placement(Generic[Tag]):
 
 
 class CommonPlacements(Generic[Tag]):
-    """Makes jobs of worlds, so that worlds that begin alike share their beginning.
+    """Makes jobs from worlds. Worlds with the same first boxes share a job for these boxes.
 
     All worlds have the same options of the simulation.
 
@@ -82,7 +82,7 @@ class CommonPlacements(Generic[Tag]):
     def _placements(
         self, worlds: tuple[World[Tag], ...], n_placed: int, start: EngineState | None
     ) -> Iterator[Placement[Tag]]:
-        """The next jobs of worlds that begin alike.
+        """The next jobs of worlds whose first ``n_placed`` boxes are the same.
 
         Args:
             n_placed: number of boxes that are placed in the state ``start``.
@@ -104,8 +104,8 @@ class CommonPlacements(Generic[Tag]):
     def _split(
         self, worlds: tuple[World[Tag], ...], n_common: int, n_placed: int, start: EngineState | None
     ) -> Iterator[Placement[Tag]]:
-        """The next jobs of worlds that have ``n_common`` boxes in common: those of each group that has the next box in
-        common, too. A world that ends with this box has a group of its own."""
+        """The next jobs of worlds that have ``n_common`` boxes in common: the jobs of each group of worlds that also
+        have the next box in common. A world that ends with this box has a group of its own."""
         groups: dict[object, list[World[Tag]]] = {}
         for number, world in enumerate(worlds):
             is_last = world.job.scene.n_boxes == n_common + 1
@@ -124,7 +124,8 @@ class CommonPlacements(Generic[Tag]):
 
 
 def _n_common(worlds: Sequence[World[Any]]) -> int:
-    """The number of first boxes that all worlds have in common, fewer than any world has; −1: not even the carrier."""
+    """The number of first boxes that all worlds have in common, less than the number of boxes of any world; −1: not
+    even the carriers are the same."""
     most = min(len(world.keys) for world in worlds) - 2
     return next((n for n in range(most, -1, -1) if len({world.keys[n] for world in worlds}) == 1), -1)
 

@@ -2,8 +2,9 @@
 
 A draft keeps the numbers that boxes have in the plan, whatever their order is now. Sheets that are added have the next
 numbers. A draft is allowed if no fault of its layout is worse than in the plan: boxes that overlap, that float when
-they are placed, that reach beyond the carrier, or that would be placed under a box that already stands. So an odd plan
-can be repaired step by step, but never becomes odder. A box that is moved aside or turned must not end inside a wall.
+they are placed, that reach beyond the carrier, or that would be placed under a box that already stands. So a plan with
+such faults can be repaired step by step, but no fault ever becomes worse. A box that is moved aside or turned must not
+end inside a wall.
 """
 
 from __future__ import annotations
@@ -124,8 +125,8 @@ class Draft:
         return Draft(self.plan, self.size_mm, corners, self.turned, self.order, moved, self.sheet_kg, self.film_turns)
 
     def with_turn(self, box: int, turned: bool) -> Draft:
-        """The draft in which a box is turned from its orientation in the plan, or is not. Its corner stays where it
-        is."""
+        """The draft with another turn of a box. ``turned``: whether the box is turned by 90° from its orientation in
+        the plan. The box keeps its corner."""
         if bool(self.turned[box]) == turned:
             return self
         sizes, turns = self.size_mm.copy(), self.turned.copy()
@@ -134,7 +135,8 @@ class Draft:
         return replace(self, size_mm=sizes, turned=turns, moved=self.moved | {box})
 
     def with_order(self, box: int, neighbour: int, *, after: bool) -> Draft | None:
-        """The draft with a box that is placed directly before or after another one; None if one of both is left out."""
+        """The draft with a box that is placed directly before or after another one; None if one of the two is left
+        out."""
         if box == neighbour or box not in self.order or neighbour not in self.order:
             return None
         other_boxes = [number for number in self.order if number != box]
@@ -219,7 +221,7 @@ class Draft:
 
 
 def key_of(draft: Draft) -> bytes:
-    """Equal for drafts that are the same."""
+    """A key that is equal for equal drafts."""
     places = np.round(np.hstack([draft.corner_mm, draft.size_mm])[draft.rows], 3)
     key: bytes = draft.rows.tobytes() + places.tobytes() + np.array(draft.film_turns).tobytes()
     return key
@@ -246,8 +248,8 @@ class Oddities(NamedTuple):
     Attributes:
         row, other: (k,) the pairs: which of the r boxes, and the number of the other box.
         overlap_mm: (k,) depth by which the two overlap, along the axis of least depth; at most 0: no overlap.
-        blocks: (k,) whether the box is placed before the other one, above its place.
-        is_blocked: (k,) whether the other box is placed before the box, above its place.
+        blocks: (k,) whether the box is above the place of the other box, and is placed before the other box.
+        is_blocked: (k,) whether the other box is above the place of the box, and is placed before the box.
         gap_mm: (r,) height of the box above its support when it is placed.
         outside_mm: (r,) distance by which the box reaches beyond the limits of the rules.
         through_mm: (r,) depth by which the box reaches through a wall of the carrier.
@@ -264,12 +266,12 @@ class Oddities(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """The faults that m boxes may have: those of the plan, or those that count as none.
+    """The largest faults that m boxes may have: those of the plan, or the tolerances if these are larger.
 
     Attributes:
         overlap_mm: (m, m) depth by which two boxes may overlap.
         gap_mm, through_mm: (m,) as in ``Oddities``.
-        blocked: (m, m) whether the row's box may be placed before the column's, above its place.
+        blocked: (m, m) whether the row's box may be placed before the column's box although it is above its place.
     """
 
     overlap_mm: FloatArray
@@ -364,13 +366,15 @@ class Rules:
     ) -> BoolArray:
         """(c,) which drafts are allowed.
 
-        Most changes concern few boxes. What they leave as it is need not be checked again.
+        Most changes concern few boxes. Boxes that no change concerns need not be checked again.
 
         Args:
-            changed: for each draft, the boxes that differ from an allowed draft: they have another place, turn or time.
-                All others have the same places, and the same order among one another. None: every box is checked.
-            parent: the allowed draft from which the drafts were made, in which the changed boxes may have been
-                supports of others; None: they were not. A draft with a sheet more than ``parent`` is checked whole.
+            changed: for each draft, the boxes that differ from an allowed draft in place, turn or position in the
+                packing order. All other boxes must have the same places as in the allowed draft, and the same order
+                relative to each other. None: every box is checked.
+            parent: the allowed draft from which the drafts were made, needed if changed boxes may have been supports of
+                other boxes in this draft; None: they were no supports. If a draft has one sheet more than ``parent``,
+                all its boxes are checked.
         """
         allowed = np.zeros(len(drafts), bool)
         sizes: dict[int, list[int]] = {}
@@ -386,8 +390,9 @@ class Rules:
         return allowed
 
     def have_room(self, draft: Draft, boxes: list[int], ways_mm: Sequence[tuple[float, float]]) -> BoolArray:
-        """(w,) whether boxes of an allowed draft may be moved together by each of several ways along x and y, as far as
-        other boxes and the limits beside the carrier are concerned. A draft in which they may not is not allowed."""
+        """(w,) for each of several moves along x and y, whether boxes of an allowed draft can make this move together
+        without overlapping other boxes, and without going beyond the limits beside the carrier. If not, the draft with
+        this move is not allowed."""
         ways = np.array(ways_mm).reshape(-1, 1, 2)
         others, moved = np.setdiff1d(draft.rows, boxes), np.array(boxes)
         low, size = draft.corner_mm, draft.size_mm
@@ -448,7 +453,8 @@ class Rules:
         return self._limits_of[m]
 
     def _may_bear(self, draft: Draft) -> BoolArray:
-        """(m, m) whether the column's box may float without the row's, which is near below."""
+        """(m, m) whether the column's box may float without the row's box, because the top of the row's box is close
+        below it."""
         layouts, rows = _Layouts.of([draft]), draft.rows
         row, other = layouts.beside(np.zeros_like(rows), rows)
         box = rows[row]
@@ -468,7 +474,7 @@ class Rules:
         return shifted
 
     def _keeps_built(self, draft: Draft) -> bool:
-        """Whether the boxes that stand already stand as in the plan."""
+        """Whether the first ``built`` boxes of the plan have the same places, turns and order as in the plan."""
         k = self.built
         return draft.order[:k] == tuple(range(k)) and bool(
             (draft.corner_mm[:k] == self.plan.corner_mm[:k]).all() and not draft.turned[:k].any()
@@ -510,7 +516,7 @@ class Rules:
 
 
 AT_ONCE: Final = 256
-"""Drafts whose layouts are compared at once."""
+"""Number of drafts whose layouts are computed at once."""
 
 
 def _gaps_mm(layouts: _Layouts, number: IntArray, box: IntArray, row: IntArray, other: IntArray) -> FloatArray:

@@ -108,8 +108,8 @@ def targets(
 def proposals(
     draft: Draft, rules: Rules, causes: Sequence[Target], kinds: frozenset[Kind], options: RepairOptions
 ) -> Iterator[Proposal]:
-    """Changes of some kinds that may help with causes. Some cannot be made; ``Rules.allow`` finds out. What can be
-    changed about a box without regard to the cause is proposed once."""
+    """Changes of these kinds that may help against the causes. Some of these changes are not allowed (``Rules.allow``).
+    A change of a box that does not depend on the cause is proposed only once."""
     done: set[int] = set()
     for target in causes:
         near = _near(draft, rules, target)
@@ -129,11 +129,12 @@ def _makers(
     done: Collection[int],
     options: RepairOptions,
 ) -> tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...]:
-    """Kinds of changes, and what proposes such changes for a cause.
+    """Pairs of a kind of changes, and a function that proposes changes of this kind for a cause.
 
     Args:
-        near: boxes to change for the cause. new: those of them that were not changed for other causes.
-        done: boxes that were changed for other causes.
+        near: boxes to change for the cause.
+        new: the boxes of ``near`` for which no changes were proposed because of earlier causes.
+        done: boxes for which changes were proposed because of earlier causes.
     """
     most_mm = options.most_move_mm
     return (
@@ -182,8 +183,8 @@ def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
 
 
 def _earlier(draft: Draft, target: Target) -> Iterator[Proposal]:
-    """Other orders for a squeezed box: it is placed before one of the boxes between which it is lowered, or that box
-    after it."""
+    """Other orders for a squeezed box (one that is lowered between two others): the squeezed box is placed before one
+    of the two others, or one of the two others is placed after the squeezed box."""
     box = target.box
     for number, _, _ in _tight(draft, target):
         needed = [low for low in reversed(draft.below(box)) if draft.rank[low] > draft.rank[number]]
@@ -236,8 +237,8 @@ def _neighbours(draft: Draft, box: int) -> list[int]:
 def _moves(
     draft: Draft, rules: Rules, near: Sequence[int], new: Collection[int], target: Target, most_mm: float
 ) -> Iterator[Proposal]:
-    """Moves of boxes alone, and with the boxes on them, along x and y, and along both at once. Boxes that are not new
-    are only moved by lengths that depend on the cause."""
+    """Moves of boxes alone, and with the boxes on them, along x and y, and along both at once. Boxes that are not in
+    ``new`` are moved only by lengths that depend on the cause."""
     needed = [math.ceil(target.depth_mm + spare) for spare in SPARE_MM] if target.depth_mm > 0 else []
     for box in near:
         riders = tuple(sorted(rider for rider in draft.above(box) if rider < draft.plan.n_boxes))
@@ -414,7 +415,7 @@ def resting_corners(
     """Places of rest for a box on the carrier or on other boxes: whether it is turned, and its corner.
 
     Args:
-        below: the box above the place; None: the place is on top.
+        below: number of the box below which the place must be; None: no box may be above the place.
     """
     other_boxes = np.array([number for number in draft.order if number not in (box, below)], int)
     low, high = draft.corner_mm[other_boxes], (draft.corner_mm + draft.size_mm)[other_boxes]
@@ -505,7 +506,7 @@ def _shared_mm2(x: float, y: float, size: FloatArray, corner: FloatArray, other:
 
 
 def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
-    """Boxes with free tops are put under a box that hangs over, before that box is placed."""
+    """Boxes with free tops are put under the overhang of a box, before this box is placed."""
     free = draft.is_bare
     sizes = dict.fromkeys((*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) for box in draft.order)
     for size in sizes:

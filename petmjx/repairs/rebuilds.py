@@ -27,7 +27,7 @@ SAME_TROUBLE: Final = 1e-6
 """Two values of ``Balance.trouble`` that differ by less than this count as equal."""
 
 TRIED_AT_ONCE: Final = 8
-"""Places of a box that statics judges at once."""
+"""Number of places of a box that statics judges at once."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class PileRequest(NamedTuple):
 
     Attributes:
         piles: the piles; each is allowed without its last box.
-        by_statics: whether statics also judges those that are allowed.
-        before: the balance of the pile without the last box of any of these; None: unknown.
+        by_statics: whether statics also judges the piles that are allowed.
+        before: the balance of the piles without their last box, which is the same for all piles; None: unknown.
     """
 
     piles: list[Draft]
@@ -66,7 +66,7 @@ class JudgedPile(NamedTuple):
 
     Attributes:
         is_allowed: whether the pile is allowed.
-        balance: its balance; None: statics was not asked, or the pile is not allowed.
+        balance: its balance; None: statics did not judge the pile, or the pile is not allowed.
     """
 
     is_allowed: bool
@@ -75,7 +75,7 @@ class JudgedPile(NamedTuple):
 
 Result = TypeVar("Result")
 Judging = Generator[PileRequest, list[JudgedPile], Result]
-"""A part of building anew. It yields piles, and is sent what was judged about each."""
+"""A part of the building of a plan anew. The generator yields piles to be judged, and is sent the judged piles."""
 
 
 class Failure(NamedTuple):
@@ -113,7 +113,8 @@ def _piles(failure: Failure, rules: Rules, leaves_out: bool) -> Iterator[_Pile]:
 
 
 def _side_by_side(parts: Sequence[Judging[Result]], rules: Rules, sim: Simulation) -> list[Result]:
-    """The results of parts whose piles are judged together. Statics judges when all parts wait for it."""
+    """The results of parts (``Judging``) whose piles are judged together. Statics judges only when all parts wait for
+    statics."""
     results: dict[int, Result] = {}
     answers: dict[int, Any] = dict.fromkeys(range(len(parts)))
     requests: dict[int, PileRequest] = {}
@@ -132,7 +133,8 @@ def _side_by_side(parts: Sequence[Judging[Result]], rules: Rules, sim: Simulatio
 
 
 def _judged(requests: Sequence[PileRequest], rules: Rules, sim: Simulation) -> list[JudgedPile]:
-    """What is judged about single piles, all of them by statics or none. Equal piles are judged once."""
+    """The judged piles of requests with one pile each. Equal piles are judged once. Either all requests are judged by
+    statics, or none is."""
     keys = [key_of(pile) for (pile,), *_ in requests]
     different = dict(zip(keys, requests, strict=True))
     piles = {key: pile for key, ((pile,), *_) in different.items()}
@@ -200,9 +202,10 @@ class _Pile:
         return True
 
     def _placed(self, box: int, later: Collection[int]) -> Judging[Place | None]:
-        """Put a box at the best place; None: there is no place. At the best place, statics objects least. Of such
-        places, it is one that is in the way of the fewest later boxes; then the one with the safest loads; then the
-        lowest one. Places in the way of few boxes, and low ones, are tried first, until statics does not object."""
+        """Put a box at the best place; None: there is no place. The best place is the one with the least trouble
+        (``Balance``). Of several such places, the best one is in the way of the fewest later boxes; of these, it has
+        the least weakness; of these, it is the lowest. Places in the way of few later boxes, and low places, are tried
+        first, until a place adds no trouble."""
         planned = self._draft.corner_mm[box]
         places = [
             Place(box, corner, bool(self._draft.turned[box]) != turn, differs=turn)
@@ -226,7 +229,7 @@ class _Pile:
                 if best is None or rank < best:
                     best, best_pile, best_balance = rank, pile, balance
             if best is not None and best[0] <= _trouble(before) + SAME_TROUBLE:
-                break  # no box makes the trouble of the boxes below less
+                break  # no place can be better: a further box never lessens the trouble of the boxes below
         if best is None:
             return None
         self._pile, self._balance = best_pile, best_balance

@@ -34,7 +34,8 @@ OF_READING: Final = (*READING, "articles", "limit", "strict")
 """Fields of ``RunOptions`` about the reading of plans."""
 
 AT_ONCE: Final = 256
-"""Plans that are repaired at the same time: their trials share runs of the engine, which fills a GPU."""
+"""Largest number of plans that are repaired at the same time. Their trials share runs of the engine, which fills a
+GPU."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "plan"),
@@ -56,16 +57,17 @@ class Repaired:
 
     Attributes:
         before: the plan before the repair.
-        plan: the repaired plan; the plan itself if it stands already, or without a known repair.
+        plan: the repaired plan; the plan itself if it stands already, or if no repair is known.
         changes: the changes, in order. Without any one of them the plan falls, or is not allowed (boxes overlap, float,
             …), or stands in too few worlds with errors (``RepairOptions.share``).
         trial_before, trial_after: the simulation of both; after: None if no repair is known.
-        share_before, share_after: shares of worlds with errors in which the two plans stand; None: not simulated, or
-            not to the end of the seconds.
+        share_before, share_after: shares of worlds with errors in which the two plans stand; None: the worlds were not
+            simulated, or the time was up before all of them had ended.
         n_trials: plans that were simulated.
-        complete: whether the search came to its end; else its seconds were spent, and smaller changes may be known to a
-            longer one.
-        built_falls: whether boxes that stand already fall before others are placed: no repair was sought.
+        complete: whether the search came to its end. If not, its time was up, and a longer search might find smaller
+            changes.
+        built_falls: whether boxes that stand already (``built``) fall before others are placed. If so, no repair was
+            sought.
     """
 
     before: Plan
@@ -96,7 +98,8 @@ class Repaired:
 
     @property
     def film_turns(self) -> float | None:
-        """Turns of film that the repair needs; None: no film. A plan does not hold them."""
+        """Turns of film that the repair needs; None: no film. The repaired plan itself does not contain the turns of
+        film."""
         return next((change.turns for change in reversed(self.changes) if hasattr(change, "turns")), None)
 
     def undone(self, number: int) -> Plan | None:
@@ -246,12 +249,12 @@ def repair(
     ``petmjx.repair("plans.json", forbid=["leave-out"], built=12).save("repaired.json")``
 
     Changes are another order, place or turn, moves by some millimetres, exchanges, tie sheets, film if the pallet must
-    survive a profile, and as the last resort boxes that are left out. A plan has one repair on an engine: nothing is
-    random but the errors, which depend on the plan's id alone.
+    survive a profile, and as the last resort boxes that are left out. Without ``seconds``, a plan always gets the same
+    repair on the same engine: only the errors are random, and they depend only on the plan's id.
 
     Args:
         plans: as for ``petmjx.score``.
-        watch: called with the number of plans that are done, and of all plans.
+        watch: function that is called with two numbers: of the plans that are done, and of all plans.
         options: ``forbid``, ``built``, ``most_move_mm``, ``max_height_mm``, ``most_changes``, ``trials``, ``seconds``,
             ``worlds``, ``share``, ``sheet_mm``, ``sheet_kg_m2``, ``profile``, ``level``, ``direction_deg``,
             ``most_turns`` (docs/repair.md); ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``,
@@ -308,7 +311,7 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
             for search, trial in zip(late, question.trials(drafts) if late else [], strict=True):
                 search.begin(trial)
             results = _with_shares(searches, question, options, limit)
-        except KeyboardInterrupt:  # nothing is simulated any more: the engine was stopped anywhere
+        except KeyboardInterrupt:  # the engine was stopped at an unknown point, so it simulates nothing more
             yield from (_repaired_by(search, _first(search), None, None) for search in searches if search.complete)
             raise
         yield from results

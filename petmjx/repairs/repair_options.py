@@ -49,24 +49,24 @@ class RepairOptions(CheckedRecord):
         0, description="boxes that stand already: the first N of each plan are not changed"
     )
     most_move_mm: Annotated[float, within(1, 10_000), CliFlag("--most-move-mm", "MM")] = Field(
-        150.0, description="longest way by which a box is moved along x or y, mm"
+        150.0, description="largest distance by which a box is moved along x or y, mm"
     )
     max_height_mm: Annotated[float, within(0, 100_000), CliFlag("--max-height-mm", "MM")] = Field(
         2000.0, description="highest top of a box that is placed elsewhere, mm; at least the plan's own height"
     )
     most_changes: Annotated[int, within(1, 100), CliFlag("--most-changes", "N")] = Field(
-        60, description="changes at most, boxes left out not counted"
+        60, description="largest number of changes; boxes that are left out do not count"
     )
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
         600,
-        description="changed plans that are judged at most, with a profile a sixth of them; half as many more if boxes "
-        "must be left out",
+        description="largest number of changed plans that are judged; with a profile, a sixth of this number; if boxes "
+        "must be left out, half as many plans more",
     )
     seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
         None,
-        description="time for all plans, s, 70 % of it for the search if there are worlds with errors; the start of "
-        "the engine does not count; then what is known counts, and results say so; without a limit they depend on "
-        "plans and options alone",
+        description="time for all plans, s, without the start of the engine; if there are worlds with errors, the "
+        "search has 70 % of it; when the time is up, the best repairs so far are the results, and the results say so; "
+        "without a limit, results depend only on plans and options",
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         8,
@@ -75,8 +75,8 @@ class RepairOptions(CheckedRecord):
     )
     share: Annotated[float, within(0, 1), CliFlag("--share", "SHARE")] = Field(
         0.75,
-        description="share of worlds with errors in which a repair shall stand: further changes are made for it, but "
-        "not with a profile; 0: none are made",
+        description="share of worlds with errors in which a repair shall stand; without a profile, further changes are "
+        "made to reach it; 0: no further changes",
     )
     sheet_mm: Annotated[float, within(0.1, 100), CliFlag("--sheet-mm", "MM")] = Field(
         3.0, description="thickness of a tie sheet, mm"
@@ -94,7 +94,7 @@ class RepairOptions(CheckedRecord):
         0.0, description="direction of the profile, from +x to +y, degrees"
     )
     most_turns: Annotated[int, within(1, 1000), CliFlag("--most-turns", "N")] = Field(
-        12, description="turns of film at most, where the pallet must survive a profile"
+        12, description="largest number of turns of film, if the pallet must survive a profile"
     )
 
     @model_validator(mode="after")

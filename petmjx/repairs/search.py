@@ -1,12 +1,12 @@
 """The search for the smallest change that makes a plan stand.
 
 The search changes plans step by step. It continues with the plans that promise the shortest repair: those with the
-smallest number of changes so far plus faults that are left. Simulations without the boxes that fall count the faults of
-the plan; those of a changed plan follow from the box that falls in its own simulation. A plan is changed where it
-fails: statics ranks the possible changes, and the best ranked are judged at once, by one short simulation each. Plans
-that stand are scored. Then needless changes are taken back. Each remaining change is needed: without it, the plan
-falls. Worlds with errors decide which of the repairs with the fewest changes is chosen. If this repair falls in too
-many of these worlds, it is changed further at the places where it falls there.
+smallest number of changes so far plus faults that are left. The faults of the original plan are counted by simulations
+without the boxes that fall. The faults of a changed plan follow from the box that falls in the simulation of the
+changed plan. A plan is changed where it fails: statics ranks the possible changes, and the best ranked are judged at
+once, by one short simulation each. Plans that stand are scored. Then needless changes are taken back. Each remaining
+change is needed: without it, the plan falls. Worlds with errors decide which of the repairs with the fewest changes is
+chosen. If this repair falls in too many of these worlds, it is changed further at the places where it falls there.
 
 ``Search.run`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans
 can share runs of an engine. Parts of a search that do not depend on each other run side by side (``Together``). The
@@ -91,9 +91,9 @@ MORE_TO_COMPARE: Final = 24
 
 MOST_UNDONE: Final = 8
 """Limit of the total number of changes in all repairs that are compared. Each change is taken back for a trial, so
-fewer repairs are compared if repairs are long. The trials are judged. Those of the chosen repair are also scored,
-unless it has more changes alone. On a GPU, none is scored: scores of plans that fall would keep all searches
-waiting."""
+fewer repairs are compared if repairs are long. The trials are judged. The trials of the chosen repair are also scored,
+unless this repair alone has more changes than the limit. On a GPU, no trial is scored: scores of plans that fall would
+keep all searches waiting."""
 
 PER_DRIVE: Final = 6
 """A plan that is scored with a drive counts as this many trials. With a drive, every plan is scored, because no short
@@ -112,7 +112,8 @@ class Search(Candidates):
             repair is needed: without it, the plan falls, is not allowed, or stands in too few worlds with errors.
         n_trials: number of plans that were simulated.
         complete: whether the search has ended. Before its end, repairs may have needless changes.
-        built_falls: whether boxes that stand already fall before others are placed: no repair is sought.
+        built_falls: whether boxes that stand already (``built``) fall before others are placed. If so, no repair is
+            sought.
     """
 
     before: Trial | None = None
@@ -283,8 +284,9 @@ class Search(Candidates):
         return standing, [Node(node.state, node.faults) for node in nodes[:BEAM]]
 
     def _rivals(self, queues: Sequence[list[Candidate]], states: Sequence[State], count: int) -> list[Candidate]:
-        """Take candidates off the queues that may be chosen instead of the plans that stand: with worlds with errors,
-        any; without, those that statics prefers to all of the shortest plans that stand."""
+        """Take candidates off the queues that may be chosen instead of the plans that stand. If worlds with errors are
+        simulated, any candidate may be chosen. Otherwise, only candidates that statics prefers to all of the shortest
+        plans that stand may be chosen."""
         if not self.options.worlds:
             standing = shortest([state for state in states if state.trial.stands])
             fewest, best = len(standing[0].changes), min(self._risks(standing))
@@ -299,7 +301,8 @@ class Search(Candidates):
         """Of repairs with the same number of changes, those that stand most often in a few worlds with errors.
 
         Args:
-            scored: plans that stand when scored. judged: plans that stand when judged.
+            scored: plans that stand when scored.
+            judged: plans that stand when judged.
         """
         different = [*{key_of(state.draft): state for state in (*judged, *scored)}.values()]
         chosen = [different[k] for k in self._safest(different)[:MOST_COMPARED]]
@@ -372,8 +375,8 @@ class Search(Candidates):
     def _remaining(self, state: State, parent: Node) -> tuple[Fault, ...]:
         """The expected faults of a changed plan, from its trial and the faults of the plan before the change. The
         faults before the box that falls are mended. If this box was none of the faults, the change has added one, and
-        the faults after it remain. To take boxes off and simulate the rest would take as many trials as the faults of
-        all changed plans."""
+        the faults after it remain. If boxes were taken off and the rest simulated instead, a trial would be needed for
+        each fault of each changed plan."""
         if state.trial.stands:
             return ()
         before, draft = parent.faults or (), state.draft
@@ -438,9 +441,9 @@ class Search(Candidates):
         self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
 
     def _strengthened(self) -> Steps[None]:
-        """Put the repair first that stands most often in worlds with errors. Then change it further until it stands in
-        the wanted share of these worlds. It is changed where it falls in them, just as a plan that falls without errors
-        is changed where it falls."""
+        """Put the repair first that stands in the most worlds with errors. Then change this repair further until it
+        stands in the wanted share of these worlds. The repair is changed where it falls in these worlds, just as a plan
+        that falls without errors is changed where it falls."""
         options = self.options
         wanted = math.ceil(options.share * ERROR_WORLDS)
         compared: list[State] = []
@@ -479,7 +482,7 @@ class Search(Candidates):
         made.
 
         A world with errors has five times as many steps as one without errors, in which no hand lowers the boxes. So
-        few worlds are simulated that a candidate does not need. Candidates that stand without errors are judged in
+        needless worlds with errors are avoided in the following way. Candidates that stand without errors are judged in
         worlds in which ``weak`` falls, one world after the other, until enough of them stand. The best are judged in
         all worlds, one after the other, until one stands in ``wanted`` of them.
         """
@@ -575,5 +578,5 @@ def _lost(draft: Draft, trial: Trial) -> int:
 
 
 def _n_finalists(states: Sequence[State]) -> int:
-    """Of repairs, the number of those whose changes are taken back one by one."""
+    """Number of repairs, of these ones, whose changes are taken back one by one."""
     return min(MOST_FINALISTS, max(MOST_UNDONE // min(len(state.changes) for state in states), 1))

@@ -21,7 +21,8 @@ from petmjx.repairs.search import Search
 from petmjx.repairs.trials import Asked, OutOfTime, Steps, Together, TrialAnswer
 
 PLANS_EACH: Final = 4
-"""Plans for which a process is worth its start, of two seconds."""
+"""Smallest number of plans per process. A process takes two seconds to start, so it is not worth while for fewer
+plans."""
 
 REQUEST_WAIT_S: Final = 0.005
 """While all processes are busy, and the engine is idle, messages are looked for at intervals of this length, s."""
@@ -82,8 +83,8 @@ class Tasks:
 
     def _go_on(self, task: _Task, results: Any) -> None:
         """Continue a task with the trials or results for which it waits, until it waits for others. A task whose last
-        part has ended continues at once. The ready tasks are a stack, and not calls of this method by itself: rounds
-        without simulations may follow one another in any number."""
+        part has ended continues at once. Ready tasks are kept in a stack. (If this method called itself instead, many
+        rounds without simulations could exceed Python's limit of nested calls.)"""
         ready = [(task, results)]
         while ready:
             task, results = ready.pop()
@@ -113,7 +114,8 @@ def run_searches(searches: Sequence[Search], simulator: Simulator, processes: in
     """Run searches to their ends, or until the time is up.
 
     Args:
-        processes: number of processes at most; this one alone if there are few searches for each.
+        processes: largest number of processes. If there are too few searches for two processes, this process runs all
+            searches.
     """
     processes = min(processes, len(searches) // PLANS_EACH)
     if processes < 2:

@@ -108,9 +108,10 @@ class Trial(NamedTuple):
         n_placed: number of boxes that were placed before the world ended.
         n_held: number of boxes that were placed before the first box crossed a limit, as far as that is known.
         margin: as in the table ``worlds``; NaN: no margin.
-        is_score: whether a score on the same engine has this trial, too. A judged draft that stands and did not move
-            when a wait was over is simulated in the same way when it is scored (waits are shorter only for a draft of
-            which a box crossed a threshold at a sample, and came back).
+        is_score: whether a score on the same engine would give this trial, so that the draft need not be simulated
+            again. This is true if a judged draft stands, and its boxes were at rest whenever a wait was over. (Waits of
+            a judged draft are shorter than those of a score only if a box crossed a threshold at a sample and came
+            back.)
     """
 
     verdict: str
@@ -221,7 +222,7 @@ class Question:
         self._drive_sweep(self.sim.wrap.turns)  # an unusable profile is refused before anything is simulated
         if options.worlds:
             self._error_sweep = confidence_sweep(ERROR_WORLDS, self._errors, of_simulation)
-            # The first one is exact.
+            # The first placement has no errors.
             self._variants = [placement for placement, _ in Design(self._error_sweep).placements()]
             with_errors = _quick(self._error_sweep.simulation)
             self._quick[1] = self._quick[0] if with_errors == self._quick[0] else with_errors
@@ -306,8 +307,8 @@ class Question:
         return jobs
 
     def _with_errors(self, plan: Plan, scene: Scene, worlds: Sequence[int]) -> Iterator[Scene]:
-        """The scenes of a plan in these worlds with errors. All drafts of a plan have the same errors, others than a
-        score has. The scenes are made together, in a fraction of the time."""
+        """The scenes of a plan in these worlds with errors. All drafts of a plan have the same errors. A score has
+        other errors. The scenes are made together, in a fraction of the time."""
         variants = [self._variants[world] for world in worlds]
         return apply_all(scene, f"{plan.plan_id}: search", variants, self._error_sweep.seed)
 
@@ -361,7 +362,7 @@ class Question:
         profiles = resolve(options.profile)
         if len(profiles) != 1:
             names = ", ".join(profile.name for profile in profiles)
-            raise InputError(f"profile {printable_name(options.profile)} is a family: name one of {names}")
+            raise InputError(f"profile {printable_name(options.profile)} is a family of profiles: name one of {names}")
         axes: dict[str, Any] = {"profile": options.profile, "direction": options.direction_deg}
         if profiles[0].strength is not Strength.ANGLE:
             axes[str(profiles[0].strength)] = options.level
@@ -383,7 +384,7 @@ class _WorldEnds:
 
     Attributes:
         share: share of the time after which the run ends.
-        verdicts: plan id → verdicts of the worlds that have ended, without the world without errors.
+        verdicts: plan id → verdicts of the ended worlds with errors.
     """
 
     limit: TimeLimit
@@ -419,9 +420,9 @@ class Lane(NamedTuple):
 
     @property
     def can_pause(self) -> bool:
-        """Whether placements can pause, so that worlds that begin alike share their beginning. On a GPU they do not: a
-        paused world waits for the end of a time slice, and the one run with pauses that was measured had fewer trials
-        per second."""
+        """Whether placements can pause, so that worlds with the same first boxes share the simulation of these boxes.
+        On a GPU, placements do not pause: a paused world waits for the end of a time slice, and a measured run with
+        pauses made fewer trials per second than without."""
         waits = self.sim.schedule is Schedule.ADAPTIVE and self.sim.check is Check.ONE_BY_ONE
         pauses = Capability.PAUSES in getattr(self.engine, "capabilities", Capability(0))
         return waits and pauses and self.engine.name != ON_A_GPU
@@ -597,7 +598,7 @@ def _engines(run: RunOptions) -> tuple[Engine, RunOptions | None]:
     """The engine of all trials, and the options of the second opinion on standing plans; None: no second opinion.
 
     ``auto`` takes the kernels of Warp, on a GPU or on CPU threads, since hundreds of plans are simulated. A score of a
-    single plan uses C MuJoCo. So a plan must stand there, too.
+    single plan uses C MuJoCo. So a repaired plan must also stand on C MuJoCo: this is the second opinion.
     """
     if not isinstance(run.engine, str):
         return run.engine, None

@@ -31,13 +31,14 @@ PLACING: Final = "placing"
 begins."""
 
 AS_IS: Final = ""
-"""Stands for the unchanged chain in columns that hold, for a changed chain, the name of the remedy."""
+"""Value of the columns ``remedy`` for the unchanged chain. For a changed chain, these columns have the name of the
+remedy."""
 
 MOST_LEGS: Final = 100
 
 _EDGES: Final = ("plan_edge_m", "plan_edge_box", "build_edge_m", "build_edge_box", "build_edge_step")
-"""Fields of an outcome that tell how near to an edge of their support loads act in the plan. A leg does not change
-these fields."""
+"""Fields of an outcome about the distances of loads from the edges of their supports, in the plan and while it is
+built. A leg does not change these fields."""
 
 Name = Annotated[str, Field(max_length=100)]
 Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]

@@ -293,8 +293,8 @@ separately when a run is resumed."""
 
 
 def sweep_identity(sweep: Sweep) -> dict[str, Any]:
-    """The settings that identify a sweep, as plain JSON values. The options of the simulation are left out, and digests
-    of samples stand for profiles."""
+    """The settings that identify a sweep, as plain JSON values. The options of the simulation are left out, and each
+    profile is represented by a digest of its samples."""
     settings = sweep.model_dump(mode="json", exclude=_BESIDE)
     if sweep.search is not None:
         settings["search"]["levels"] = len(sweep.search_levels)

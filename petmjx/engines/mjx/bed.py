@@ -34,8 +34,8 @@ class Faces(NamedTuple):
     """The values of a world's geoms from which beds of springs are computed. Geom 0 is the floor.
 
     Attributes:
-        give: area divided by twice the stiffness, m³/N.
-        half: half extents without skin, m.
+        give: area of the box's top divided by twice the box's stiffness, m³/N; 0 for rigid bodies.
+        half: half extents of the shape, m; a geom is larger by its skin (contact margin).
         inverse_mass: inverse mass of the geom's body, 1/kg; 0 for bodies that do not move.
     """
 
@@ -138,7 +138,7 @@ def bed_of(
     """How the faces of two boxes press on one another.
 
     Args:
-        toward: the collider's normal, from the first box to the second.
+        toward: the contact normal that MJX found, from the first box to the second.
     """
     out_a, reach_a, edges_a = _face(turn_a, half_a, toward)
     out_b, reach_b, edges_b = _face(turn_b, half_b, -toward)

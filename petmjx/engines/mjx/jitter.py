@@ -34,8 +34,9 @@ def stay_mask(
 
 
 def _most_away(path: Float[Array, "world box"], sim: Simulation) -> Float[Array, "world box"]:
-    """Limits of distances, m: a box that has travelled this path since the beginning of a period of measurement
-    trembles or stays only if it has always been nearer than the limit to its pose at that beginning."""
+    """Limits of distances, m. A box trembles or stays only if, during the whole period of measurement, its distance
+    from its pose at the beginning of the period has been below the limit. ``path``: length of each box's path in the
+    period, m."""
     rule = sim.quiet
     still = rule.still_m_s * rule.tremble_looks * rule.poll_steps * sim.physics.timestep_s
     return rule.tremble_share * jnp.maximum(path, still)

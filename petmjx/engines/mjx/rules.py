@@ -121,7 +121,7 @@ class Rules:
         return jnp.where(worlds.support == NOTHING, 0.0, jnp.clip(moved, -most, most))
 
     def go_on_placing(self, state: State, worlds: Worlds) -> State:
-        """Place the next box of each paused world, if the constants of the world have one."""
+        """Place the next box of each paused world whose constants describe a further box."""
         goes = (state.status == Status.PAUSED) & (state.placed < worlds.n_boxes)
         state = self.place_next(self.noting_motion(state, goes), worlds, goes)
         return state._replace(status=jnp.where(goes, Status.RUNNING, state.status))
@@ -138,7 +138,7 @@ class Rules:
         return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
 
     def moves(self, state: State) -> Bool[Array, " world"]:
-        """Whether each paused world is neither quiet nor failed."""
+        """Whether each paused world still moves: its pallet is not quiet, and no box of the world has failed."""
         return ~state.metrics.has_failed(self.sim.thresholds) & (state.quiet_steps < self.sim.quiet.steps)
 
     def begin_drives(self, state: State, worlds: Worlds) -> State:
@@ -340,8 +340,8 @@ class Rules:
         return counted, enough & ~anew
 
     def _proceed(self, state: State, worlds: Worlds) -> State:
-        """In each world whose wait is over, place the next box. If all boxes are placed, mark the world as settled, or
-        begin its rest window (the last steps, in which forces at rest are measured)."""
+        """In each world whose wait is over, place the next box. In a world without a further box, mark the world as
+        settled, or begin its rest window (the last steps, in which forces at rest are measured)."""
         quiet, table = self.sim.quiet, self.timetable
         has_more = (state.placed < worlds.n_boxes) & (not self.driven)
         in_drive = self._rests_in_drive(state)

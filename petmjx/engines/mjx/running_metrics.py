@@ -27,8 +27,7 @@ class Sample(NamedTuple):
         presses: whether the largest force on the box's top includes this step.
         tilts: whether the largest tilt of the box includes this step, at a sample or at a check during a drive.
         looked: whether the box is checked. Boxes are also checked at the end of their world.
-        rested: whether the mean force on the box's top at rest includes this step. ``rests``: whether each world is in
-            its rest window.
+        rested: whether the mean force on the box's top at rest includes this step.
     """
 
     step: Int[Array, " world"]

@@ -141,7 +141,7 @@ def _scene_values(scenes: Sequence[Scene]) -> Rows:
 def _put_plain(
     rows: Rows, at: NDArray[np.intp], scenes: Sequence[Scene], release: Release, path: ApproachPath | None
 ) -> None:
-    """Fill in plain scenes, which must be stackable."""
+    """Fill in stackable scenes (``petmjx.world.stackable_scenes``), all at once."""
     k, s = scenes[0].n_boxes, len(scenes[0].carrier.half_size)
     half = stacked_values(scenes, "half_size")
     quat, place = stacked_values(scenes, "start_quat"), release.pos

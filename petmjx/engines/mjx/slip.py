@@ -63,8 +63,8 @@ class SlipLaw:
         excess: Float[Array, " contact"],
         slides: Bool[Array, " contact"],
     ) -> tuple[Velocities, Rows, Float[Array, " contact"], Bool[Array, ""]]:
-        """Accelerations and forces of one world for this excess; the resulting change of the excess, m/s²; and whether
-        another round is needed."""
+        """Accelerations and forces of one world for this excess (petmjx/world/contact_laws.py); the resulting change of
+        the excess, m/s²; and whether another round is needed."""
         friction = problem.sliding[:, 0]
         qacc, force, residual = self._solver.solve(problem, pull.at[:, 0].add(-friction * excess), start)
         dragged = _tangent(force / problem.stiffness)

@@ -28,10 +28,10 @@ class Timetable:
 
     Attributes:
         clock: time after each step, s.
-        due: for each step s, the step at which a wait of ``interval_s`` ends that begins after step s.
-        longest: for each step s, the step at which a wait of ``longest_wait_s`` ends that begins after step s.
-        settled: for each step s, the step at which a wait of ``settle_s`` ends that begins after step s. This wait is
-            rounded otherwise than all other waits: the time ``clock[s] + settle_s`` is converted to whole steps.
+        due: for each step s, the step at which a wait of ``interval_s`` ends if it begins after step s.
+        longest: for each step s, the step at which a wait of ``longest_wait_s`` ends if it begins after step s.
+        settled: for each step s, the step at which a wait of ``settle_s`` ends if it begins after step s. This wait is
+            rounded in another way than all other waits: the time ``clock[s] + settle_s`` is converted to whole steps.
         settled_nominally: for each number of boxes, the step after which a drive (the motion of the carrier in a test)
             starts with the fixed schedule. As in the reference implementation, ``settle_s`` is counted from the nominal
             time of the last placement. The actual placement is a little later, since its time is rounded to steps.

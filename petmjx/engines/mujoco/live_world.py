@@ -57,8 +57,8 @@ class BodyState:
 class LiveWorld:
     """MuJoCo's model and data of one world, in which the first ``n_placed`` boxes are placed.
 
-    Boxes that are in the model but not yet placed hang far apart in the air. A force equal to its weight holds each
-    waiting box. Waiting boxes touch nothing, so they do not influence the pallet.
+    Boxes that are in the model but not yet placed hang far apart in the air. Each waiting box is held by a force equal
+    to the weight of this box. Waiting boxes touch nothing, so they do not influence the pallet.
 
     With pyramidal friction cones, an additional body represents the waiting boxes
     (``petmjx.engines.mujoco.waiting_boxes``).

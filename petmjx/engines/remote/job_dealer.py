@@ -50,8 +50,8 @@ class Hand:
 
 @dataclass(frozen=True)
 class _Limit:
-    """How many jobs a worker may hold now: in any case ``fewest``. Up to ``most`` jobs, the worker gets further jobs
-    while their expected time in total is less than ``cost``."""
+    """How many jobs a worker may hold now. The worker may always hold ``fewest`` jobs. The worker gets further jobs, up
+    to ``most``, while the expected time of all its jobs is less than ``cost``."""
 
     fewest: int
     most: int
@@ -73,8 +73,8 @@ class JobDealer:
 
     If the engine simulates job after job, a worker holds fewer jobs towards the end, down to one per thread. If the
     engine simulates worlds side by side, all jobs are divided among the workers at once, so that all workers have the
-    same expected time to go. The share of a worker that is still starting waits for it, as long as the other workers
-    are busy. A worker then begins with ``begin_with`` jobs, unless no more jobs come.
+    same expected time to go. While the other workers are busy, the share of a starting worker is kept for this worker.
+    A worker begins with at least ``begin_with`` jobs, unless no more jobs come.
 
     The first death of a worker may have an outside cause, so its jobs are given out again like other jobs. Jobs whose
     workers have died twice are *suspects*. They wait until no other jobs are left. If n suspects come from the death of

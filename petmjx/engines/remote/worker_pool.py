@@ -301,11 +301,12 @@ class WorkerPool(Engine):
         self._devices[hello.device] = None
 
     def _start_again(self, worker: _WorkerRecord, error: BaseException, most: int) -> None:
-        """Handle a worker that failed to start. A worker that replaces a dead worker, whose device may be broken, is
-        started up to three times. If all starts fail, the run continues with the remaining workers.
+        """Handle a worker that failed to start. A start is tried up to three times, since the device of the failed
+        worker may be broken. If all three starts fail, the run continues with the remaining workers.
 
         Args:
-            error: error that is raised after ``most`` failed starts, if no worker has died before or no other is left.
+            error: error that is raised after ``most`` failed starts. The error is not raised if a worker had died
+                before and another worker is ready.
         """
         self._false_starts += 1
         spare = self._deaths > 0 and any(worker.ready for worker in self._workers)

@@ -158,8 +158,8 @@ class CheckPool(Generic[Key]):
         self._finished += zip(keys, outcome_checks(*task), strict=True)
 
     def _take(self, process: _CheckProcess[Key], *, wait: bool, until: Callable[[], bool] = lambda: False) -> None:
-        """Take the answers of a process that have arrived. With ``wait``, wait for at least one answer, unless the
-        caller has other work (``until``). A process that has died or hangs is removed from the pool."""
+        """Take those answers of a process that have already arrived. With ``wait``, wait for at least one answer,
+        unless the caller has other work (``until``). A process that has died or hangs is removed from the pool."""
         waits = 0  # waits are counted instead of seconds: while this process is stopped (Ctrl-Z), no answer is late
         while process.unanswered:
             try:

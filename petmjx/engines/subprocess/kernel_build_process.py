@@ -35,7 +35,8 @@ class KernelBuild(NamedTuple):
 
     Attributes:
         gpu: the GPU; None: the CPU of this machine.
-        size: name of a block size: ``usual``, ``large``, ``few`` or ``last``. On a CPU, one kernel serves all.
+        size: name of a block size: ``usual`` or ``large`` (the two of ``block_launch.SIZES``), ``few`` (``FEW_BOXES``),
+            or ``last`` (``LAST``). On a CPU, one kernel serves all sizes.
         hands, lands: features of a kernel for GPUs, as in ``petmjx.engines.warp.block_launch.Features``.
     """
 

@@ -18,32 +18,35 @@ from petmjx.world.edge_distances import beyond_and_near_edges
 from petmjx.world.job import Job
 
 EXAMINED_AT_ONCE: Final = 32
-"""Number of worlds that are examined together. A world of a generated plan takes 0.15 ms, a world of 100 boxes that all
-lie on several others 6 ms."""
+"""Number of worlds whose loads are examined together (``Queues.examine``). A world of a generated plan takes 0.15 ms, a
+world of 100 boxes that all lie on several others 6 ms."""
 
 EXAMINING_S: Final = 0.015
-"""Time after which no more worlds are examined between two time slices of 0.1 s, so that the device need not wait.
-Other threads need Python's lock meanwhile: when up to 256 worlds were examined, 10,003 plans took the device a second
+"""Longest time for examining worlds between two time slices of 0.1 s, s. So the device need not wait, and other threads
+get Python's lock. When up to 256 worlds were examined between two slices, 10,003 plans took the device a second
 longer."""
 
 MOST_EXAMINED_BOXES: Final = 96
-"""Largest number of boxes of a world that is examined. Larger worlds take long to examine and to simulate, so they
-begin as if a load acted near an edge."""
+"""Largest number of boxes of a world that is examined. Larger worlds take long to examine and to simulate, so they come
+as early as worlds in which a load acts near an edge."""
 
 
 class Queues:
-    """The queues of worlds. In each queue, the worlds with the longest expected time come first, so that a run ends
-    with short worlds.
+    """The queues of worlds. The following three rules give the order of worlds in each queue. A later rule takes
+    precedence over an earlier one.
 
-    Worlds in which a load acts beyond or near an edge, according to a quick test of statics, come before all others, so
-    that a run ends with worlds that stand. The time of a collapse cannot be predicted: of 10,003 generated plans, 40 of
-    the 42 worlds with more than 5,000 steps were among the 4,279 with a load beyond an edge. Besides, worlds that fall
-    may be simulated again in stiffer contacts, which takes up to ten seconds on a CPU thread. This is likely if a load
-    acts near an edge, so these worlds come first of all.
+    First, worlds with a longer expected time come earlier, so that a run ends with short worlds. Second, worlds in
+    which a load acts beyond or near an edge, according to a quick test of statics, come before worlds without such
+    loads, so that a run ends with worlds that stand. The time of a collapse cannot be predicted: of 10,003 generated
+    plans, 40 of the 42 worlds with more than 5,000 steps were among the 4,279 with a load beyond an edge. Besides,
+    worlds that fall may be simulated again in stiffer contacts, which takes up to ten seconds on a CPU thread. A second
+    simulation is likely if a load acts near an edge, so worlds with a load near an edge come before worlds with a load
+    beyond an edge.
 
-    Worlds that have completed a leg of a chain (a part of a journey) come before all others. Among them, the world that
-    was queued last comes first. So chains end one after another during the whole run, and the CPU writes their results
-    during the simulation. If length alone decided, the short last legs of all chains would come at the end of the run.
+    Third, worlds that have completed a leg of a chain (a part of a journey) come before all others. Among them, the
+    world that was queued last comes first. So chains end one after another during the whole run, and the CPU writes
+    their results during the simulation. If length alone decided, the short last legs of all chains would come at the
+    end of the run.
 
     Args:
         queues: the queues, in order (``kernel_features.Queue``).
@@ -64,7 +67,7 @@ class Queues:
         """What statics says of each row's world: 2 if a load acts near an edge, 1 if a load acts beyond an edge and no
         load near an edge, otherwise 0."""
         self._unexamined = np.zeros(rows, bool)
-        """Whether each row's world begins with its placement, and ``_risk`` is not known yet."""
+        """For each row, whether the world begins with its placement and has not been examined yet."""
         self._n_added = 0
         self.order: Int[jax.Array, "queue world"]
 

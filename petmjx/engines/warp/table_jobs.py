@@ -16,13 +16,12 @@ from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 from petmjx.world.job import Job
 
 SPARE_ROWS: Final = 4
-"""Number of rows of a table, divided by the number of jobs at the beginning, if jobs may follow from outcomes."""
+"""A table begins with this number of rows for each of its first jobs, if jobs may follow from outcomes."""
 
 WAITING_ROWS: Final = 8
-"""Number of rows of a table, divided by the number of jobs at the beginning, if more jobs may follow, but none from
-outcomes. Thread blocks begin with the longest worlds of the table. So the more worlds wait in the table, the shorter
-are the worlds with which a run ends. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in the
-table after some slices."""
+"""A table begins with this number of rows for each of its first jobs, if more jobs may follow, but none from outcomes.
+Thread blocks begin with the longest worlds of the table. So a run ends with shorter worlds if more worlds wait in the
+table. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in the table after some slices."""
 
 MOST_FOLLOWING_ROWS: Final = 2048
 """Smallest number of rows of a table that further jobs may join later, such as the many drives that follow a single
@@ -35,9 +34,9 @@ less than a time slice. With 512 jobs, the CPU needed more time between two slic
 """
 
 REFILL_SHARE: Final = 2
-"""New jobs join a table only while ``MOST_JOINING`` rows are free, or one in ``REFILL_SHARE`` rows of a smaller table,
-so that many jobs join together. Jobs that follow from outcomes, such as the drives that start from a settled placement,
-join at once."""
+"""New jobs join a table only while ``MOST_JOINING`` rows are free, so that many jobs join together. In a smaller table,
+new jobs join while one in ``REFILL_SHARE`` rows is free. Jobs that follow from outcomes, such as the drives that start
+from a settled placement, join at once."""
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
 """Number of jobs that one call of a compiled program writes into a table: ``JOIN_ROWS`` in general, ``FEEDBACK_ROWS``

@@ -19,8 +19,8 @@ NEAR = wp.constant(1e-5)
 """Margin by which bounding boxes of geoms are enlarged, m, so that no contact is lost by rounding."""
 
 APART = wp.constant(2.0 * ROOM + 3.0 * NEAR)
-"""Largest distance of two geoms' bounding boxes, m, at which the pair is listed. The list stays valid until a geom has
-left its room, so it need not be made in each step."""
+"""Largest distance of two geoms' bounding boxes, m, at which the pair is listed. The list stays valid until a body has
+moved by more than ``ROOM``, so the list need not be made in each step."""
 
 
 @wp.func

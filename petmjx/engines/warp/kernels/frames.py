@@ -11,7 +11,7 @@ from petmjx.engines.warp.world_arrays import FrameBuffer, Ref, State, Thread, Wo
 
 @wp.func
 def no_room(frames: Ref[FrameBuffer], blocks: int) -> bool:
-    """Whether the buffer might overflow if every block wrote a frame. Then no block may step a recorded world. Called
+    """Whether the buffer might overflow if every block wrote a frame. If so, no block may step a recorded world. Called
     by one thread.
 
     An atomic addition reads the writes of all blocks; a plain load might read a multiprocessor's own cache.

@@ -32,8 +32,9 @@ def distance_since(worlds: Ref[Worlds], state: Ref[State], home: wp.array3d[floa
 
 @wp.func
 def _most_away(model: Ref[Model], path: float) -> float:
-    """Limit of distance, m: a box that has travelled this path since the beginning of the measured period trembles or
-    stays only if it was always nearer than the limit to its pose at that beginning."""
+    """Limit of a distance, m. A box trembles or stays only if, during the whole measured period, its distance from its
+    pose at the beginning of the period has been below the limit. ``path``: length of the box's path in the period,
+    m."""
     still = model.still_speed * float(model.tremble_looks * model.poll_steps) * model.timestep
     return model.tremble_share * wp.max(path, still)
 
@@ -49,7 +50,7 @@ def find_jitter(
     # Data out:
     state: Ref[State],
 ) -> None:
-    """Update, at a look, for each box whether it trembles (moves to and fro), stays (keeps its place), or does neither
+    """At a look, decide for each box whether it trembles (moves to and fro), stays (keeps its place), or does neither
     (docs/rules.md, section 5). The first period after a placement is not measured.
 
     Args:

@@ -30,9 +30,8 @@ stopped. With a limit of 60 m/s², peaks were up to a fifth larger; with 1 m/s²
 
 @wp.func
 def tilt_of(q: wp.vec4) -> float:
-    """Angle between a box's z axis and the world's z axis, degrees. The angle is computed as
-    twice the half angle, which the quaternion gives directly, since float32 resolves small angles better in this way
-    than from their cosine.
+    """Angle between a box's z axis and the world's z axis, degrees. The quaternion gives the half angle. In float32,
+    small angles are more exact if they are computed from the half angle than from the cosine of the whole angle.
     """
     return wp.degrees(2.0 * wp.atan2(wp.sqrt(q[1] * q[1] + q[2] * q[2]), wp.sqrt(q[0] * q[0] + q[3] * q[3])))
 
@@ -180,8 +179,9 @@ def rises(work: Ref[Workspace], at: Thread) -> bool:
 
 @wp.func
 def is_unbalanced(work: Ref[Workspace], at: Thread) -> bool:
-    """Whether, after a solver that was stopped early, the forces on one of a thread's free bodies are out of balance by
-    more than ``UNBALANCED`` × the body's mass. Some forces between bodies may then be a hundred times too large."""
+    """Whether the forces on one of a thread's free bodies are out of balance by more than ``UNBALANCED`` × the body's
+    mass. If a solver was stopped early and this is the case, some forces between bodies may be a hundred times too
+    large."""
     unbalanced = bool(False)
     for body in range(at.thread, at.placed + 1 - at.held, at.threads):
         most = wp.float64(UNBALANCED) * wp.float64(work.qM[at.block, 6 * body])
