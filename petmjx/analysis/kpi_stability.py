@@ -58,31 +58,34 @@ class Stability:
         return pd.Series(values, dtype="Int64")
 
 
-def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stability:
+def read_stability(sources: Sequence[RunResults | Path], plans: Collection[Plan]) -> Stability:
     """Read from the results of runs whether plans stand.
+
+    Args:
+        sources: runs, or their folders.
 
     Raises:
         InputError: a folder has no run, its run is a sweep, or a plan in a run differs from the given plan with the
             same id.
     """
-    if not folders:
+    if not sources:
         command = "petmjx score PLANS --check static --out DIR, then --run DIR"
         return Stability(notes=(f"no run was given, so the standing plans are unknown: {command}",))
-    runs = [load_run(folder) for folder in folders]
+    runs = [run if isinstance(run, RunResults) else load_run(run) for run in sources]
     for run in runs:
         _check_same(run, plans)
     static = next((run for run in runs if _check(run) == Check.STATIC), None)
     verdicts = _verdicts(runs[0])
-    notes = [line for run in runs for line in run.doubts(str(run.path))]
+    notes = [line for run in runs for line in run.doubts(run.where)]
     if static is None:
         notes.append(
-            f"kpi_6 needs a run with check static, but {runs[0].path} has {_check(runs[0])}: "
+            f"kpi_6 needs a run with check static, but {runs[0].where} has {_check(runs[0])}: "
             "petmjx score PLANS --check static --out DIR, then --run DIR too"
         )
     invalid = Verdict.INVALID.value
     stable = {name: verdict == Verdict.STABLE.value for name, verdict in verdicts.items() if verdict != invalid}
     if static is not None and not static.keeps_boxes:
-        notes.append(f"{static.path}: has no table of boxes, which BED-BPP's rule needs")
+        notes.append(f"{static.where}: has no table of boxes, which BED-BPP's rule needs")
     return Stability(verdicts, stable, {} if static is None else _by_their_rule(static), tuple(notes))
 
 
@@ -92,14 +95,14 @@ def _check(run: RunResults) -> Any:
 
 def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
     if run.info["config"]["command"] == "sweep":
-        raise InputError(f"{run.path}: is a sweep; KPIs need a run of petmjx score")
+        raise InputError(f"{run.where}: is a sweep; KPIs need a run of petmjx score")
     digests = dict(zip(run.plans["plan_id"], run.plans["digest"], strict=True))
     if (file := how_read(run.info).articles) is not None:
         articles = read_articles(file)
         plans = [with_articles(plan, articles) for plan in plans]
     for plan in plans:
         if digests.get(plan.plan_id, digest := plan_digest(plan)) != digest:
-            raise InputError(f"{run.path}: plan {printable_name(plan.plan_id)} differs from the simulated one")
+            raise InputError(f"{run.where}: plan {printable_name(plan.plan_id)} differs from the simulated one")
 
 
 def _verdicts(run: RunResults) -> dict[str, str]:

@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from petmjx.analysis.kpi_stability import Stability, read_stability
-from petmjx.common.argument_checks import flag_of, path_of
+from petmjx.common.argument_checks import flag_of, list_of, path_of
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names
@@ -34,6 +34,7 @@ from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, gather_plans
 from petmjx.results.plan_lookup import plans_in_place
+from petmjx.results.run_reader import RunResults
 
 
 class KpiColumn(NamedTuple):
@@ -177,7 +178,7 @@ _EDGE_MM: Final = 1.0
 """BED-BPP's evaluator measures a height up to the last whole millimetre inside a box, so its heights are too small by
 this length, mm."""
 
-Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
+RunSource = RunResults | str | PathLike[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +219,7 @@ class Kpis:
 def kpis(
     plans: PlanSource,
     orders: str | PathLike[str],
-    run: Paths | None = None,
+    run: RunSource | Sequence[RunSource] | None = None,
     *,
     assume_stable: bool = False,
     strict: bool = False,
@@ -231,8 +232,9 @@ def kpis(
         plans: as for ``petmjx.score``.
         orders: file of orders, in BED-BPP's form or in any other form that petmjx reads. An order belongs to the plan
             with the same id.
-        run: folders of runs in which these plans were simulated. The verdicts come from the first run. ``kpi_6`` comes
-            from BED-BPP's rule, applied to the first run with check ``static``.
+        run: one or several runs in which these plans were simulated, as folders or as results of ``petmjx.score``. The
+            verdicts come from the first run. ``kpi_6`` comes from BED-BPP's rule, applied to the first run with check
+            ``static``.
         assume_stable: whether all plans count as stable, so that ``kpi_6`` is 1; allowed only without runs.
         strict: whether an unusable plan or order raises an error instead of being left out.
 
@@ -394,7 +396,13 @@ def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
     return notes
 
 
-def _as_list(run: Paths | None) -> list[Path]:
+def _as_list(run: RunSource | Sequence[RunSource] | None) -> list[RunResults | Path]:
+    """The runs, as results or folders.
+
+    Raises:
+        InputError: a run is neither.
+    """
     if run is None:
         return []
-    return [Path(run)] if isinstance(run, str | PathLike) else [Path(folder) for folder in run]
+    several = [run] if isinstance(run, RunResults | str | PathLike) else list_of(run, "run", object, "runs or folders")
+    return [one if isinstance(one, RunResults) else path_of(one, "run") for one in several]

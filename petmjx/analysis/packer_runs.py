@@ -14,7 +14,10 @@ from petmjx.common.argument_checks import list_of, text_of
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import FloatArray
+from petmjx.engines.engine_choice import ENGINES, has_option
 from petmjx.options.carriers import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
+from petmjx.options.run_options import AUTO
+from petmjx.results.resume import engine_of_run
 from petmjx.results.run_reader import RunResults, load_run
 from petmjx.runs.chain_summary import arrivals, is_chain
 
@@ -39,6 +42,23 @@ ARRIVES: Final = "p_arrives"
 column exists if all runs simulated transport chains."""
 
 RunSource = RunResults | str | Path
+
+
+def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The options for scoring a further packer, with the engine of a run of another packer: verdicts near a threshold
+    may differ between engines, so ``auto`` must not choose another engine for plans that are compared.
+
+    Args:
+        run: a run of another packer that was made with the same options on this machine.
+        options: options of ``petmjx.score``. An engine that the options name is kept. Otherwise options that the engine
+            of the run does not have (threads or lanes) are left out, as ``auto`` ignores them.
+        folder: folder of the packer's run. If there is a run already, it goes on with its own engine.
+    """
+    engine = run.info["config"]["engine"]
+    if options.get("engine", AUTO) != AUTO or engine not in ENGINES or engine_of_run(folder) is not None:
+        return {**options}
+    of_others = {option for name in ENGINES for option in ENGINES[name][2] if not has_option(engine, option)}
+    return {name: value for name, value in options.items() if name not in of_others} | {"engine": engine}
 
 
 def runs_by_packer(runs: Sequence[RunSource] | Mapping[str, RunSource]) -> dict[str, RunResults]:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,6 +16,9 @@ from petmjx.cli.run_command import brief, folder_of_run, run_and_show, run_watch
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
 from petmjx.options.run_options import Confidence, Transport
+
+if TYPE_CHECKING:
+    from petmjx.results.run_reader import RunResults
 
 Names = Annotated[
     list[str] | None,
@@ -64,7 +67,7 @@ def _score_packers(plans: Mapping[str, str], options: Mapping[str, Any], as_json
     """
     from petmjx import api
     from petmjx.analysis.packer_comparison import compare_packers
-    from petmjx.analysis.packer_runs import check_names
+    from petmjx.analysis.packer_runs import check_names, with_engine_of
     from petmjx.results.run_folder import check_run_folder
     from petmjx.show.packer_tables import packer_tables
     from petmjx.show.run_tables import run_tables
@@ -75,12 +78,14 @@ def _score_packers(plans: Mapping[str, str], options: Mapping[str, Any], as_json
         if not Path(path).exists():  # all paths are checked before any plan is simulated
             raise InputError(f"{printable(path)}: no such file or folder")
     console = results_console()
-    results = {}
+    results: dict[str, RunResults] = {}
     with folder_of_run(options) as parent:
         for name in plans:
             check_run_folder(parent / name, options.get("overwrite", False), options.get("resume", False))
         for name, path in plans.items():
-            results[name] = run_watched(partial(api.score, path), {**options, "out": parent / name})
+            first = next(iter(results.values()), None)
+            of_packer = options if first is None else with_engine_of(first, options, parent / name)
+            results[name] = run_watched(partial(api.score, path), {**of_packer, "out": parent / name})
             if not as_json:
                 print_renderables([line(f"packer {name}"), *run_tables(results[name]), ""], console)
     compared = compare_packers(results, orders=options.get("orders")) if len(results) > 1 else None

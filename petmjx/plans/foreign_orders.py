@@ -56,7 +56,7 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
     # plans of other tools do not keep these columns
     has_properties = reading.for_episodes and not {*BOX_PROPERTIES}.isdisjoint(sources[0].boxes.table.header)
     if _has_three_places(sources[0]) and sources[0].boxes.has_sizes and not has_properties:
-        return _orders_of_plans(path, source, reading)
+        return orders_of_plans(path, source, reading)
     return _orders_of(_best_source(sources, reading.items), source, reading)
 
 
@@ -192,8 +192,15 @@ _LENGTHS: Final = ("length", "width", "height")
 # Plans as orders.
 
 
-def _orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignOrders:
-    """Read each plan of a file as an order with the plan's boxes."""
+def orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignOrders:
+    """Read each plan of a file as an order with the plan's boxes.
+
+    Args:
+        source: name of the file in messages.
+
+    Raises:
+        InputError: the file has no usable plan. The error does not name the file.
+    """
     from petmjx.plans.plan_reader import DEFAULT_MAX_BOXES, read_plans
 
     wishes = reading.wishes

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -59,8 +60,8 @@ def read_orders(
 ) -> Iterator[tuple[str, Order]]:
     """Yield (order id, order) for each order of a file, gzipped or not. Items are sorted by sequence number.
 
-    Orders in BED-BPP's form are read directly. A file of another form is read by ``petmjx.plans.foreign_orders``, and a
-    ``PlanWarning`` states how.
+    Orders in BED-BPP's form are read directly. A file of plans, or of another form, is read by
+    ``petmjx.plans.foreign_orders``, and a ``PlanWarning`` states how.
 
     Args:
         on_bad_order: function that is called with the error of a bad order, which is then skipped; None: the error is
@@ -132,7 +133,7 @@ def keep_orders(source: Path, path: Path) -> None:
 
 
 def _read(path: Path, name: str) -> tuple[bytearray, bool]:
-    """The text of a file of orders, and whether it has BED-BPP's form.
+    """The text of a file of orders, and whether it holds orders in BED-BPP's form.
 
     Raises:
         InputError: the file cannot be read, or is damaged.
@@ -148,7 +149,21 @@ def _read(path: Path, name: str) -> tuple[bytearray, bool]:
     if fault is not None:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
     like_json = data.lstrip().startswith((b"{", b"["))
-    return data, not data.strip() or (like_json and looks_like_own_json(data))
+    return data, not data.strip() or (like_json and looks_like_own_json(data) and not _begins_with_plan(data))
+
+
+def _begins_with_plan(data: bytes | bytearray) -> bool:
+    """Whether the first entry of a text in BED-BPP's form is a packing plan. A text that is damaged there does not
+    count."""
+    try:
+        return any(_is_plan(entry.value) for entry in islice(scan_plans(data), 1))
+    except InputError:
+        return False
+
+
+def _is_plan(record: object) -> bool:
+    """Whether an entry of a file in BED-BPP's form is a packing plan."""
+    return isinstance(record, list) and bool(record) and isinstance(record[0], dict) and "flb_coordinates" in record[0]
 
 
 def _check_entries(data: bytearray, name: str) -> None:
@@ -166,13 +181,13 @@ def _check_entries(data: bytearray, name: str) -> None:
 
 
 def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrders | None:
-    """Read the orders of a file that does not have BED-BPP's form; None if it is a JSON object without boxes.
+    """Read the orders of a file without orders in BED-BPP's form; None if it is a JSON object without boxes.
 
     Raises:
         InputError: the file cannot be read as orders.
     """
     from petmjx.common.arrow_files import parquet_table
-    from petmjx.plans.foreign_orders import foreign_orders, frame_orders
+    from petmjx.plans.foreign_orders import foreign_orders, frame_orders, orders_of_plans
     from petmjx.plans.item_columns import TWO_WAYS
     from petmjx.plans.item_orders import OrderReading
 
@@ -180,6 +195,8 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
         data, _ = unpacked_bytes(path)
         if data.startswith(PARQUET_MAGIC):
             return frame_orders(parquet_table(path), name, reading or OrderReading())
+        if looks_like_own_json(data) and _begins_with_plan(data):
+            return orders_of_plans(path, name, reading or OrderReading())
         return foreign_orders(data, path, name, reading or OrderReading())
     except NoBoxes as error:
         if data.lstrip().startswith(b"{"):
@@ -210,7 +227,7 @@ def _order(entry: Entry, where: str) -> Order:
         raise InputError(f"{where}: {fault}")
     if not entry.plan_id:
         raise InputError(f"{where}: the order id must not be empty")
-    if isinstance(record, list) and record and isinstance(record[0], dict) and "flb_coordinates" in record[0]:
+    if _is_plan(record):
         raise InputError(f"{where}: {OF_PLAN}: orders have item_sequence and properties")
     if not isinstance(record, dict):
         raise InputError(f"{where}: must be an object, got {kind(record)}")

@@ -10,6 +10,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from petmjx.common.argument_checks import list_of, path_of
 from petmjx.common.checked_records import option, similar
 from petmjx.common.errors import InputError
@@ -47,10 +49,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     Raises:
         InputError: no plan can be simulated; or, with ``options.strict``, a plan would be skipped.
     """
-    if isinstance(plans, Mapping):
-        raise InputError(
-            f"plans must be {_SOURCES}, got a dict (if it is the content of a plan file, give the path of the file)"
-        )
+    _check_no_boxes(plans)
     usual = InputConventions.checked(options.units, options.anchor) == USUAL_CONVENTIONS
     if not (usual or plans is None or isinstance(plans, str | PathLike | SupportsArrow)):
         given: Any = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", object, _SOURCES)
@@ -93,12 +92,22 @@ def are_files(plans: PlanSource | None) -> bool:
     return not any(isinstance(source, Plan) for source in given)
 
 
+def _check_no_boxes(plans: object) -> None:
+    """Raise InputError if the source of plans is boxes in a form that only ``load_plans`` reads."""
+    members = plans if isinstance(plans, list | tuple) else (plans,)
+    boxes = next((value for value in members if isinstance(value, Mapping | np.ndarray | list | tuple)), None)
+    if boxes is not None:
+        form = "an array" if isinstance(boxes, np.ndarray) else f"a {type(boxes).__name__}"
+        raise InputError(f"plans must be {_SOURCES}, got {form}; petmjx.load_plans reads dictionaries and arrays")
+
+
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
     """All plans of a source, with properties of their boxes added from the table of articles.
 
     Files are read and checked. Plan objects are used unchanged, except that a repeated id is replaced by a new one.
     """
     extent_mm = carrier_extent_mm(sim)
+    _check_no_boxes(plans)
     source: Any = bundled_path() if plans is None else plans
     if not isinstance(source, PlanSet | SupportsArrow):
         alone = isinstance(source, str | PathLike | Plan)

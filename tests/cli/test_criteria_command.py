@@ -12,6 +12,7 @@ from support.runs import leave_unfinished
 pytest.importorskip("scipy")
 pytest.importorskip("shapely")
 
+from petmjx.analysis.criteria_run import criteria
 from petmjx.analysis.criteria_vs_physics import CELLS
 
 ONE = ("--processes", "1")
@@ -39,6 +40,13 @@ def test_tables_fit_the_terminal(
     assert sorted(file.name for file in Path("out").glob("*.parquet")) == [
         *("boxes.parquet", "judged.parquet", "plans.parquet", "thresholds.parquet")
     ]
+
+
+def test_the_rate_counts_from_the_first_plan_on() -> None:
+    """Without the first call, a bar would begin when all plans of a short run are finished."""
+    calls: list[tuple[int, int]] = []
+    criteria(limit=3, only=("centre",), progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(0, 3), (3, 3)]
 
 
 def test_a_run_that_is_not_finished_is_told(physics: str, capsys: pytest.CaptureFixture[str]) -> None:

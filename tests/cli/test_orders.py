@@ -96,7 +96,7 @@ def test_without_orders_nothing_is_said(plans: Path, capsys: pytest.CaptureFixtu
         ('{"a": {', "orders.json: not JSON at line 1, column 8 (the file ends too early; truncated?)"),
         ('{"item_sequence": {', "order item_sequence: not JSON at line 1, column 20 (the file ends inside this order"),
         (json.dumps({"a": []}), "the first: orders.json: order a: must be an object, got a list"),
-        (json.dumps({"a": TOWER}), "the first: orders.json: order a: is a packing plan, not an order: orders have"),
+        (json.dumps({"a": 5, "b": TOWER}), "no usable order (2 unusable); the first: orders.json: order a: must be"),
     ],
 )
 def test_an_unusable_file_is_one_line(plans: Path, text: str, line: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ from support.plan_files import order_for
 
 import petmjx
 from petmjx.analysis.packer_kpis import KPIS
+from petmjx.analysis.packer_runs import with_engine_of
 from petmjx.results.run_reader import load_run
 
 FAST = ("--engine", "mujoco", "--threads", "1")
@@ -52,6 +53,29 @@ def test_it_goes_on_where_it_was_and_tells_who_won(results: Path, capsys: pytest
     report = json.loads(capsys.readouterr().out)
     assert list(report["runs"]) == ["good", "bad,one"]
     assert report["compared"]["pairs"][0]["only_a"] == 1
+
+
+def test_one_engine_is_chosen_for_all_packers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``auto`` would choose an engine for each file of plans, and no engine has all options: ``lanes`` is ignored."""
+    choices = ["mujoco", "mujoco", "no second choice"]
+    monkeypatch.setattr("petmjx.engines.run_engine.choose", lambda *_, **__: (choices.pop(0), "the test says so"))
+    packers = [f"{name}={write(tmp_path / f'{name}.json', {'x': TOWER})}" for name in ("a", "b")]
+    assert run("score", "--name", *packers, "--lanes", "4", "-o", tmp_path / "out") == 0
+    assert [load_run(tmp_path / "out" / name).info["config"]["engine"] for name in ("a", "b")] == ["mujoco", "mujoco"]
+    board = petmjx.leaderboard(
+        [packer.partition("=")[2] for packer in packers], tmp_path / "board", engine="auto", stories=0
+    )
+    engines = [load_run(board.parent / "runs" / name).info["config"]["engine"] for name in ("a", "b")]
+    assert engines == ["mujoco", "mujoco"]
+    assert choices == ["no second choice"]
+
+
+def test_a_run_that_is_there_keeps_its_engine(results: Path, tmp_path: Path) -> None:
+    good = load_run(results / "good")
+    options = {"engine": "auto", "threads": 1, "lanes": 4}
+    assert with_engine_of(good, options, tmp_path) == {"engine": "mujoco", "threads": 1}
+    assert with_engine_of(good, options, results / "bad,one") == options
+    assert with_engine_of(good, {"engine": "mjx-warp"}, tmp_path) == {"engine": "mjx-warp"}
 
 
 def test_compare_names_runs_and_writes_files(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

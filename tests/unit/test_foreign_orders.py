@@ -428,6 +428,30 @@ def test_plans_are_read_as_the_orders_of_their_boxes(tmp_path: Path) -> None:
     assert "no places: pack them first: petmjx samples --orders" in skipped.message
 
 
+def test_plans_in_the_form_of_petmjx_are_read_as_orders_too(tmp_path: Path) -> None:
+    note = "holds plans: the boxes of each are an order, their places are not used; read as petmjx's plans"
+    corners = [[0, 0, 0], [0, 0, 200]]
+    plans = [
+        petmjx.Plan.from_boxes(name, size_mm=[SMALL[:3]] * n, corner_mm=corners[:n], mass_kg=[SMALL[3]] * n)
+        for name, n in (("one", 1), ("two", 2))
+    ]
+    for name in ("plans.json", "plans.json.gz", "plans.csv"):
+        petmjx.save_plans(plans, tmp_path / name)
+        orders = read(tmp_path / name, note)
+        assert near(orders["one"], [SMALL])
+        assert near(orders["two"], [SMALL, SMALL])
+
+
+def test_a_plan_among_orders_is_no_order(tmp_path: Path) -> None:
+    item = {"article": "a", "id": "1", "length/mm": 400, "width/mm": 300, "height/mm": 200, "weight/kg": 6.5}
+    order = {"item_sequence": {"1": item}, "properties": {"target": "euro-pallet"}}
+    plan = [{"item": {**item, "sequence": 1}, "orientation": 0, "flb_coordinates": [0, 0, 0]}]
+    (tmp_path / "orders.json").write_text(json.dumps({"o": order, "p": plan}))
+    errors: list[InputError] = []
+    assert [*dict(read_orders(tmp_path / "orders.json", errors.append))] == ["o"]
+    assert "order p: is a packing plan, not an order" in str(errors[0])
+
+
 DAMAGED: dict[str, tuple[str, str]] = {
     "length": ("a,4oo,300,200,5,1", 'row 3: length must be a number, got "4oo"'),
     "no width": ("a,400,,200,5,1", "row 3: width is missing"),

@@ -199,9 +199,12 @@ def test_orders_and_plans_without_each_other() -> None:
     ):
         rate({"A": tower(1)}, {"B": order_for(tower(1))})
     with pytest.raises(
-        petmjx.InputError, match=r"; the first that is unusable: orders\.json: order A: is a packing plan"
+        petmjx.InputError, match=r"; the first that is unusable: orders\.json: order A: properties.target must be"
     ):
-        rate({"A": tower(1)}, {"A": tower(1)})
+        rate({"A": tower(1)}, {"A": {}})
+    with pytest.warns(petmjx.PlanWarning, match=r"orders\.json: holds plans: the boxes of each are an order"):
+        kpis = rate({"A": tower(1)}, {"A": tower(2)})
+    assert kpis.plans["kpi_1"].tolist() == [0.5]
 
 
 # stability from runs
@@ -227,6 +230,14 @@ def test_stability_comes_from_runs(runs: dict[str, Path]) -> None:
     assert kpis.notes == ()
     both = rate(plans, run=[runs["one-by-one"], runs["static"]])
     assert both.summary == kpis.summary
+    in_memory = [petmjx.score("plans.json", engine="mujoco", check=check, duration_s=3) for check in runs]
+    assert rate(plans, run=in_memory[0]).summary == kpis.summary
+    assert rate(plans, run=[in_memory[1], runs["static"]]).summary == kpis.summary
+    assert "but in memory has one-by-one" in rate(plans, run=in_memory[1]).notes[0]
+    with pytest.raises(petmjx.InputError, match="run must be a path, got 5"):
+        rate(plans, run=[5])
+    with pytest.raises(petmjx.InputError, match="run must be a list of runs or folders, got 5"):
+        rate(plans, run=5)
     alone = rate(plans, run=runs["one-by-one"])
     assert alone.plans["kpi_6"].isna().all()
     assert alone.summary["rating"] is None

@@ -140,6 +140,12 @@ def test_strange_arguments_are_one_line(seed: int) -> None:
     assert refused > 80
 
 
+NO_PLANS = (
+    "plans must be paths or Plan objects, or one of them, a PlanSet or a data frame, got {}; petmjx.load_plans reads "
+    "dictionaries and arrays"
+)
+
+
 @pytest.mark.parametrize(
     ("call", "name", "value", "line"),
     [
@@ -147,6 +153,10 @@ def test_strange_arguments_are_one_line(seed: int) -> None:
          "frame, got 3"),
         ("score of", "plans", "", "plans must be a path, got ''"),
         ("score of", "plans", [b"x"], "plans must be a path, got b'x'"),
+        ("score of", "plans", {"a": []}, NO_PLANS.format("a dict")),
+        ("score of", "plans", [{"length": 400}], NO_PLANS.format("a dict")),
+        ("score of", "plans", np.zeros((2, 6)), NO_PLANS.format("an array")),
+        ("score of", "plans", [[0, 0, 0, 400, 300, 200]], NO_PLANS.format("a list")),
         ("score", "out", "", "out must be a path, got ''"),
         ("score", "orders", 3, "orders must be a path, got 3"),
         ("score", "watcher", 3, "watcher must have the methods begin and world_done, got 3"),

@@ -14,7 +14,7 @@ import numpy as np
 
 from petmjx.analysis.packer_comparison import PackerComparison, comparison_of
 from petmjx.analysis.packer_rating import rate
-from petmjx.analysis.packer_runs import runs_by_packer
+from petmjx.analysis.packer_runs import runs_by_packer, with_engine_of
 from petmjx.analysis.story import tell
 from petmjx.common.argument_checks import flag_of, integer_of, list_of, path_of
 from petmjx.common.atomic_write import atomic_write, write_errors
@@ -40,7 +40,7 @@ from petmjx.show.leaderboard.entries import (
     repaired_names,
 )
 from petmjx.show.leaderboard.entry_replays import Replay, Sample, sample_entry
-from petmjx.show.leaderboard.leaderboard_files import ORDERS, PAGE, PLANS, STORIES, BoardFolder, names_of
+from petmjx.show.leaderboard.leaderboard_files import ORDERS, PAGE, PLANS, RUNS, STORIES, BoardFolder, names_of
 from petmjx.show.leaderboard.leaderboard_page import Board, StoryEntry, board_page
 from petmjx.show.pages.story_page import story_page
 
@@ -205,7 +205,12 @@ def _entries(
 ) -> list[Entry]:
     options = options if orders is None else {**options, "orders": orders}
     ours = pack_ours(orders, folder) if baselines and orders is not None else {}
-    return [enter(name, path, folder, watch, options, ours=name in ours) for name, path in {**ours, **paths}.items()]
+    entries: list[Entry] = []
+    for name, path in {**ours, **paths}.items():
+        first = next((entry.run for entry in entries if entry.scored), None)
+        of_packer = options if first is None else with_engine_of(first, options, folder / RUNS / name)
+        entries.append(enter(name, path, folder, watch, of_packer, ours=name in ours))
+    return entries
 
 
 def _is_same(source: Path, target: Path) -> bool:
