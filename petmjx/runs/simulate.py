@@ -104,8 +104,9 @@ def simulate(
     """
     plans = plans_in_place(plans, options.strict)
     with engine_warmup(options, plans, sim) as ahead:
-        plan_set, records = read_input(plans, sim, options)
+        plan_set, records, edge_risks = read_input(plans, sim, options)
         study = ask(plan_set.plans, options)
+        study.edge_risks = edge_risks
         orders = None
         if options.orders is not None:
             all_plans, strict = options.limit is None, options.strict

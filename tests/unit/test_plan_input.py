@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.plans import make_plan, stack
+from support.plans import Box, make_plan, stack
 
 import petmjx
 from petmjx.common.errors import InputError, PlanWarning
@@ -20,6 +20,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.runs import plan_input
 from petmjx.runs.plan_input import PlanInput, read_here, read_in_processes, read_input
+from petmjx.world.edge_distances import EdgeRisk
 
 SIM, OPTIONS = Simulation(), RunOptions(engine="mjx-warp")
 
@@ -70,13 +71,17 @@ def test_processes_read_segments_of_a_large_file(
     tmp_path: Path, in_process: list[PlanInput | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2 * plan_input.THREADS_EACH)
-    file = plan_file(tmp_path, [make_plan(f"plan {n}", stack(1 + n % 4)) for n in range(9)])
-    plans = json.loads(file.read_text())
-    file.write_text(json.dumps({**plans, "faulty": [{"item": 1}], "last": plans["plan 0"]}))
+    overhanging: list[Box] = [((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (300, 0, 200), 5.0)]
+    plans = [make_plan(f"plan {n}", stack(1 + n % 4) if n != 5 else overhanging) for n in range(9)]
+    file = plan_file(tmp_path, plans)
+    entries = json.loads(file.read_text())
+    file.write_text(json.dumps({**entries, "faulty": [{"item": 1}], "last": entries["plan 0"]}))
     result = read_input(file, SIM, OPTIONS)
     assert in_process[0] is not None
     assert facts(result) == facts(read_here(file, SIM, OPTIONS))
     assert result.plan_set.numbers["last"] == 10
+    risks = {plan.plan_id: EdgeRisk.INSIDE for plan in result.plan_set.plans} | {"plan 5": EdgeRisk.BEYOND}
+    assert result.edge_risks == risks
 
 
 @pytest.mark.parametrize(
