@@ -23,6 +23,7 @@ from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.block_pools import BlockPools
 from petmjx.engines.warp.block_queues import Queues
+from petmjx.engines.warp.continued_worlds import ContinuedWorlds
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of, size_of
 from petmjx.engines.warp.open_worlds import WarpWorlds
@@ -71,6 +72,7 @@ class MjxWarpEngine(Engine):
         least_rows: smallest number of rows of a table. Programs are compiled for each number of rows and of columns. So
             a larger ``least_rows`` saves compilations in long runs that begin with few jobs, and in series of runs with
             different numbers of jobs.
+        long_leave: whether long worlds leave the GPU, and CPU threads simulate them to their ends.
         depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU, the
             value is False, so that the longest of all worlds come first: if long worlds came last, many blocks would be
             idle.
@@ -96,7 +98,7 @@ class MjxWarpEngine(Engine):
         set_up_warp()
         set_up_jax()
         self.lanes, self.most_rows, self.slice_ns = lanes, most_rows, slice_ns
-        self.granule, self.least_rows = GRANULE, 0
+        self.granule, self.least_rows, self.long_leave = GRANULE, 0, not allow_cpu
         self._running = RunLock(self.name)
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
         """For each set of launches, the ``Rollout`` (buffers of a run) that was used last, with a key."""
@@ -149,8 +151,10 @@ class MjxWarpEngine(Engine):
         """The outcomes of all jobs of a source, with the stream numbers of the jobs."""
         while not source.ended:
             waits = source.recorded
+            continued = ContinuedWorlds(self.name, sim, progress) if self.long_leave else None
+            slices = self._slices(source, sim, progress, waits)
             try:
-                for outcome in outcomes_of(self._slices(source, sim, progress, waits), sim, progress, waits=waits):
+                for outcome in outcomes_of(slices, sim, progress, waits=waits, continued=continued):
                     stream_number = outcome.job if outcome is not None else None  # None means that the engine pauses
                     yield outcome
                     if stream_number is not None:  # the caller has now put the jobs that follow from this outcome
@@ -197,7 +201,8 @@ class MjxWarpEngine(Engine):
             jobs, stream_numbers, rows = source.begin()
             running, source.running = source.running, None
             room = source.profile_room(jobs, rows)
-            table = self._load(TableRun.of(source.needs, sim, progress), jobs, stream_numbers, rows, room)
+            run = TableRun.of(source.needs, sim, progress, long_leave=self.long_leave)
+            table = self._load(run, jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
                 running = None  # deleting these arrays frees their memory for the simulation
@@ -219,6 +224,7 @@ class MjxWarpEngine(Engine):
             profile_room: see ``load``.
         """
         batch = load(jobs, rows, run.needs.most_boxes, run.sim, run.timetable, profile_room)
+        batch.worlds = run.with_most_steps(batch.worlds, jobs)
         return WorldTable(**vars(batch), run=run, stream_numbers=stream_numbers)
 
     def _slices_of(

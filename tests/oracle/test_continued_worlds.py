@@ -1,0 +1,109 @@
+"""Tests of worlds that leave a GPU and are continued on CPU threads (petmjx/engines/warp/continued_worlds.py). Here the
+kernels of both are those of the CPU, so a world that leaves must end as one that stays, to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.plans import make_scene
+
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Flag, Outcome, Verdict
+from petmjx.world.history import Record
+from petmjx.world.job import Drive, Excitation, Job
+
+pytest.importorskip("warp", reason="Warp is an extra")
+
+from support.fake_stepper import assert_same, run_all
+from support.tiny_worlds import SHORT, engine, shared_engine, tiny, tiny_scenes
+
+from petmjx.engines.attempt_threads import AttemptThreads
+from petmjx.engines.mjx.world_constants import NEVER
+from petmjx.engines.mjx.world_state import Status
+from petmjx.engines.warp import continued_worlds, world_table
+from petmjx.engines.warp.continued_worlds import most_steps
+from petmjx.engines.warp.engine import MjxWarpEngine
+
+LIMIT = 40
+"""Number of steps after which worlds leave: before the last box of some is placed, after it in others."""
+
+
+class CountingThreads(AttemptThreads):
+    """Threads that continue worlds. They note the steps that the worlds have taken so far."""
+
+    steps: list[int]
+
+    def begin(self, task: Any) -> None:
+        assert int(task.job.start.status) == Status.LEFT
+        type(self).steps.append(int(task.job.start.steps_done))
+        super().begin(task)
+
+
+def leaving(monkeypatch: pytest.MonkeyPatch, limit: int = LIMIT) -> tuple[MjxWarpEngine, list[int]]:
+    """An engine whose worlds leave after ``limit`` steps, and a list of the steps that each of them had taken."""
+
+    def limits(jobs: Sequence[Job], sim: Any) -> NDArray[np.int32]:
+        return np.where(most_steps(jobs, sim) == NEVER, NEVER, limit).astype(np.int32)
+
+    monkeypatch.setattr(world_table, "most_steps", limits)
+    monkeypatch.setattr(CountingThreads, "steps", [], raising=False)
+    monkeypatch.setattr(continued_worlds, "AttemptProcess", lambda: CountingThreads(1))
+    this = engine()
+    this.long_leave = True
+    return this, CountingThreads.steps
+
+
+def push(kind: str, level: float) -> Drive:
+    return Drive(Excitation("push", kind, np.tile([level, 0.0, 0.0], (160, 1))), scale=0.5, yaw_rad=0.7, rest_s=0.1)
+
+
+def assert_equal(outcomes: Sequence[Outcome], expected: Sequence[Outcome]) -> None:
+    for outcome, of_one_engine in zip(outcomes, expected, strict=True):
+        assert_same(outcome, of_one_engine)
+        assert outcome.flags == of_one_engine.flags
+
+
+@pytest.mark.slow
+def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Placements by hand that stand and fall, one in stiffer contacts, a drive after its placement, and a drive that
+    begins from the kept state of a continued placement."""
+    bridge = tiny("hand-bridge")
+    jobs = [Job(scene) for scene in tiny_scenes().values()]
+    jobs += [Job(bridge, push("acceleration", 12.0)), Job(bridge, stiff=0.5), Job(bridge, keep_state=True)]
+    expected = run_all(shared_engine(), jobs, SHORT)
+    this, steps = leaving(monkeypatch)
+    progress = Progress()
+    outcomes = run_all(this, jobs, SHORT, progress)
+    assert_equal(outcomes, expected)
+    assert {outcome.verdict for outcome in outcomes} == {Verdict.STABLE, Verdict.UNSTABLE}
+    assert len(steps) >= 5
+    assert set(steps) <= {LIMIT, LIMIT + 1}, "a world leaves at its limit, or a step later if a box is placed there"
+    assert [*progress.notes] == ["long worlds were simulated to their ends on mjx-warp-cpu"]
+    steps.clear()
+    drive = push("force", 2.1)
+    (fork,) = run_all(this, [Job(bridge, drive, start=outcomes[-1].state)], SHORT)
+    assert steps == [LIMIT]
+    (full_run,) = run_all(shared_engine(), [Job(bridge, drive)], SHORT)
+    assert fork.flags == full_run.flags | Flag.FORKED
+    for name, values in vars(full_run.boxes).items():
+        np.testing.assert_array_equal(getattr(fork.boxes, name), values, err_msg=name)
+
+
+def test_which_worlds_leave_depends_on_their_jobs_alone() -> None:
+    scenes = [make_scene(3), make_scene(9)]
+    jobs = [Job(scene) for scene in scenes]
+    steps = most_steps(jobs, SHORT)
+    assert 0 < steps[0] < steps[1] < NEVER
+    assert most_steps(jobs[1:], SHORT).tolist() == steps[1:].tolist()
+    assert most_steps([replace(job, has_errors=True) for job in jobs], SHORT)[0] > steps[0]
+    after_placement = Job(scenes[0], push("force", 1.0))
+    fork = replace(after_placement, start=object())  # type: ignore[arg-type]  # any state
+    assert most_steps([fork], SHORT)[0] + steps[0] == pytest.approx(most_steps([after_placement], SHORT)[0], rel=0.1)
+    stay = [replace(jobs[0], record=Record(0.1)), replace(jobs[0], pauses_after=1), replace(fork, drive=None)]
+    assert most_steps(stay, SHORT).tolist() == [NEVER] * 3
+    assert most_steps(jobs, SHORT.changed(schedule="fixed")).tolist() == [NEVER] * 2
