@@ -25,37 +25,38 @@ from support.tiny_worlds import SHORT, engine, shared_engine, tiny, tiny_scenes
 from petmjx.engines.attempt_threads import AttemptThreads
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.mjx.world_state import Status
-from petmjx.engines.warp import continued_worlds, world_table
-from petmjx.engines.warp.continued_worlds import most_steps
+from petmjx.engines.subprocess.attempt_process import AttemptProcess, AttemptSimulator, AttemptTask
+from petmjx.engines.warp import world_table
+from petmjx.engines.warp.continued_worlds import ContinuedWorlds, most_steps
+from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.options.simulation import Simulation
 
 LIMIT = 40
 """Number of steps after which worlds leave: before the last box of some is placed, after it in others."""
 
 
-class CountingThreads(AttemptThreads):
-    """Threads that continue worlds. They note the steps that the worlds have taken so far."""
+def leaving(monkeypatch: pytest.MonkeyPatch, simulator: AttemptSimulator) -> list[int]:
+    """Let the worlds of all engines leave after ``LIMIT`` steps. Returns a list of the steps that each had taken."""
+    steps: list[int] = []
+    begin = simulator.begin
 
-    steps: list[int]
+    def noted(task: AttemptTask) -> None:
+        state: Any = task.job.start
+        assert int(state.status) == Status.LEFT
+        steps.append(int(state.steps_done))
+        begin(task)
 
-    def begin(self, task: Any) -> None:
-        assert int(task.job.start.status) == Status.LEFT
-        type(self).steps.append(int(task.job.start.steps_done))
-        super().begin(task)
+    def limits(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
+        return np.where(most_steps(jobs, sim) == NEVER, NEVER, LIMIT).astype(np.int32)
 
+    def continued(self: MjxWarpEngine, sim: Simulation, progress: Progress) -> ContinuedWorlds | None:
+        return None if isinstance(self, MjxWarpCpuEngine) else ContinuedWorlds(simulator, sim, progress)
 
-def leaving(monkeypatch: pytest.MonkeyPatch, limit: int = LIMIT) -> tuple[MjxWarpEngine, list[int]]:
-    """An engine whose worlds leave after ``limit`` steps, and a list of the steps that each of them had taken."""
-
-    def limits(jobs: Sequence[Job], sim: Any) -> NDArray[np.int32]:
-        return np.where(most_steps(jobs, sim) == NEVER, NEVER, limit).astype(np.int32)
-
+    monkeypatch.setattr(simulator, "begin", noted)
     monkeypatch.setattr(world_table, "most_steps", limits)
-    monkeypatch.setattr(CountingThreads, "steps", [], raising=False)
-    monkeypatch.setattr(continued_worlds, "AttemptProcess", lambda: CountingThreads(1))
-    this = engine()
-    this.long_leave = True
-    return this, CountingThreads.steps
+    monkeypatch.setattr(MjxWarpEngine, "_continued", continued)
+    return steps
 
 
 def push(kind: str, level: float) -> Drive:
@@ -70,24 +71,27 @@ def assert_equal(outcomes: Sequence[Outcome], expected: Sequence[Outcome]) -> No
 
 @pytest.mark.slow
 def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Placements by hand that stand and fall, one in stiffer contacts, a drive after its placement, and a drive that
-    begins from the kept state of a continued placement."""
+    """Placements that stand and fall, one in stiffer contacts, and a drive after its placement continue on a thread. A
+    drive that begins from the kept state of a continued placement continues in a process."""
     bridge = tiny("hand-bridge")
     jobs = [Job(scene) for scene in tiny_scenes().values()]
     jobs += [Job(bridge, push("acceleration", 12.0)), Job(bridge, stiff=0.5), Job(bridge, keep_state=True)]
     expected = run_all(shared_engine(), jobs, SHORT)
-    this, steps = leaving(monkeypatch)
-    progress = Progress()
-    outcomes = run_all(this, jobs, SHORT, progress)
+    steps, progress = leaving(monkeypatch, AttemptThreads(1)), Progress()
+    outcomes = run_all(engine(), jobs, SHORT, progress)
     assert_equal(outcomes, expected)
     assert {outcome.verdict for outcome in outcomes} == {Verdict.STABLE, Verdict.UNSTABLE}
     assert len(steps) >= 5
     assert set(steps) <= {LIMIT, LIMIT + 1}, "a world leaves at its limit, or a step later if a box is placed there"
     assert [*progress.notes] == ["long worlds were simulated to their ends on mjx-warp-cpu"]
-    steps.clear()
-    drive = push("force", 2.1)
-    (fork,) = run_all(this, [Job(bridge, drive, start=outcomes[-1].state)], SHORT)
+    monkeypatch.undo()
+
+    process, drive = AttemptProcess("petmjx.engines.warp.cpu_engine"), push("force", 2.1)
+    steps = leaving(monkeypatch, process)
+    (fork,) = run_all(engine(), [Job(bridge, drive, start=outcomes[-1].state)], SHORT)
+    process.close()
     assert steps == [LIMIT]
+    monkeypatch.undo()
     (full_run,) = run_all(shared_engine(), [Job(bridge, drive)], SHORT)
     assert fork.flags == full_run.flags | Flag.FORKED
     for name, values in vars(full_run.boxes).items():

@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.text import count_text
-from petmjx.engines.attempts import BESIDE
 from petmjx.engines.cost_model import MEASURED
 from petmjx.engines.failed_world import failed_outcome
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.mjx.world_state import State, Status
 from petmjx.engines.protocol import Progress
-from petmjx.engines.subprocess.attempt_process import READY, AttemptProcess, AttemptTask
+from petmjx.engines.subprocess.attempt_process import READY, AttemptSimulator, AttemptTask
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.simulation import Schedule, Simulation
 from petmjx.world.job import Job
@@ -46,16 +45,20 @@ def most_steps(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
     return np.where(stays, NEVER, MEASURED.long_steps(jobs, sim)).astype(np.int32)
 
 
+ENGINE: Final = "mjx-warp-cpu"
+"""Name of the engine that simulates long worlds to their ends."""
+
+
 class ContinuedWorlds:
-    """Simulates worlds that have left a GPU, in a process with one thread per world.
+    """Simulates worlds that have left a GPU.
 
     Args:
-        engine: name of the engine that the worlds have left.
+        simulator: simulates each world on one thread, and starts from states with ``Status.LEFT``.
     """
 
-    def __init__(self, engine: str, sim: Simulation, progress: Progress) -> None:
-        self._engine, self._sim, self._progress = BESIDE[engine], sim, progress
-        self._process, self._taken = AttemptProcess(), 0
+    def __init__(self, simulator: AttemptSimulator, sim: Simulation, progress: Progress) -> None:
+        self._simulator, self._sim, self._progress = simulator, sim, progress
+        self._taken, self._prepared = 0, set[bool]()
         self._left: dict[int, tuple[Job, int]] = {}
         """Stream number → job and number of steps so far, of the worlds that are simulated."""
 
@@ -67,19 +70,21 @@ class ContinuedWorlds:
     def take(self, job: Job, outcome: Outcome) -> bool:
         """Continue a world if it has left the GPU. Returns whether it has; if not, its outcome is final.
 
-        After ``WORTH_A_PROCESS`` worlds, the process starts, and simulates a world of one box, so that it has loaded
-        the kernel before it is needed.
+        After ``WORTH_A_PROCESS`` worlds, the process starts, and simulates a world of one box and, if worlds are
+        driven, its drive. So it has loaded its kernel and programs before it is needed.
         """
         self._taken += 1
-        if self._taken == WORTH_A_PROCESS:
-            self._process.begin(AttemptTask(READY, self._engine, Job(job.scene.first(1)), self._sim))
+        if self._taken >= WORTH_A_PROCESS and (driven := job.drive is not None) not in self._prepared:
+            self._prepared.add(driven)
+            ready = Job(job.scene.first(1), job.drive)
+            self._simulator.begin(AttemptTask(READY, ENGINE, ready, self._sim))
         if not (isinstance(outcome.state, State) and int(outcome.state.status) == Status.LEFT):
             return False
-        self._progress.notes[f"long worlds were simulated to their ends on {self._engine}"] = None
+        self._progress.notes[f"long worlds were simulated to their ends on {ENGINE}"] = None
         self._left[outcome.job] = job, outcome.n_steps
         # the boxes stay where the state has them; a drive may have begun at other poses
         continued = replace(job, start=outcome.state, poses=None)
-        self._process.begin(AttemptTask(outcome.job, self._engine, continued, self._sim))
+        self._simulator.begin(AttemptTask(outcome.job, ENGINE, continued, self._sim))
         return True
 
     def ended(self, *, wait: bool) -> Iterator[Outcome]:
@@ -90,7 +95,7 @@ class ContinuedWorlds:
         """
         if wait and self._left:
             self._progress.message = f"{count_text(len(self._left), 'long world')} on CPU threads"
-        for answer in self._process.ended(wait=wait):
+        for answer in self._simulator.ended(wait=wait):
             if answer.number not in self._left:  # the answer to READY
                 continue
             job, steps = self._left.pop(answer.number)
@@ -101,4 +106,4 @@ class ContinuedWorlds:
 
     def close(self) -> None:
         """End the simulation of all worlds."""
-        self._process.close()
+        self._simulator.close()

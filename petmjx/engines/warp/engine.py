@@ -72,7 +72,6 @@ class MjxWarpEngine(Engine):
         least_rows: smallest number of rows of a table. Programs are compiled for each number of rows and of columns. So
             a larger ``least_rows`` saves compilations in long runs that begin with few jobs, and in series of runs with
             different numbers of jobs.
-        long_leave: whether long worlds leave the GPU, and CPU threads simulate them to their ends.
         depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU, the
             value is False, so that the longest of all worlds come first: if long worlds came last, many blocks would be
             idle.
@@ -98,7 +97,7 @@ class MjxWarpEngine(Engine):
         set_up_warp()
         set_up_jax()
         self.lanes, self.most_rows, self.slice_ns = lanes, most_rows, slice_ns
-        self.granule, self.least_rows, self.long_leave = GRANULE, 0, not allow_cpu
+        self.granule, self.least_rows = GRANULE, 0
         self._running = RunLock(self.name)
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
         """For each set of launches, the ``Rollout`` (buffers of a run) that was used last, with a key."""
@@ -121,6 +120,10 @@ class MjxWarpEngine(Engine):
         """See ``Engine.paths``."""
         with self._running:
             return paths(bodies, sim, self._blocks, self.slice_ns, self.most_rows)
+
+    def _continued(self, sim: Simulation, progress: Progress) -> ContinuedWorlds | None:
+        """An object that simulates long worlds to their ends, which then leave the device; None if they stay."""
+        return None
 
     def _drop(self) -> None:
         """Free the memory of all kept rollouts."""
@@ -151,8 +154,8 @@ class MjxWarpEngine(Engine):
         """The outcomes of all jobs of a source, with the stream numbers of the jobs."""
         while not source.ended:
             waits = source.recorded
-            continued = ContinuedWorlds(self.name, sim, progress) if self.long_leave else None
-            slices = self._slices(source, sim, progress, waits)
+            continued = self._continued(sim, progress)
+            slices = self._slices(source, sim, progress, waits, long_leave=continued is not None)
             try:
                 for outcome in outcomes_of(slices, sim, progress, waits=waits, continued=continued):
                     stream_number = outcome.job if outcome is not None else None  # None means that the engine pauses
@@ -193,15 +196,21 @@ class MjxWarpEngine(Engine):
                         outcome.job = int(part[outcome.job])
                     yield outcome
 
-    def _slices(self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool) -> Generator[SliceResult]:
-        """The ended worlds of one table after another. ``waits``: whether each time slice waits for the CPU, as it must
-        if worlds are recorded. The iteration stops before a table that needs the other value of ``waits``.
+    def _slices(
+        self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool, *, long_leave: bool
+    ) -> Generator[SliceResult]:
+        """The ended worlds of one table after another. The iteration stops before a table that needs the other value of
+        ``waits``.
+
+        Args:
+            waits: whether each time slice waits for the CPU, as it must if worlds are recorded.
+            long_leave: whether long worlds leave the device.
         """
         while not source.ended and source.recorded == waits:
             jobs, stream_numbers, rows = source.begin()
             running, source.running = source.running, None
             room = source.profile_room(jobs, rows)
-            run = TableRun.of(source.needs, sim, progress, long_leave=self.long_leave)
+            run = TableRun.of(source.needs, sim, progress, long_leave=long_leave)
             table = self._load(run, jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
