@@ -32,12 +32,12 @@ class Queues:
     precedence over an earlier one.
 
     First, worlds with a longer expected time come earlier, so that a run ends with short worlds. Second, worlds in
-    which a load acts beyond or near an edge, according to a quick test of statics (``EdgeRisk``), come before worlds without such
-    loads, so that a run ends with worlds that stand. The time of a collapse cannot be predicted: of 10,003 generated
-    plans, 40 of the 42 worlds with more than 5,000 steps were among the 4,279 with a load beyond an edge. Besides,
-    worlds that fall may be simulated again in stiffer contacts, which takes up to ten seconds on a CPU thread. A second
-    simulation is likely if a load acts near an edge, so worlds with a load near an edge come before worlds with a load
-    beyond an edge.
+    which a load acts beyond or near an edge, according to a quick test of statics (``EdgeRisk``), come before worlds
+    without such loads, so that a run ends with worlds that stand. The time of a collapse cannot be predicted: of 10,003
+    generated plans, 40 of the 42 worlds with more than 5,000 steps were among the 4,279 with a load beyond an edge.
+    Besides, worlds that fall may be simulated again in stiffer contacts, which takes up to ten seconds on a CPU thread.
+    A second simulation is likely if a load acts near an edge, so worlds with a load near an edge come before worlds
+    with a load beyond an edge.
 
     Third, worlds that have completed a leg of a chain (a part of a journey) come before all others. Among them, the
     world that was queued last comes first. So chains end one after another during the whole run, and the CPU writes
