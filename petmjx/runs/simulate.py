@@ -38,7 +38,7 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.to_json import to_json
-from petmjx.runs.plan_input import read_input
+from petmjx.runs.reading_processes import read_input
 from petmjx.runs.study import FinishedWorld, Study
 from petmjx.world.option_lint import notes_about
 from petmjx.world.scene import Scene

@@ -23,7 +23,7 @@ from petmjx.plans.plan_segments import Segment, joined, segments_of
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, usable_of, usable_plans
 from petmjx.results.plan_records import PlanRecord, records_of
-from petmjx.runs.reading_process import ReadingAnswer
+from petmjx.runs.reading_child import ReadingAnswer
 
 WORTH_A_PROCESS: Final = 16 << 20
 """Smallest size of plan files, in bytes, for which another process reads the plans: about 1,500 plans. This process
@@ -108,7 +108,7 @@ def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
     answers: list[ReadingAnswer] = []
     try:
         for task in tasks:
-            children.append(Child("petmjx.runs.reading_process"))
+            children.append(Child("petmjx.runs.reading_child"))
             children[-1].tasks.put(task)
         for child in children:
             answer: ReadingAnswer | None = child.answers.get()

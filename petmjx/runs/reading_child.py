@@ -1,4 +1,4 @@
-"""The code of a process that reads plans of a run (petmjx.runs.plan_input starts the process)."""
+"""The code of a process that reads plans of a run (petmjx.runs.reading_processes starts the process)."""
 
 from __future__ import annotations
 
