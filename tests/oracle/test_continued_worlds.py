@@ -72,7 +72,7 @@ def assert_equal(outcomes: Sequence[Outcome], expected: Sequence[Outcome]) -> No
 @pytest.mark.slow
 def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     """Placements that stand and fall, one in stiffer contacts, and a drive after its placement continue on a thread. A
-    drive that begins from the kept state of a continued placement continues in a process."""
+    drive that begins from the kept state of a continued placement continues in a process. Histories are joined."""
     bridge = tiny("hand-bridge")
     jobs = [Job(scene) for scene in tiny_scenes().values()]
     jobs += [Job(bridge, push("acceleration", 12.0)), Job(bridge, stiff=0.5), Job(bridge, keep_state=True)]
@@ -86,7 +86,22 @@ def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatc
     assert [*progress.notes] == ["long worlds were simulated to their ends on mjx-warp-cpu"]
     monkeypatch.undo()
 
-    process, drive = AttemptProcess("petmjx.engines.warp.cpu_engine"), push("force", 2.1)
+    drive = push("force", 2.1)
+    recorded = Job(bridge, drive, start=expected[-1].state, record=Record(0.02))
+    (whole,) = run_all(shared_engine(), [recorded], SHORT)
+    steps = leaving(monkeypatch, AttemptThreads(1))
+    (joined,) = run_all(engine(), [recorded], SHORT)
+    assert steps == [LIMIT]
+    assert_equal([joined], [whole])
+    assert joined.history is not None
+    assert whole.history is not None
+    same = np.isin(joined.history.time_s, whole.history.time_s)
+    assert np.count_nonzero(~same) <= 1, "the moment at which the world left may be a frame more"
+    for name in ("time_s", "pos", "quat", "top_force_n", "drive"):
+        np.testing.assert_array_equal(getattr(joined.history, name)[same], getattr(whole.history, name), err_msg=name)
+    monkeypatch.undo()
+
+    process = AttemptProcess("petmjx.engines.warp.cpu_engine")
     steps = leaving(monkeypatch, process)
     (fork,) = run_all(engine(), [Job(bridge, drive, start=outcomes[-1].state)], SHORT)
     process.close()
@@ -108,6 +123,7 @@ def test_which_worlds_leave_depends_on_their_jobs_alone() -> None:
     after_placement = Job(scenes[0], push("force", 1.0))
     fork = replace(after_placement, start=object())  # type: ignore[arg-type]  # any state
     assert most_steps([fork], SHORT)[0] + steps[0] == pytest.approx(most_steps([after_placement], SHORT)[0], rel=0.1)
-    stay = [replace(jobs[0], record=Record(0.1)), replace(jobs[0], pauses_after=1), replace(fork, drive=None)]
-    assert most_steps(stay, SHORT).tolist() == [NEVER] * 3
+    assert most_steps([replace(jobs[0], record=Record(0.1))], SHORT)[0] == steps[0]
+    stay = [replace(jobs[0], pauses_after=1), replace(fork, drive=None)]
+    assert most_steps(stay, SHORT).tolist() == [NEVER] * 2
     assert most_steps(jobs, SHORT.changed(schedule="fixed")).tolist() == [NEVER] * 2

@@ -34,14 +34,11 @@ def most_steps(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
     """(n,) number of steps after which the world of each job leaves the GPU.
 
     The result is ``NEVER`` for worlds that stay: with the fixed schedule, in which all worlds are long, and for worlds
-    that are recorded, or that begin or end with a placement that pauses.
+    that begin or end with a placement that pauses.
     """
     if sim.schedule is Schedule.FIXED:
         return np.full(len(jobs), NEVER, np.int32)
-    stays = [
-        job.record is not None or job.pauses_after is not None or (job.start is not None and job.drive is None)
-        for job in jobs
-    ]
+    stays = [job.pauses_after is not None or (job.start is not None and job.drive is None) for job in jobs]
     return np.where(stays, NEVER, MEASURED.long_steps(jobs, sim)).astype(np.int32)
 
 
@@ -59,8 +56,8 @@ class ContinuedWorlds:
     def __init__(self, simulator: AttemptSimulator, sim: Simulation, progress: Progress) -> None:
         self._simulator, self._sim, self._progress = simulator, sim, progress
         self._taken, self._prepared = 0, set[bool]()
-        self._left: dict[int, tuple[Job, int]] = {}
-        """Stream number → job and number of steps so far, of the worlds that are simulated."""
+        self._left: dict[int, tuple[Job, Outcome]] = {}
+        """Stream number → job and outcome of each world that is simulated, as it left."""
 
     @property
     def under_way(self) -> int:
@@ -81,7 +78,7 @@ class ContinuedWorlds:
         if not (isinstance(outcome.state, State) and int(outcome.state.status) == Status.LEFT):
             return False
         self._progress.notes[f"long worlds were simulated to their ends on {ENGINE}"] = None
-        self._left[outcome.job] = job, outcome.n_steps
+        self._left[outcome.job] = job, outcome
         # the boxes stay where the state has them; a drive may have begun at other poses
         continued = replace(job, start=outcome.state, poses=None)
         self._simulator.begin(AttemptTask(outcome.job, ENGINE, continued, self._sim))
@@ -98,11 +95,15 @@ class ContinuedWorlds:
         for answer in self._simulator.ended(wait=wait):
             if answer.number not in self._left:  # the answer to READY
                 continue
-            job, steps = self._left.pop(answer.number)
+            job, before = self._left.pop(answer.number)
             outcome = answer.outcome or failed_outcome(answer.number, job, self._sim, answer.message)
-            self._progress.world_steps += max(outcome.n_steps - steps, 0)
+            self._progress.world_steps += max(outcome.n_steps - before.n_steps, 0)
+            history = outcome.history
+            if before.history is not None and history is not None:
+                history = before.history.then(history)
             forked = Flag.FORKED if job.forks else Flag.NONE
-            yield replace(outcome, job=answer.number, flags=(outcome.flags & ~Flag.FORKED) | forked)
+            flags = (outcome.flags & ~Flag.FORKED) | forked
+            yield replace(outcome, job=answer.number, flags=flags, history=history)
 
     def close(self) -> None:
         """End the simulation of all worlds."""
