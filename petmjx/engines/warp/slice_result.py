@@ -53,7 +53,8 @@ def outcomes_of(
     Args:
         waits: whether each slice waits for the outcomes of the previous slice. If slices do not wait, a thread runs
             them, since for small worlds the CPU may be slower than the device.
-        continued: object that simulates worlds that have left the device; None if no world leaves it.
+        continued: object that simulates worlds that have left the device, and is closed at the end; None if no world
+            leaves the device.
     """
     counting, at_hand = Lock(), 0
     progress.at_hand = 0
@@ -88,3 +89,5 @@ def outcomes_of(
             yield from continued.ended(wait=True)
     finally:
         progress.at_hand = None  # no outcome follows after an error
+        if continued is not None:
+            continued.close()
