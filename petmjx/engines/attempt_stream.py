@@ -24,8 +24,8 @@ from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress
 from petmjx.engines.subprocess.attempt_process import READY, AttemptAnswer, AttemptTask
 from petmjx.engines.subprocess.check_pool import LARGE, CheckPool
 from petmjx.engines.verdict import Verdict
+from petmjx.engines.world_prefetch import PENDING_BOXES, PENDING_BOXES_GPU, WorldPrefetch
 from petmjx.engines.world_results import AnyWorld, WorldResult
-from petmjx.engines.world_source import PENDING_BOXES, PENDING_BOXES_GPU, WorldSource
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.job import Job
@@ -146,7 +146,7 @@ class _AttemptRun(Generic[AnyWorld]):
 
     def results(self, worlds: Iterable[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """Simulate worlds in all attempts that they need; yield each result when it is final."""
-        source = WorldSource(worlds, partial(self._put_world, bounded=True), self.stream, self._has_room)
+        source = WorldPrefetch(worlds, partial(self._put_world, bounded=True), self.stream, self._has_room)
         self.first_runner.put_following = self._put_following
         try:
             source.start()
@@ -161,7 +161,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 closing.callback(source.close)
                 closing.callback(self.attempt_tasks.close)
 
-    def _rounds(self, source: WorldSource[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
+    def _rounds(self, source: WorldPrefetch[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """Make first attempts while there are jobs, then further attempts, until no world is left; yield final
         results."""
         primary = self.engines.primary

@@ -258,7 +258,7 @@ class Engines:
         """The processes or threads that make attempts at the same time as the engine of the run."""
         if isinstance(threads := getattr(self.primary, "threads", None), int) and self.primary.name == BESIDE_ITSELF:
             return AttemptThreads(threads)
-        return AttemptProcess()
+        return AttemptProcess("petmjx.engines.subprocess.attempt_child")
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
         """Note that an error ended an attempt on an engine, and what happens to the worlds without an outcome."""

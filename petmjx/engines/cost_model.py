@@ -127,6 +127,11 @@ carried to their places. 8,000 worlds of 500 plans took 35 s, and 4,000 worlds o
 worlds without errors took 17 s."""
 
 
+LONG_PLACEMENT, LONG_DRIVE = 3.0, 2.5
+"""A world is long if its placement takes more than ``LONG_PLACEMENT`` times as many steps as a placement whose boxes
+stand, or its drive more than ``LONG_DRIVE`` times the expected steps."""
+
+
 def rest_steps(sim: Simulation, rest_s: float) -> int:
     """Expected number of steps after a profile until the pallet is quiet. ``rest_s``: the time to come to rest, s."""
     most = seconds_to_steps(rest_s, sim.physics.timestep_s)
@@ -484,6 +489,13 @@ class Costs:
         work, drive_steps = _expected_work(jobs, sim)
         placing = _of_placements(jobs, 1.0, DISPLACED_COST, CARRIED_COST) * work._placing(WARP_POWER, grows=True)
         return np.asarray(placing + work._driving(WARP_POWER, drive_steps))
+
+    def long_steps(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
+        """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
+        ``LONG_DRIVE``). The number does not depend on the machine."""
+        work, drive_steps = _expected_work(jobs, sim)
+        placing = _of_placements(jobs, *(work.placement_steps(way) for way in work.ways))
+        return np.asarray(LONG_PLACEMENT * placing + LONG_DRIVE * drive_steps)
 
     def _phase_s(self, worlds: float, work: float) -> float:
         """Time of a phase of many worlds on the device, s. The time includes the end of the phase, when only a few

@@ -17,7 +17,7 @@ from petmjx.options.run_options import AUTO, RunOptions
 ENGINES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "mujoco": ("petmjx.engines.mujoco.engine", "MujocoEngine", ("threads", "world_timeout_s")),
     "mjx-jax": ("petmjx.engines.mjx.engine", "MjxJaxEngine", ("lanes",)),
-    "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine", ("lanes",)),
+    "mjx-warp": ("petmjx.engines.warp.gpu_engine", "MjxWarpGpuEngine", ("lanes",)),
     "mjx-warp-cpu": ("petmjx.engines.warp.cpu_engine", "MjxWarpCpuEngine", ("threads",)),
 }
 """Engine name → module, class, and the names of its arguments among the options of a run, in order. A module is

@@ -38,7 +38,7 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.to_json import to_json
-from petmjx.runs.plan_input import read_input
+from petmjx.runs.reading_processes import read_input
 from petmjx.runs.study import FinishedWorld, Study
 from petmjx.world.option_lint import notes_about
 from petmjx.world.scene import Scene
@@ -104,8 +104,9 @@ def simulate(
     """
     plans = plans_in_place(plans, options.strict)
     with engine_warmup(options, plans, sim) as ahead:
-        plan_set, records = read_input(plans, sim, options)
+        plan_set, records, edge_risks = read_input(plans, sim, options)
         study = ask(plan_set.plans, options)
+        study.edge_risks = edge_risks
         orders = None
         if options.orders is not None:
             all_plans, strict = options.limit is None, options.strict

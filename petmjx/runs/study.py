@@ -29,6 +29,7 @@ from petmjx.results.history_tables import Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import Param
+from petmjx.world.edge_distances import EdgeRisk
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scenes
 from petmjx.world.variants import UNCHANGED, Variant
@@ -100,6 +101,7 @@ class Study(ABC):
         has_errors: whether positions or sizes have errors in some worlds.
         identity: settings on which worlds depend, besides the plans and ``sim``.
         config: entries of ``run.json`` about the study, in addition to the options.
+        edge_risks: plan id → ``EdgeRisk`` of the plan, as far as it is known before the run begins.
     """
 
     sim: Simulation
@@ -121,6 +123,7 @@ class Study(ABC):
     has_errors: bool = False
     identity: Mapping[str, Any] = field(default_factory=dict)
     config: Mapping[str, Any] = field(default_factory=dict)
+    edge_risks: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def total(self) -> int | None:
@@ -205,7 +208,11 @@ class Nominal(Study):
     ) -> Iterator[FinishedWorld]:
         missing = [plan for plan in self._longest_first() if (plan.plan_id, NOMINAL.index) not in recorded]
         worlds = (
-            World(plan, NOMINAL.index, Job(scene, record=recording.of(plan)))
+            World(
+                plan,
+                NOMINAL.index,
+                Job(scene, record=recording.of(plan), edge_risk=self.edge_risks.get(plan.plan_id)),
+            )
             for plan, scene in zip(missing, build_scenes(missing, self.sim), strict=True)
         )
         expected_s = dict(
@@ -220,7 +227,9 @@ class Nominal(Study):
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)
 
     def _longest_first(self) -> Iterator[Plan]:
-        """The plans, sorted by the number of boxes that are expected to be placed, the largest number first. In this
-        order, long worlds begin early, so that the run need not wait for a long world at its end."""
+        """The plans, sorted by their ``EdgeRisk`` and then by the number of boxes that are expected to be placed, the
+        largest number first. In this order, long worlds begin early, so that the run need not wait for a long world at
+        its end."""
         placed = np.asarray(self.work.boxes) * self.work.share
-        return (self.plans[number] for number in np.argsort(-placed, kind="stable").tolist())
+        risk = np.array([self.edge_risks.get(plan.plan_id, EdgeRisk.INSIDE) for plan in self.plans], int)
+        return (self.plans[number] for number in np.lexsort((-placed, -risk)).tolist())

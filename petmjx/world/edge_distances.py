@@ -14,6 +14,7 @@ loads are computed anew after each placement.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -30,10 +31,33 @@ ROUNDING_M: Final = 1e-9
 """Distance beyond an edge, m, up to which a load counts as on the edge, since sums of millimetres have rounding
 errors."""
 
-
 NEAR_EDGE_M: Final = 0.0005
-"""Distance inside an edge, m, below which ``beyond_and_near_edges`` counts a load as near the edge. Of 44 worlds that
-were simulated again with stiffer contacts, 33 have a load near an edge; of all worlds, one in nine has."""
+"""Distance inside an edge, m, below which ``edge_risks`` counts a load as near the edge. Of 44 worlds that were
+simulated again with stiffer contacts, 33 have a load near an edge; of all worlds, one in nine has."""
+
+MOST_EXAMINED_BOXES: Final = 96
+"""Largest number of boxes of a scene that ``edge_risks`` examines. Examining a larger scene may take 50 ms."""
+
+EXAMINED_AT_ONCE: Final = 64
+"""Number of scenes that ``edge_risks`` examines together."""
+
+
+class EdgeRisk(IntEnum):
+    """What a quick test of statics says about the loads of a scene while its boxes are placed one by one.
+
+    The greater the value, the longer the simulation may take: boxes with a load beyond an edge fall, and if a load is
+    near an edge, soft contacts may decide, so that the world is simulated again in stiffer contacts. Engines begin with
+    the greatest values.
+    """
+
+    INSIDE = 0
+    """Each load acts inside the edges, at least ``NEAR_EDGE_M`` from them."""
+
+    BEYOND = 1
+    """Some load acts beyond an edge, and no load inside an edge by less than ``NEAR_EDGE_M``."""
+
+    NEAR = 2
+    """Some load acts inside an edge by less than ``NEAR_EDGE_M``, or the scene is too large to be examined."""
 
 
 class Edges(NamedTuple):
@@ -85,22 +109,23 @@ def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray
     return load, by_weight, by_load
 
 
-def beyond_and_near_edges(scenes: Sequence[Scene]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """For each of m scenes, while its boxes are placed one by one: (m,) whether some load acts beyond an edge, and (m,)
-    whether some load acts inside an edge by less than ``NEAR_EDGE_M``.
+def edge_risks(scenes: Sequence[Scene]) -> NDArray[np.int8]:
+    """(m,) the ``EdgeRisk`` of each of m scenes. A generated plan of 43 boxes takes 0.15 to 0.3 ms.
 
-    Boxes with a load beyond an edge fall. If a load is near an edge, soft contacts may decide whether boxes fall. In
-    this quick test, supports share loads like springs. ``building_edges`` takes several times as long: it also looks
+    In this quick test, supports share loads like springs. ``building_edges`` takes several times as long: it also looks
     for another distribution of the loads among the supports that keeps all loads inside the edges.
     """
-    beyond, near = np.zeros((2, len(scenes)), bool)
-    if len(scenes):
-        bearing = bearing_in_order(bearings_of(scenes))
-        built = building_loads_of(bearing, [scene.n_boxes for scene in scenes])
+    n_boxes = np.array([scene.n_boxes for scene in scenes], int)
+    risks = np.where(n_boxes > MOST_EXAMINED_BOXES, EdgeRisk.NEAR, EdgeRisk.INSIDE).astype(np.int8)
+    examined = np.flatnonzero(n_boxes <= MOST_EXAMINED_BOXES)
+    for begin in range(0, len(examined), EXAMINED_AT_ONCE):
+        some = examined[begin : begin + EXAMINED_AT_ONCE]
+        bearing = bearing_in_order(bearings_of([scenes[number] for number in some.tolist()]))
+        built = building_loads_of(bearing, n_boxes[some].tolist())
         scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
-        beyond[scene[built.edge_m < 0]] = True
-        near[scene[(built.edge_m >= 0) & (built.edge_m < NEAR_EDGE_M)]] = True
-    return beyond, near
+        risks[some[scene[built.edge_m < 0]]] = EdgeRisk.BEYOND
+        risks[some[scene[(built.edge_m >= 0) & (built.edge_m < NEAR_EDGE_M)]]] = EdgeRisk.NEAR
+    return risks
 
 
 def _scenes(bearing: Bearing, boxes: NDArray[np.bool_]) -> NDArray[np.intp]:

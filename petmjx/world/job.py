@@ -129,6 +129,8 @@ class Job:
             has the options of ``petmjx.engines.contact_penetration.stiffened``. None: the world has the run's options.
             ``stiff`` is set only on engines with ``Capability.STIFF_JOBS``, for a world that is simulated again
             together with other worlds.
+        edge_risk: what statics says about the loads of the scene (``petmjx.world.edge_distances.EdgeRisk``), for the
+            order in which an engine simulates worlds; None if it is not known.
     """
 
     scene: Scene
@@ -141,6 +143,7 @@ class Job:
     has_errors: bool = False
     confirms: bool = False
     stiff: float | None = None
+    edge_risk: int | None = None
 
     @property
     def settles(self) -> bool:

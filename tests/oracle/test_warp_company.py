@@ -15,6 +15,7 @@ import pytest
 
 from petmjx.engines.mjx.world_state import SOFT_START_BEGIN
 from petmjx.engines.verdict import Outcome
+from petmjx.world.edge_distances import EdgeRisk
 from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import build_scene
@@ -305,10 +306,10 @@ def test_worlds_that_may_be_simulated_again_come_first_and_the_longest_are_exami
     assert np.asarray(queues.order).tolist() == [[1, 0, 2]]
     queues.examine(jobs, live)
     assert np.asarray(queues.order).tolist() == [[2, 1, 0]]
-    monkeypatch.setattr(block_queues, "MOST_EXAMINED_BOXES", 8)
-    queues.add(jobs, np.arange(3), live, SHORT)
-    queues.examine(jobs, live)
-    assert np.asarray(queues.order).tolist() == [[0, 2, 1]], "the world of nine boxes is large"
+    known = [replace(job, edge_risk=risk) for job, risk in zip(jobs, (EdgeRisk.NEAR, EdgeRisk.INSIDE, 1), strict=True)]
+    queues.add(known, np.arange(3), live, SHORT)
+    queues.examine(known, live)
+    assert np.asarray(queues.order).tolist() == [[0, 2, 1]], "what the run knows already is not examined"
 
 
 def test_worlds_on_their_way_come_first_on_a_cpu_all_that_have_been_placed() -> None:

@@ -24,7 +24,8 @@ from petmjx.engines.outcome_checks import edges_again, note_edges, outcome_check
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.show.run_tables import worlds_table
-from petmjx.world.edge_distances import beyond_and_near_edges, building_edges
+from petmjx.world import edge_distances
+from petmjx.world.edge_distances import EdgeRisk, building_edges, edge_risks
 from petmjx.world.job import Job
 from petmjx.world.supports import bearings_of
 
@@ -45,7 +46,7 @@ def test_a_load_within_half_a_millimetre_of_an_edge_is_on_a_knife_s_edge(overhan
         assert worlds.isna().rest_edge_m[0]
 
 
-def test_a_quick_test_finds_loads_beyond_and_near_edges_while_a_plan_is_built() -> None:
+def test_a_quick_test_finds_loads_beyond_and_near_edges_while_a_plan_is_built(monkeypatch: pytest.MonkeyPatch) -> None:
     """A box of 400 mm overhangs another one, so its own weight acts 0.6 or 0.4 mm inside the edge, or 0.6 mm beyond it.
     A third box on its inner end moves the load inward."""
     base: Box = ((400, 300, 200), (0, 0, 0), 5.0)
@@ -56,17 +57,20 @@ def test_a_quick_test_finds_loads_beyond_and_near_edges_while_a_plan_is_built() 
         )
         for over in (199.4, 199.6, 200.6)
     ]
-    beyond, near = beyond_and_near_edges(scenes)
-    assert beyond.tolist() == [False, False, True]
-    assert near.tolist() == [False, True, False]
-    assert [values.tolist() for values in beyond_and_near_edges(scenes[1:2])] == [[False], [True]]
-    assert [len(values) for values in beyond_and_near_edges([])] == [0, 0]
+    risks = [EdgeRisk.INSIDE, EdgeRisk.NEAR, EdgeRisk.BEYOND]
+    assert edge_risks(scenes).tolist() == risks
+    assert edge_risks(scenes[1:2]).tolist() == risks[1:2]
+    assert edge_risks([]).tolist() == []
+    monkeypatch.setattr(edge_distances, "EXAMINED_AT_ONCE", 1)
+    assert edge_risks(scenes).tolist() == risks
+    monkeypatch.setattr(edge_distances, "MOST_EXAMINED_BOXES", 2)
+    assert edge_risks(scenes).tolist() == [EdgeRisk.NEAR] * 3, "as if a load acted near an edge"
 
 
 def test_the_quick_test_finds_all_scenes_that_the_slow_one_finds() -> None:
     rng = np.random.default_rng(33329)
     heaps = [make_scene(random_heap(rng, 12)) for _ in range(40)]
-    beyond, _ = beyond_and_near_edges(heaps)
+    beyond = edge_risks(heaps) > EdgeRisk.INSIDE
     least = [edge.edge_m for edge in building_edges(bearings_of(heaps), [12] * 40)]
     assert beyond[np.array(least) < 0].all(), "it may find more, since it looks for no other shares"
     assert 0 < beyond.sum() < 40

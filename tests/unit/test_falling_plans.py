@@ -35,6 +35,7 @@ from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.study import Nominal
 from petmjx.runs.sweep_file import find_sweep, load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
+from petmjx.world.edge_distances import EdgeRisk
 
 SIM = Simulation()
 CPU = MEASURED.mujoco
@@ -191,6 +192,9 @@ def test_progress_of_a_score_follows_the_expected_time() -> None:
     assert [*shares] == ["b", "a", "c"]
     total_s = tower_s + 2 * once_s
     assert [*shares.values()] == pytest.approx([tower_s / total_s, 1 - once_s / total_s, 1.0])
+    study.edge_risks = {"c": EdgeRisk.NEAR, "a": EdgeRisk.BEYOND}
+    again = study.worlds(MujocoEngine(1), CompletedWorlds(), Recording(), progress)
+    assert [world.plan.plan_id for world in again] == ["c", "a", "b"], "worlds whose collapse may take long come first"
 
 
 def test_film_makes_steps_of_a_drive_dearer() -> None:

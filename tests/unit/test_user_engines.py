@@ -18,7 +18,7 @@ from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.protocol import Capability, Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.run_engine import engine_for
 from petmjx.engines.verdict import Outcome
-from petmjx.engines.world_source import WorldSource
+from petmjx.engines.world_prefetch import WorldPrefetch
 from petmjx.loop import candidate_trials
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
@@ -89,14 +89,14 @@ def test_an_engine_with_flags_of_an_older_version_is_told() -> None:
 
 def test_a_second_ctrl_c_skips_no_cleaning(monkeypatch: pytest.MonkeyPatch) -> None:
     closed: list[str] = []
-    close = WorldSource.close
+    close = WorldPrefetch.close
 
     def interrupted(self: Any) -> None:
         close(self)
         closed.append("source")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(WorldSource, "close", interrupted)
+    monkeypatch.setattr(WorldPrefetch, "close", interrupted)
     monkeypatch.setattr(attempt_stream._AttemptTasks, "close", lambda self: closed.append("besides"))
     with pytest.raises(KeyboardInterrupt):
         list(score_worlds(worlds_failing(0), Simulation(), FailingEngine()))

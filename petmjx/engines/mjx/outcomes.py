@@ -85,7 +85,7 @@ def _kept_state(job: Job, host: State, row: int) -> State | None:
     world's own boxes, and only of placed boxes if the placement paused, since a world that starts from this state may
     be in a table for fewer boxes."""
     pauses = host.status[row] == Status.PAUSED
-    if not (job.keep_state or pauses):
+    if not (job.keep_state or pauses or host.status[row] == Status.LEFT):
         return None
     width = int(host.placed[row]) if pauses else job.scene.n_boxes
     kept: State = jax.tree.map(lambda array: np.array(array[row]), narrow(host, width))
@@ -155,7 +155,11 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
 
     stacked = jax.tree.map(stack, fresh, *starts)
     # the steps of a placement that had paused are steps of this world; those of a settled one are not
-    stacked = stacked._replace(steps_done=np.where(stacked.status == Status.PAUSED, stacked.steps_done, 0))
+    left = stacked.status == Status.LEFT
+    stacked = stacked._replace(
+        steps_done=np.where(left | (stacked.status == Status.PAUSED), stacked.steps_done, 0),
+        status=np.where(left, np.int32(Status.RUNNING), stacked.status),
+    )
     leaves, structure = jax.tree.flatten(stacked)
     rows = gather_rows(leaves, source)
     _put_at_rest(jobs, jax.tree.unflatten(structure, rows))

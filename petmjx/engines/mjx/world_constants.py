@@ -52,6 +52,7 @@ class Worlds(NamedTuple):
     the first sign of failure after which a fall is confirmed (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if
     the world has more to show than a fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
     (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
+    ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/continued_worlds.py).
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
     or risen, the box is released lower or higher, by at most ``most_followed``, m (petmjx/world/release_places.py).
@@ -98,6 +99,7 @@ class Worlds(NamedTuple):
     allowed_sway: Float[Array, " world"]
     pauses: Bool[Array, " world"]
     ends_when_gone: Bool[Array, " world"]
+    most_steps: Int[Array, " world"]
     appears: Bool[Array, " world"]
     way_offset: Float[Array, "world box 3"]
     way_steps: Int[Array, "world box"]
@@ -215,4 +217,5 @@ def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: flo
         "ends_when_lost": np.array([job.has_errors for job in jobs]),
         "confirm_steps": np.array([confirm_steps if job.confirms else NEVER for job in jobs], np.int32),
         "allowed_sway": np.array([drive.allowed_sway_m for drive in drives], np.float32),
+        "most_steps": np.full(len(jobs), NEVER, np.int32),
     }

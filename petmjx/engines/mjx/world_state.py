@@ -33,6 +33,8 @@ class Status:
     """All boxes of an open world, or of a placement that pauses, are placed and at rest. More boxes may follow."""
     PLACES = 6
     """On mjx-warp: a placement that had paused goes on. The next box is placed before the next step."""
+    LEFT = 7
+    """On mjx-warp: the world has taken ``Worlds.most_steps`` steps, and leaves the GPU. A CPU thread continues it."""
 
 
 class State(NamedTuple):

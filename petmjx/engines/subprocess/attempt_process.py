@@ -1,7 +1,8 @@
-"""The attempt process simulates single worlds again (further *attempts*) beside a run, on engines with one thread.
+"""The attempt process simulates single worlds beside a run, on engines with one thread: worlds that are simulated again
+(further *attempts*), and long worlds of a GPU.
 
-``AttemptProcess`` sends tasks to the process, and receives the answers. ``main`` is the work of the process. The
-process sees no GPU, so its JAX and Warp use the CPU, even if those of the run's process use a GPU. The process ends
+``AttemptProcess`` sends tasks to the process, and receives the answers. ``serve_attempts`` is the work of the process.
+The process sees no GPU, so its JAX and Warp use the CPU, even if those of the run's process use a GPU. The process ends
 when its pipe of tasks ends, and so also when the process that started it ends.
 """
 
@@ -20,7 +21,6 @@ from typing import Final, Protocol
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cpu_threads
 from petmjx.common.text import one_line
-from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.task_pipe import Child, arrived, next_of, own_pipes
 from petmjx.engines.verdict import Outcome
@@ -85,16 +85,20 @@ class AttemptProcess:
 
     If the process dies, its open tasks get answers without an outcome, and the next task starts a new process. Idle
     processes are kept for the next user, since a new process has to load JAX, Warp and the kernel.
+
+    Args:
+        module: the module whose function ``main`` the process runs. It calls ``serve_attempts``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, module: str) -> None:
+        self._module = module
         self._process: Child | None = None
         self._unanswered: set[int] = set()
 
     def begin(self, task: AttemptTask) -> None:
         """See ``AttemptSimulator.begin``."""
         if self._process is None:
-            self._process = _idle_child()
+            self._process = _idle_child(self._module)
         self._unanswered.add(task.number)
         try:
             self._process.tasks.put(pickle.dumps(task))
@@ -126,38 +130,44 @@ class AttemptProcess:
         if self._unanswered - {READY}:
             process.end()
         else:
-            _IDLE.setdefault(os.getpid(), []).append(process)
+            _IDLE.setdefault((os.getpid(), self._module), []).append(process)
 
 
-_IDLE: Final[dict[int, list[Child]]] = {}
-"""Process id of a process → the idle processes that it started. A fork of this process must not use these processes,
-since a fork has no threads that write tasks and read answers."""
+_IDLE: Final[dict[tuple[int, str], list[Child]]] = {}
+"""Process id of a process, and a module → the idle processes that it started for this module. A fork of this process
+must not use these processes, since a fork has no threads that write tasks and read answers."""
 
 
-def _idle_child() -> Child:
+def _idle_child(module: str) -> Child:
     """An idle process that is alive; if there is none, a new process."""
-    idle = _IDLE.get(os.getpid(), [])
+    idle = _IDLE.get((os.getpid(), module), [])
     while idle:
         process = idle.pop()
         if process.lives:
             return process
         process.end()
-    return Child(__name__)
+    return Child(module)
 
 
 @atexit.register
 def _end_idle() -> None:
-    for process in _IDLE.pop(os.getpid(), []):
-        process.end()
+    for pid, module in [*_IDLE]:
+        if pid == os.getpid():
+            for process in _IDLE.pop((pid, module)):
+                process.end()
 
 
-def main() -> None:
-    """The work of the process: simulate the worlds of all tasks on threads, and answer in any order."""
+def serve_attempts(make_engine: Callable[[str], Engine]) -> None:
+    """The work of the process: simulate the worlds of all tasks on threads, and answer in any order.
+
+    Args:
+        make_engine: function that creates the engine with a name, with one thread.
+    """
     tasks, answers = own_pipes(NICE)
     thread_state, writing = threading.local(), threading.Lock()
 
     def answer(task: AttemptTask) -> None:
-        reply = answer_to(task, vars(thread_state), granule=GRANULE)
+        reply = answer_to(task, vars(thread_state), make_engine, granule=GRANULE)
         try:
             data = pickle.dumps(reply)
         except Exception as error:
@@ -173,12 +183,17 @@ def main() -> None:
 
 
 def answer_to(
-    task: AttemptTask, engines: dict[str, Engine], stops: Callable[[], bool] = lambda: False, granule: int | None = None
+    task: AttemptTask,
+    engines: dict[str, Engine],
+    make_engine: Callable[[str], Engine],
+    stops: Callable[[], bool] = lambda: False,
+    granule: int | None = None,
 ) -> AttemptAnswer:
     """Simulate the world of a task.
 
     Args:
         engines: name → engine, for the engines of this thread. A missing engine is created and added.
+        make_engine: see ``serve_attempts``.
         stops: function that returns whether the outcome is no longer needed.
         granule: the number of box columns of tables is a multiple of this number. If ``granule`` is None, the engine's
             default is used.
@@ -187,7 +202,7 @@ def answer_to(
     try:
         if task.engine not in engines:
             with _BUILDING:
-                engine = make_engine(task.engine, threads=1)
+                engine = make_engine(task.engine)
             if granule is not None and hasattr(engine, "granule"):
                 engine.granule = granule
             engines[task.engine] = engine

@@ -14,21 +14,17 @@ from numpy.typing import NDArray
 from petmjx.engines.cost_model import MEASURED
 from petmjx.engines.mjx.world_constants import device_array
 from petmjx.options.simulation import Simulation
-from petmjx.world.edge_distances import beyond_and_near_edges
+from petmjx.world.edge_distances import EdgeRisk, edge_risks
 from petmjx.world.job import Job
 
 EXAMINED_AT_ONCE: Final = 32
 """Number of worlds whose loads are examined together (``Queues.examine``). A world of a generated plan takes 0.15 ms, a
-world of 100 boxes that all lie on several others 6 ms."""
+world of 96 boxes that all lie on several others 6 ms."""
 
 EXAMINING_S: Final = 0.015
 """Longest time for examining worlds between two time slices of 0.1 s, s. So the device need not wait, and other threads
 get Python's lock. When up to 256 worlds were examined between two slices, 10,003 plans took the device a second
 longer."""
-
-MOST_EXAMINED_BOXES: Final = 96
-"""Largest number of boxes of a world that is examined. Larger worlds take long to examine and to simulate, so they come
-as early as worlds in which a load acts near an edge."""
 
 
 class Queues:
@@ -36,12 +32,12 @@ class Queues:
     precedence over an earlier one.
 
     First, worlds with a longer expected time come earlier, so that a run ends with short worlds. Second, worlds in
-    which a load acts beyond or near an edge, according to a quick test of statics, come before worlds without such
-    loads, so that a run ends with worlds that stand. The time of a collapse cannot be predicted: of 10,003 generated
-    plans, 40 of the 42 worlds with more than 5,000 steps were among the 4,279 with a load beyond an edge. Besides,
-    worlds that fall may be simulated again in stiffer contacts, which takes up to ten seconds on a CPU thread. A second
-    simulation is likely if a load acts near an edge, so worlds with a load near an edge come before worlds with a load
-    beyond an edge.
+    which a load acts beyond or near an edge, according to a quick test of statics (``EdgeRisk``), come before worlds
+    without such loads, so that a run ends with worlds that stand. The time of a collapse cannot be predicted: of 10,003
+    generated plans, 40 of the 42 worlds with more than 5,000 steps were among the 4,279 with a load beyond an edge.
+    Besides, worlds that fall may be simulated again in stiffer contacts, which takes up to ten seconds on a CPU thread.
+    A second simulation is likely if a load acts near an edge, so worlds with a load near an edge come before worlds
+    with a load beyond an edge.
 
     Third, worlds that have completed a leg of a chain (a part of a journey) come before all others. Among them, the
     world that was queued last comes first. So chains end one after another during the whole run, and the CPU writes
@@ -64,8 +60,7 @@ class Queues:
         """Rank of the world in each row: smaller ranks come first. Most worlds have the rank 0; worlds that come before
         these have negative ranks."""
         self._risk = np.zeros(rows, np.int8)
-        """What statics says of each row's world: 2 if a load acts near an edge, 1 if a load acts beyond an edge and no
-        load near an edge, otherwise 0."""
+        """``EdgeRisk`` of each row's world; 0 until it is known."""
         self._unexamined = np.zeros(rows, bool)
         """For each row, whether the world begins with its placement and has not been examined yet."""
         self._n_added = 0
@@ -84,10 +79,8 @@ class Queues:
             -number if self._is_ahead(job) else 0 for number, job in enumerate(jobs, start=self._n_added + 1)
         ]
         self._n_added += len(jobs)
-        is_placement = np.array([job.start is None and not job.has_errors for job in jobs])
-        is_large = np.array([job.scene.n_boxes > MOST_EXAMINED_BOXES for job in jobs])
-        self._unexamined[rows] = is_placement & ~is_large
-        self._risk[rows] = np.where(is_placement & is_large, 2, 0)
+        self._unexamined[rows] = [job.start is None and not job.has_errors and job.edge_risk is None for job in jobs]
+        self._risk[rows] = [job.edge_risk or EdgeRisk.INSIDE for job in jobs]
         self._rank(live)
 
     def examine(self, jobs: Sequence[Job], live: NDArray[np.bool_]) -> None:
@@ -105,8 +98,7 @@ class Queues:
         end = perf_counter() + EXAMINING_S
         for begin in range(0, len(rows), EXAMINED_AT_ONCE):
             some = rows[begin : begin + EXAMINED_AT_ONCE]
-            beyond, near = beyond_and_near_edges([jobs[row].scene for row in some.tolist()])
-            self._risk[some] = np.where(near, 2, beyond)
+            self._risk[some] = edge_risks([jobs[row].scene for row in some.tolist()])
             self._unexamined[some] = False
             if perf_counter() >= end:
                 break

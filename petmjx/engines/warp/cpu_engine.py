@@ -11,6 +11,7 @@ import warp as wp
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cpu_threads, device_name, why_no_warp_on_cpu
 from petmjx.engines.open_worlds import MOST_BOXES
+from petmjx.engines.subprocess.attempt_process import serve_attempts
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import SLICE_NS
@@ -64,3 +65,9 @@ class MjxWarpCpuEngine(MjxWarpEngine):
 
     def _blocks(self, launch: Launch) -> int:
         return self.threads
+
+
+def main() -> None:
+    """The work of the process that simulates long worlds of a GPU to their ends
+    (petmjx/engines/warp/gpu_engine.py)."""
+    serve_attempts(lambda _: MjxWarpCpuEngine(1))

@@ -23,6 +23,7 @@ from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.block_pools import BlockPools
 from petmjx.engines.warp.block_queues import Queues
+from petmjx.engines.warp.continued_worlds import ContinuedWorlds
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of, size_of
 from petmjx.engines.warp.open_worlds import WarpWorlds
@@ -120,6 +121,10 @@ class MjxWarpEngine(Engine):
         with self._running:
             return paths(bodies, sim, self._blocks, self.slice_ns, self.most_rows)
 
+    def _continued(self, sim: Simulation, progress: Progress) -> ContinuedWorlds | None:
+        """An object that simulates long worlds to their ends, which then leave the device; None if they stay."""
+        return None
+
     def _drop(self) -> None:
         """Free the memory of all kept rollouts."""
         while self._kept:
@@ -149,8 +154,10 @@ class MjxWarpEngine(Engine):
         """The outcomes of all jobs of a source, with the stream numbers of the jobs."""
         while not source.ended:
             waits = source.recorded
+            continued = self._continued(sim, progress)
+            slices = self._slices(source, sim, progress, waits, long_leave=continued is not None)
             try:
-                for outcome in outcomes_of(self._slices(source, sim, progress, waits), sim, progress, waits=waits):
+                for outcome in outcomes_of(slices, sim, progress, waits=waits, continued=continued):
                     stream_number = outcome.job if outcome is not None else None  # None means that the engine pauses
                     yield outcome
                     if stream_number is not None:  # the caller has now put the jobs that follow from this outcome
@@ -189,15 +196,22 @@ class MjxWarpEngine(Engine):
                         outcome.job = int(part[outcome.job])
                     yield outcome
 
-    def _slices(self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool) -> Generator[SliceResult]:
-        """The ended worlds of one table after another. ``waits``: whether each time slice waits for the CPU, as it must
-        if worlds are recorded. The iteration stops before a table that needs the other value of ``waits``.
+    def _slices(
+        self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool, *, long_leave: bool
+    ) -> Generator[SliceResult]:
+        """The ended worlds of one table after another. The iteration stops before a table that needs the other value of
+        ``waits``.
+
+        Args:
+            waits: whether each time slice waits for the CPU, as it must if worlds are recorded.
+            long_leave: whether long worlds leave the device.
         """
         while not source.ended and source.recorded == waits:
             jobs, stream_numbers, rows = source.begin()
             running, source.running = source.running, None
             room = source.profile_room(jobs, rows)
-            table = self._load(TableRun.of(source.needs, sim, progress), jobs, stream_numbers, rows, room)
+            run = TableRun.of(source.needs, sim, progress, long_leave=long_leave)
+            table = self._load(run, jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
                 running = None  # deleting these arrays frees their memory for the simulation
@@ -219,6 +233,7 @@ class MjxWarpEngine(Engine):
             profile_room: see ``load``.
         """
         batch = load(jobs, rows, run.needs.most_boxes, run.sim, run.timetable, profile_room)
+        batch.worlds = run.with_most_steps(batch.worlds, jobs)
         return WorldTable(**vars(batch), run=run, stream_numbers=stream_numbers)
 
     def _slices_of(

@@ -13,6 +13,7 @@ from petmjx.engines.mjx.outcomes import outcomes
 from petmjx.engines.mjx.readback import Readback
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Outcome
+from petmjx.engines.warp.continued_worlds import ContinuedWorlds
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
@@ -40,13 +41,20 @@ class SliceResult(NamedTuple):
 
 
 def outcomes_of(
-    slices: Generator[SliceResult], sim: Simulation, progress: Progress, *, waits: bool
+    slices: Generator[SliceResult],
+    sim: Simulation,
+    progress: Progress,
+    *,
+    waits: bool,
+    continued: ContinuedWorlds | None = None,
 ) -> Iterator[Outcome]:
     """The outcomes of the worlds that end in these slices, with the stream numbers of their jobs.
 
     Args:
         waits: whether each slice waits for the outcomes of the previous slice. If slices do not wait, a thread runs
             them, since for small worlds the CPU may be slower than the device.
+        continued: object that simulates worlds that have left the device, and is closed at the end; None if no world
+            leaves the device.
     """
     counting, at_hand = Lock(), 0
     progress.at_hand = 0
@@ -68,8 +76,18 @@ def outcomes_of(
             for picked, recorder, jobs, stream_numbers in ready_slices:
                 if progress.pauses and at_hand <= 0:
                     yield None  # type: ignore[misc]  # callers that set ``pauses`` expect it
+                job_of = {stream_numbers[row]: job for row, job in jobs.items()} if continued is not None else {}
                 for outcome in outcomes(picked, jobs, stream_numbers, sim, recorder):
                     count(-1)
-                    yield outcome
+                    if continued is None or not continued.take(job_of[outcome.job], outcome):
+                        yield outcome
+                if continued is not None:
+                    yield from continued.ended(wait=False)
+        while continued is not None and continued.under_way:
+            if progress.pauses:
+                yield None  # type: ignore[misc]
+            yield from continued.ended(wait=True)
     finally:
         progress.at_hand = None  # no outcome follows after an error
+        if continued is not None:
+            continued.close()

@@ -40,7 +40,7 @@ from a settled placement, join at once."""
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
 """Number of jobs that one call of a compiled program writes into a table: ``JOIN_ROWS`` in general, ``FEEDBACK_ROWS``
-for jobs that follow from outcomes."""
+for at most so many jobs that follow from outcomes. Four calls for 64 jobs take twice as long as one for 256."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
 """Largest memory for the profiles (motions of the carrier) of the drives that follow from settled placements, bytes.
@@ -154,7 +154,8 @@ class TableJobs:
         if not fitting:
             return []
         stream_numbers = range(self._taken, self._taken + len(fitting))
-        rows: list[int] = table.add(fitting, stream_numbers, FEEDBACK_ROWS if self.feedback else JOIN_ROWS).tolist()
+        at_once = FEEDBACK_ROWS if self.feedback and len(fitting) <= FEEDBACK_ROWS else JOIN_ROWS
+        rows: list[int] = table.add(fitting, stream_numbers, at_once).tolist()
         self._take(fitting[: len(rows)])
         return rows
 

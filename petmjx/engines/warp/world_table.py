@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from petmjx.engines.mjx.host_to_device import Batch, tables
 from petmjx.engines.mjx.scene_rows import more_shapes
 from petmjx.engines.mjx.timetable import Timetable, build_timetable
-from petmjx.engines.mjx.world_constants import Worlds, device_array, padded_rows
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, padded_rows
 from petmjx.engines.mjx.world_state import State, Status, put_resized, put_rows, take_rows
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Flag
+from petmjx.engines.warp.continued_worlds import most_steps
 from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Excitation, Job
@@ -60,6 +61,7 @@ class TableRun:
     Attributes:
         needs: features and sizes that the table's kernels need.
         message: progress message while the worlds of the table are simulated.
+        long_leave: whether long worlds leave the device (petmjx.engines.warp.continued_worlds).
     """
 
     sim: Simulation
@@ -67,11 +69,20 @@ class TableRun:
     needs: KernelFeatures
     progress: Progress
     message: str = ""
+    long_leave: bool = False
 
     @classmethod
-    def of(cls, needs: KernelFeatures, sim: Simulation, progress: Progress) -> TableRun:
+    def of(cls, needs: KernelFeatures, sim: Simulation, progress: Progress, *, long_leave: bool = False) -> TableRun:
         """The options of a run whose kernels need the features and sizes ``needs``."""
-        return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress, progress.message)
+        return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress, progress.message, long_leave)
+
+    def with_most_steps(self, worlds: Worlds, jobs: Sequence[Job]) -> Worlds:
+        """The constants of the worlds of jobs, with the number of steps after which each world leaves the device."""
+        if not self.long_leave:
+            return worlds
+        steps = np.full(len(worlds.most_steps), NEVER, np.int32)
+        steps[: len(jobs)] = most_steps(jobs, self.sim)
+        return worlds._replace(most_steps=device_array(steps))
 
 
 class RunningWorlds(NamedTuple):
@@ -127,11 +138,11 @@ class WorldTable(Batch):
         return running
 
     def ended(self, status: NDArray[np.int32]) -> NDArray[np.intp]:
-        """Row numbers of the worlds that have just reached their end. A settled world that waits for its drive (motion
-        of the carrier) is not included.
+        """Row numbers of the worlds that have just reached their end or left the device. A settled world that waits for
+        its drive (motion of the carrier) is not included.
         """
         settled = np.flatnonzero(self.live & (status == Status.SETTLED))
-        is_end = self.live & ((status == Status.FINISHED) | (status == Status.PAUSED))
+        is_end = self.live & np.isin(status, (Status.FINISHED, Status.PAUSED, Status.LEFT))
         is_end[[row for row in settled.tolist() if self.jobs[row].drive is None]] = True
         return np.flatnonzero(is_end)
 
@@ -158,7 +169,7 @@ class WorldTable(Batch):
             some, rows = jobs[first : first + at_once], free[first : first + at_once]
             width, sim, timetable = self.table.qpos.shape[1], self.run.sim, self.run.timetable
             worlds, states = tables(some, at_once, width, self.profile_rows, sim, timetable, self.boards)
-            self.worlds = _put_into(self.worlds, rows, worlds)
+            self.worlds = _put_into(self.worlds, rows, self.run.with_most_steps(worlds, some))
             self.table = _put_into(self.table, rows, states)
         for row, job, stream_number in zip(free.tolist(), jobs, stream_numbers, strict=False):
             if row < len(self.jobs):

@@ -34,6 +34,7 @@ SETTLED = wp.constant(batch_state.Status.SETTLED)
 PAUSED = wp.constant(batch_state.Status.PAUSED)
 PLACES = wp.constant(batch_state.Status.PLACES)
 FINISHED = wp.constant(batch_state.Status.FINISHED)
+LEFT = wp.constant(batch_state.Status.LEFT)
 NONFINITE = wp.constant(int(Flag.NONFINITE))
 EXPLOSION = wp.constant(int(Flag.EXPLOSION))
 EARLY_STOP = wp.constant(int(Flag.EARLY_STOP))
@@ -374,4 +375,6 @@ def after_step(
         elif settles:
             state.driven_from[world] = step
             state.status[world] = SETTLED
+        elif state.steps_done[world] >= worlds.most_steps[world]:
+            state.status[world] = LEFT
     wait_for_all()

@@ -23,7 +23,7 @@ from petmjx.plans.plan_segments import Segment, joined, segments_of
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, usable_of, usable_plans
 from petmjx.results.plan_records import PlanRecord, records_of
-from petmjx.runs.reading_process import ReadingAnswer
+from petmjx.runs.reading_child import ReadingAnswer
 
 WORTH_A_PROCESS: Final = 16 << 20
 """Smallest size of plan files, in bytes, for which another process reads the plans: about 1,500 plans. This process
@@ -46,10 +46,12 @@ class PlanInput(NamedTuple):
 
     Attributes:
         records: plan id → record of the plan. There may also be records of skipped plans.
+        edge_risks: plan id → ``EdgeRisk`` of the plan, for plans that other processes have read and examined.
     """
 
     plan_set: PlanSet
     records: dict[str, PlanRecord]
+    edge_risks: dict[str, int]
 
 
 def read_input(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanInput:
@@ -70,7 +72,7 @@ def read_here(plans: PlanSource | None, sim: Simulation, options: RunOptions) ->
         InputError: as ``usable_plans``.
     """
     plan_set = usable_plans(plans, sim, options)
-    return PlanInput(plan_set, records_of(plan_set.plans, plan_set.numbers))
+    return PlanInput(plan_set, records_of(plan_set.plans, plan_set.numbers), {})
 
 
 def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanInput | None:
@@ -87,7 +89,7 @@ def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOpt
         return None
     if not segments:
         (answer,) = answers
-        return PlanInput(answer.content.plan_set, answer.records)
+        return PlanInput(answer.content.plan_set, answer.records, answer.edge_risks)
     plan_set = joined([answer.content for answer in answers], carrier_extent_mm(sim))
     if plan_set is None:
         return None
@@ -96,7 +98,8 @@ def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOpt
         for answer in answers
         for plan_id, record in answer.records.items()
     }
-    return PlanInput(plan_set, records)
+    risks = {plan_id: risk for answer in answers for plan_id, risk in answer.edge_risks.items()}
+    return PlanInput(plan_set, records, risks)
 
 
 def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
@@ -105,7 +108,7 @@ def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
     answers: list[ReadingAnswer] = []
     try:
         for task in tasks:
-            children.append(Child("petmjx.runs.reading_process"))
+            children.append(Child("petmjx.runs.reading_child"))
             children[-1].tasks.put(task)
         for child in children:
             answer: ReadingAnswer | None = child.answers.get()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.plans import make_plan, stack
+from support.plans import Box, make_plan, stack
 
 import petmjx
 from petmjx.common.errors import InputError, PlanWarning
@@ -18,8 +18,9 @@ from petmjx.common.safe_read import named_pipes
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.runs import plan_input
-from petmjx.runs.plan_input import PlanInput, read_here, read_in_processes, read_input
+from petmjx.runs import reading_processes
+from petmjx.runs.reading_processes import PlanInput, read_here, read_in_processes, read_input
+from petmjx.world.edge_distances import EdgeRisk
 
 SIM, OPTIONS = Simulation(), RunOptions(engine="mjx-warp")
 
@@ -33,10 +34,10 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> list[PlanInput | None]:
         answers.append(read_in_processes(*arguments))
         return answers[-1]
 
-    monkeypatch.setattr(plan_input, "cuda_devices", lambda: ("a GPU",))
-    monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2)
-    monkeypatch.setattr(plan_input, "WORTH_A_PROCESS", 1)
-    monkeypatch.setattr(plan_input, "read_in_processes", noted)
+    monkeypatch.setattr(reading_processes, "cuda_devices", lambda: ("a GPU",))
+    monkeypatch.setattr(reading_processes, "cpu_threads", lambda: 2)
+    monkeypatch.setattr(reading_processes, "WORTH_A_PROCESS", 1)
+    monkeypatch.setattr(reading_processes, "read_in_processes", noted)
     return answers
 
 
@@ -69,14 +70,18 @@ def test_a_process_reads_the_same(tmp_path: Path, in_process: list[PlanInput | N
 def test_processes_read_segments_of_a_large_file(
     tmp_path: Path, in_process: list[PlanInput | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2 * plan_input.THREADS_EACH)
-    file = plan_file(tmp_path, [make_plan(f"plan {n}", stack(1 + n % 4)) for n in range(9)])
-    plans = json.loads(file.read_text())
-    file.write_text(json.dumps({**plans, "faulty": [{"item": 1}], "last": plans["plan 0"]}))
+    monkeypatch.setattr(reading_processes, "cpu_threads", lambda: 2 * reading_processes.THREADS_EACH)
+    overhanging: list[Box] = [((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (300, 0, 200), 5.0)]
+    plans = [make_plan(f"plan {n}", stack(1 + n % 4) if n != 5 else overhanging) for n in range(9)]
+    file = plan_file(tmp_path, plans)
+    entries = json.loads(file.read_text())
+    file.write_text(json.dumps({**entries, "faulty": [{"item": 1}], "last": entries["plan 0"]}))
     result = read_input(file, SIM, OPTIONS)
     assert in_process[0] is not None
     assert facts(result) == facts(read_here(file, SIM, OPTIONS))
     assert result.plan_set.numbers["last"] == 10
+    risks = {plan.plan_id: EdgeRisk.INSIDE for plan in result.plan_set.plans} | {"plan 5": EdgeRisk.BEYOND}
+    assert result.edge_risks == risks
 
 
 @pytest.mark.parametrize(
@@ -97,7 +102,7 @@ def test_segments_are_read_as_the_whole_file_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Options for files of other tools have a note, and the name of a file says what it is."""
-    monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2 * plan_input.THREADS_EACH)
+    monkeypatch.setattr(reading_processes, "cpu_threads", lambda: 2 * reading_processes.THREADS_EACH)
     file = plan_file(tmp_path, [make_plan(f"plan {n}", stack(2)) for n in range(6)]).rename(tmp_path / name)
     both: list[Any] = []
     for read in (read_here, read_input):
@@ -114,7 +119,7 @@ def test_segments_are_read_as_the_whole_file_is(
 def test_an_id_in_two_segments_is_found(
     tmp_path: Path, in_process: list[PlanInput | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plan_input, "cpu_threads", lambda: 2 * plan_input.THREADS_EACH)
+    monkeypatch.setattr(reading_processes, "cpu_threads", lambda: 2 * reading_processes.THREADS_EACH)
     file = plan_file(tmp_path, [make_plan(f"plan {n}", stack(2)) for n in range(6)])
     file.write_text(file.read_text().replace("plan 5", "plan 0"))
     result = read_input(file, SIM, OPTIONS)
@@ -194,6 +199,6 @@ def test_small_files_and_plan_objects_need_no_process(
     read_input([plan], SIM, OPTIONS)
     file = plan_file(tmp_path, [plan])
     read_input(file, SIM, RunOptions(engine="mujoco"))
-    monkeypatch.setattr(plan_input, "WORTH_A_PROCESS", file.stat().st_size + 1)
+    monkeypatch.setattr(reading_processes, "WORTH_A_PROCESS", file.stat().st_size + 1)
     read_input(file, SIM, OPTIONS)
     assert in_process == []

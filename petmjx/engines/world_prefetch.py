@@ -1,4 +1,4 @@
-"""``WorldSource``: the thread that makes the worlds of a run before the engine needs them, and the limits on how many
+"""``WorldPrefetch``: the thread that makes the worlds of a run before the engine needs them, and the limits on how many
 worlds wait."""
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PAUSE_S: Final = 0.02
 """Interval at which the paused thread checks whether it may make worlds again, s."""
 
 
-class WorldSource(Generic[AnyWorld]):
+class WorldPrefetch(Generic[AnyWorld]):
     """A thread that makes worlds before the engine needs them.
 
     Args:

@@ -1,10 +1,10 @@
-"""The code of a process that reads plans of a run (petmjx.runs.plan_input starts the process)."""
+"""The code of a process that reads plans of a run (petmjx.runs.reading_processes starts the process)."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from petmjx.engines.subprocess.task_pipe import serve
 from petmjx.options.run_options import RunOptions
@@ -15,6 +15,12 @@ from petmjx.plans.plan_segments import Segment, SegmentContent, read_segment
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, gather_plans
 from petmjx.results.plan_records import PlanRecord, records_of
+from petmjx.world.edge_distances import edge_risks
+from petmjx.world.scene import build_scenes
+
+MOST_EXAMINED: Final = 4096
+"""Largest number of plans of a process whose loads are examined before the run gets the plans, which takes about a
+second. A run of more plans examines the others while it simulates."""
 
 
 class ReadingAnswer(NamedTuple):
@@ -25,12 +31,14 @@ class ReadingAnswer(NamedTuple):
         rest: the other attributes of the set of plans.
         unread: counts of fields that petmjx ignores, if the process has read a segment.
         records: plan id → record of the plan.
+        edge_risks: plan id → ``EdgeRisk`` of the plan's scene, for the first ``MOST_EXAMINED`` plans.
     """
 
     columns: JoinedPlans
     rest: PlanSet
     unread: UnreadFields
     records: dict[str, PlanRecord]
+    edge_risks: dict[str, int]
 
     @property
     def content(self) -> SegmentContent:
@@ -54,10 +62,13 @@ def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: Run
                 content = read_segment(source, options, carrier_extent_mm(sim))
             else:
                 content = SegmentContent(gather_plans(source, sim, options), UnreadFields())
+            examined = content.plan_set.plans[:MOST_EXAMINED]
+            risks = edge_risks(list(build_scenes(examined, sim))).tolist()
         except Exception:
             return None
     plan_set, unread = content
     if caught or any(skipped.number is None for skipped in plan_set.skipped):
         return None
     records = records_of(plan_set.plans, plan_set.numbers)
-    return ReadingAnswer(JoinedPlans.of(plan_set.plans), replace(plan_set, plans=[]), unread, records)
+    of_plans = {plan.plan_id: risk for plan, risk in zip(examined, risks, strict=True)}
+    return ReadingAnswer(JoinedPlans.of(plan_set.plans), replace(plan_set, plans=[]), unread, records, of_plans)

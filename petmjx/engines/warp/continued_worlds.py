@@ -1,0 +1,110 @@
+"""``ContinuedWorlds``: the long worlds of a GPU, which CPU threads simulate to their ends.
+
+A thread block of a GPU takes about four times as long for a step as a CPU thread, so a run would wait for its longest
+worlds. A world leaves the GPU after a number of steps that depends on its job alone (``most_steps``). So its outcome
+does not depend on the worlds beside it, or on how busy the machine is. The last digits of its numbers are those of
+``mjx-warp-cpu`` from then on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.text import count_text
+from petmjx.engines.cost_model import MEASURED
+from petmjx.engines.failed_world import failed_outcome
+from petmjx.engines.mjx.world_constants import NEVER
+from petmjx.engines.mjx.world_state import State, Status
+from petmjx.engines.protocol import Progress
+from petmjx.engines.subprocess.attempt_process import READY, AttemptSimulator, AttemptTask
+from petmjx.engines.verdict import Flag, Outcome
+from petmjx.options.simulation import Schedule, Simulation
+from petmjx.world.job import Job
+
+WORTH_A_PROCESS: Final = 64
+"""After this number of worlds, the process for long worlds starts, even if no world needs it yet."""
+
+
+def most_steps(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
+    """(n,) number of steps after which the world of each job leaves the GPU.
+
+    The result is ``NEVER`` for worlds that stay: with the fixed schedule, in which all worlds are long, and for worlds
+    that begin or end with a placement that pauses.
+    """
+    if sim.schedule is Schedule.FIXED:
+        return np.full(len(jobs), NEVER, np.int32)
+    stays = [job.pauses_after is not None or (job.start is not None and job.drive is None) for job in jobs]
+    return np.where(stays, NEVER, MEASURED.long_steps(jobs, sim)).astype(np.int32)
+
+
+ENGINE: Final = "mjx-warp-cpu"
+"""Name of the engine that simulates long worlds to their ends."""
+
+
+class ContinuedWorlds:
+    """Simulates worlds that have left a GPU.
+
+    Args:
+        simulator: simulates each world on one thread, and starts from states with ``Status.LEFT``.
+    """
+
+    def __init__(self, simulator: AttemptSimulator, sim: Simulation, progress: Progress) -> None:
+        self._simulator, self._sim, self._progress = simulator, sim, progress
+        self._taken, self._prepared = 0, set[bool]()
+        self._left: dict[int, tuple[Job, Outcome]] = {}
+        """Stream number → job and outcome of each world that is simulated, as it left."""
+
+    @property
+    def under_way(self) -> int:
+        """Number of worlds without an outcome."""
+        return len(self._left)
+
+    def take(self, job: Job, outcome: Outcome) -> bool:
+        """Continue a world if it has left the GPU. Returns whether it has; if not, its outcome is final.
+
+        After ``WORTH_A_PROCESS`` worlds, the process starts, and simulates a world of one box and, if worlds are
+        driven, its drive. So it has loaded its kernel and programs before it is needed.
+        """
+        self._taken += 1
+        if self._taken >= WORTH_A_PROCESS and (driven := job.drive is not None) not in self._prepared:
+            self._prepared.add(driven)
+            ready = Job(job.scene.first(1), job.drive)
+            self._simulator.begin(AttemptTask(READY, ENGINE, ready, self._sim))
+        if not (isinstance(outcome.state, State) and int(outcome.state.status) == Status.LEFT):
+            return False
+        self._progress.notes[f"long worlds were simulated to their ends on {ENGINE}"] = None
+        self._left[outcome.job] = job, outcome
+        # the boxes stay where the state has them; a drive may have begun at other poses
+        continued = replace(job, start=outcome.state, poses=None)
+        self._simulator.begin(AttemptTask(outcome.job, ENGINE, continued, self._sim))
+        return True
+
+    def ended(self, *, wait: bool) -> Iterator[Outcome]:
+        """The outcomes of the worlds that have ended since the last call, with their stream numbers.
+
+        Args:
+            wait: whether to wait for at least one outcome.
+        """
+        if wait and self._left:
+            self._progress.message = f"{count_text(len(self._left), 'long world')} on CPU threads"
+        for answer in self._simulator.ended(wait=wait):
+            if answer.number not in self._left:  # the answer to READY
+                continue
+            job, before = self._left.pop(answer.number)
+            outcome = answer.outcome or failed_outcome(answer.number, job, self._sim, answer.message)
+            self._progress.world_steps += max(outcome.n_steps - before.n_steps, 0)
+            history = outcome.history
+            if before.history is not None and history is not None:
+                history = before.history.then(history)
+            forked = Flag.FORKED if job.forks else Flag.NONE
+            flags = (outcome.flags & ~Flag.FORKED) | forked
+            yield replace(outcome, job=answer.number, flags=flags, history=history)
+
+    def close(self) -> None:
+        """End the simulation of all worlds."""
+        self._simulator.close()

@@ -1,0 +1,25 @@
+"""Engine ``mjx-warp`` on a GPU, which hands its long worlds to CPU threads."""
+
+from __future__ import annotations
+
+from petmjx.engines.protocol import Progress
+from petmjx.engines.subprocess.attempt_process import AttemptProcess
+from petmjx.engines.warp.continued_worlds import ContinuedWorlds
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.options.simulation import Simulation
+
+
+class MjxWarpGpuEngine(MjxWarpEngine):
+    """The engine ``mjx-warp`` of runs. Long worlds leave the GPU, and CPU threads simulate them to their ends
+    (``continued_worlds``).
+
+    Args:
+        lanes: see ``MjxWarpEngine``.
+    """
+
+    def __init__(self, lanes: int | None = None) -> None:
+        super().__init__(lanes)
+
+    def _continued(self, sim: Simulation, progress: Progress) -> ContinuedWorlds | None:
+        """See ``MjxWarpEngine._continued``."""
+        return ContinuedWorlds(AttemptProcess("petmjx.engines.warp.cpu_engine"), sim, progress)

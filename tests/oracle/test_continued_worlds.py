@@ -1,0 +1,129 @@
+"""Tests of worlds that leave a GPU and are continued on CPU threads (petmjx/engines/warp/continued_worlds.py). Here the
+kernels of both are those of the CPU, so a world that leaves must end as one that stays, to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.plans import make_scene
+
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Flag, Outcome, Verdict
+from petmjx.world.history import Record
+from petmjx.world.job import Drive, Excitation, Job
+
+pytest.importorskip("warp", reason="Warp is an extra")
+
+from support.fake_stepper import assert_same, run_all
+from support.tiny_worlds import SHORT, engine, shared_engine, tiny, tiny_scenes
+
+from petmjx.engines.attempt_threads import AttemptThreads
+from petmjx.engines.mjx.world_constants import NEVER
+from petmjx.engines.mjx.world_state import Status
+from petmjx.engines.subprocess.attempt_process import AttemptProcess, AttemptSimulator, AttemptTask
+from petmjx.engines.warp import world_table
+from petmjx.engines.warp.continued_worlds import ContinuedWorlds, most_steps
+from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.options.simulation import Simulation
+
+LIMIT = 40
+"""Number of steps after which worlds leave: before the last box of some is placed, after it in others."""
+
+
+def leaving(monkeypatch: pytest.MonkeyPatch, simulator: AttemptSimulator) -> list[int]:
+    """Let the worlds of all engines leave after ``LIMIT`` steps. Returns a list of the steps that each had taken."""
+    steps: list[int] = []
+    begin = simulator.begin
+
+    def noted(task: AttemptTask) -> None:
+        state: Any = task.job.start
+        assert int(state.status) == Status.LEFT
+        steps.append(int(state.steps_done))
+        begin(task)
+
+    def limits(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
+        return np.where(most_steps(jobs, sim) == NEVER, NEVER, LIMIT).astype(np.int32)
+
+    def continued(self: MjxWarpEngine, sim: Simulation, progress: Progress) -> ContinuedWorlds | None:
+        return None if isinstance(self, MjxWarpCpuEngine) else ContinuedWorlds(simulator, sim, progress)
+
+    monkeypatch.setattr(simulator, "begin", noted)
+    monkeypatch.setattr(world_table, "most_steps", limits)
+    monkeypatch.setattr(MjxWarpEngine, "_continued", continued)
+    return steps
+
+
+def push(kind: str, level: float) -> Drive:
+    return Drive(Excitation("push", kind, np.tile([level, 0.0, 0.0], (160, 1))), scale=0.5, yaw_rad=0.7, rest_s=0.1)
+
+
+def assert_equal(outcomes: Sequence[Outcome], expected: Sequence[Outcome]) -> None:
+    for outcome, of_one_engine in zip(outcomes, expected, strict=True):
+        assert_same(outcome, of_one_engine)
+        assert outcome.flags == of_one_engine.flags
+
+
+@pytest.mark.slow
+def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Placements that stand and fall, one in stiffer contacts, and a drive after its placement continue on a thread. A
+    drive that begins from the kept state of a continued placement continues in a process. Histories are joined."""
+    bridge = tiny("hand-bridge")
+    jobs = [Job(scene) for scene in tiny_scenes().values()]
+    jobs += [Job(bridge, push("acceleration", 12.0)), Job(bridge, stiff=0.5), Job(bridge, keep_state=True)]
+    expected = run_all(shared_engine(), jobs, SHORT)
+    steps, progress = leaving(monkeypatch, AttemptThreads(1)), Progress()
+    outcomes = run_all(engine(), jobs, SHORT, progress)
+    assert_equal(outcomes, expected)
+    assert {outcome.verdict for outcome in outcomes} == {Verdict.STABLE, Verdict.UNSTABLE}
+    assert len(steps) >= 5
+    assert set(steps) <= {LIMIT, LIMIT + 1}, "a world leaves at its limit, or a step later if a box is placed there"
+    assert [*progress.notes] == ["long worlds were simulated to their ends on mjx-warp-cpu"]
+    monkeypatch.undo()
+
+    drive = push("force", 2.1)
+    recorded = Job(bridge, drive, start=expected[-1].state, record=Record(0.02))
+    (whole,) = run_all(shared_engine(), [recorded], SHORT)
+    steps = leaving(monkeypatch, AttemptThreads(1))
+    (joined,) = run_all(engine(), [recorded], SHORT)
+    assert steps == [LIMIT]
+    assert_equal([joined], [whole])
+    assert joined.history is not None
+    assert whole.history is not None
+    same = np.isin(joined.history.time_s, whole.history.time_s)
+    assert np.count_nonzero(~same) <= 1, "the moment at which the world left may be a frame more"
+    for name in ("time_s", "pos", "quat", "top_force_n", "drive"):
+        np.testing.assert_array_equal(getattr(joined.history, name)[same], getattr(whole.history, name), err_msg=name)
+    monkeypatch.undo()
+
+    process = AttemptProcess("petmjx.engines.warp.cpu_engine")
+    steps = leaving(monkeypatch, process)
+    (fork,) = run_all(engine(), [Job(bridge, drive, start=outcomes[-1].state)], SHORT)
+    process.close()
+    assert steps == [LIMIT]
+    monkeypatch.undo()
+    (full_run,) = run_all(shared_engine(), [Job(bridge, drive)], SHORT)
+    assert fork.flags == full_run.flags | Flag.FORKED
+    for name, values in vars(full_run.boxes).items():
+        np.testing.assert_array_equal(getattr(fork.boxes, name), values, err_msg=name)
+
+
+def test_which_worlds_leave_depends_on_their_jobs_alone() -> None:
+    scenes = [make_scene(3), make_scene(9)]
+    jobs = [Job(scene) for scene in scenes]
+    steps = most_steps(jobs, SHORT)
+    assert 0 < steps[0] < steps[1] < NEVER
+    assert most_steps(jobs[1:], SHORT).tolist() == steps[1:].tolist()
+    assert most_steps([replace(job, has_errors=True) for job in jobs], SHORT)[0] > steps[0]
+    after_placement = Job(scenes[0], push("force", 1.0))
+    fork = replace(after_placement, start=object())  # type: ignore[arg-type]  # any state
+    assert most_steps([fork], SHORT)[0] + steps[0] == pytest.approx(most_steps([after_placement], SHORT)[0], rel=0.1)
+    assert most_steps([replace(jobs[0], record=Record(0.1))], SHORT)[0] == steps[0]
+    stay = [replace(jobs[0], pauses_after=1), replace(fork, drive=None)]
+    assert most_steps(stay, SHORT).tolist() == [NEVER] * 2
+    assert most_steps(jobs, SHORT.changed(schedule="fixed")).tolist() == [NEVER] * 2
