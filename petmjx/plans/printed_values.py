@@ -15,6 +15,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.plans.column_names import column_meanings
 from petmjx.plans.nested_json import JsonLines
+from petmjx.plans.table_sections import are_unplaced, names_part, part_role
 
 _MOST_PRINTED: Final = 8 << 20
 """Largest text that is read, in characters."""
@@ -99,7 +100,7 @@ def printed_values(text: str) -> Any:
 
 def values_of_lines(text: str) -> JsonLines | None:
     """The values in lines of named values, "Item: A, Position: (0, 0, 0), Dimensions: 40 x 30 x 20"; None for other
-    texts. Lines above and below are left out.
+    texts. Lines above and below are left out. Titles ("Pallet 2:") become fields of the boxes below them.
 
     Raises:
         InputError: a line between two lines of named values has no named values. The error names the line.
@@ -116,14 +117,27 @@ def values_of_lines(text: str) -> JsonLines | None:
     if sum(meaning is not None for meaning in column_meanings(sorted(names))) < 2:
         return None
     values = JsonLines()
+    above = [line.strip() for line in lines[: used[0]] if line.strip()]
+    title = above[-1] if above and names_part(above[-1]) else ""
     for index in range(used[0], used[-1] + 1):
-        if not lines[index].strip():
+        line = lines[index].strip()
+        if not line:
             continue
-        if len(records[index]) < _LEAST_PAIRS:
-            raise InputError(f"line {index + 1}: is no box: {printable_name(lines[index].strip())}")
-        values.append(records[index])
-        values.lines.append(index + 1)
+        if len(records[index]) >= _LEAST_PAIRS:
+            values.append({**_fields_of_title(title), **records[index]})
+            values.lines.append(index + 1)
+        elif names_part(line) or are_unplaced(line):
+            title = line
+        elif not (are_unplaced(title) and records[index]):
+            raise InputError(f"line {index + 1}: is no box: {printable_name(line)}")
     return values
+
+
+def _fields_of_title(title: str) -> Mapping[str, str]:
+    """The field that the title of a section gives to its boxes."""
+    if not title:
+        return {}
+    return {"placed": "no"} if are_unplaced(title) else {part_role(title): title.rstrip(": ")}
 
 
 def _pairs_of_line(line: str) -> Mapping[str, Any]:
