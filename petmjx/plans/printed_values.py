@@ -55,12 +55,13 @@ _EMPTY: Final = re.compile(r"[ \t]+(?=[A-Za-z_]\w{0,99}[:=](?:[^\s,;]++(?!\s*[,;
 """White space after a name that has no value. The next name and its value follow this white space, as in Go's "Note:
 Weight:5". If a separator follows this value, what looks like the next name is a text: in "id: sku:123, x: 0", the value
 of "id" is "sku:123"."""
-_WORD: Final = re.compile(r"[^\s,;\[\](){}]+")
+_WORD: Final = re.compile(r"(?:(?!/\*)[^\s,;\[\](){}])+")
 _TEXT: Final = re.compile(
-    r"[^,;\[\](){}\n]{0,1000}?(?=\s{0,9}(?:[,;\])}\n]|$)"
+    r"[^,;\[\](){}\n]{0,1000}?(?=\s{0,9}(?:[,;\])}\n]|/\*|$)|\s{1,9}(?://|--(?=[\s\[]))"
     r"|\s{1,9}:?[A-Za-z_]\w{0,99}[:=](?:\S|\s{0,9}(?:[\])}\n]|$)|\s{1,9}[A-Za-z_]\w{0,99}[:=]))"
 )
-"""A value behind a name, which may have several words. It ends before a separator, a bracket or the next name."""
+"""A value behind a name, which may have several words. It ends before a separator, a bracket, a comment or the next
+name."""
 _CONSTANTS: Final = {"true": True, "false": False, **dict.fromkeys(("nil", "null", "none", "undefined"), None)}
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?([fFdDL]?|[mM])")
 _PAIR: Final = re.compile(r"([A-Za-z][\w .#/-]{0,40}?) ?[:=]")
