@@ -404,7 +404,11 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
             unit = split_unit(names[column])[1]
             meanings[column] = ColumnMeaning("size", base[1], unit if unit in LENGTH_UNITS else "", half=True)
     along = {match[1].lower(): index for index, base in enumerate(bases) if (match := _PLACED_AXIS.fullmatch(base))}
-    kinds = {meaning.kind for index, meaning in enumerate(meanings) if meaning and index not in along.values()}
+    kinds = {
+        meaning.kind
+        for index, meaning in enumerate(meanings)
+        if meaning and index not in along.values() and not (meaning.kind == "sizes" and bases[index][-1:].isdigit())
+    }
     if len(along) == 3 and "position" in kinds and not kinds & {"size", "sizes", "high"}:
         for axis, column in along.items():
             meanings[column] = ColumnMeaning("size", axis, split_unit(names[column])[1], placed=True)

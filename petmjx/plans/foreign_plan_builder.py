@@ -15,7 +15,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
-from petmjx.plans.column_extraction import IGNORED
+from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS
 from petmjx.plans.known_forms import PACKINGSOLVER
 from petmjx.plans.placed_boxes import (
     assumed_density,
@@ -39,7 +39,6 @@ from petmjx.plans.raw_tables import BoxList, names_with_lost_rows, row_number, r
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
 from petmjx.plans.readings import Reading, Wishes
-from petmjx.plans.size_and_place_columns import HALF_EXTENTS, LAST_CELLS
 
 
 @dataclass(frozen=True, eq=False)

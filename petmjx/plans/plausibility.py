@@ -251,6 +251,8 @@ def rises_along_y_alone(layout: Layout) -> bool:
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:
     """Whether two readings give the same piles, except for units, a shift, a mirror image or a turn by 90°."""
     factors = set()
+    if [len(layout.low) for layout in one] != [len(layout.low) for layout in other]:
+        return False
     for first, second in zip(one, other, strict=True):
         a, b = _normal(first), _normal(second)
         scale = float(np.median(a[1])) / max(float(np.median(b[1])), 1e-300)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.column_extraction import LAST_CELLS
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
@@ -30,6 +31,7 @@ from petmjx.plans.plausibility import (
 )
 from petmjx.plans.reading_candidates import UNUSUAL_UP, Candidate, candidates, layout_of
 from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, overlap_text, tie_text
+from petmjx.plans.size_and_place_columns import Geometry
 
 TIE: Final = 1.5
 """Two readings whose costs differ by less than this value are a tie. Costs behave like negative log likelihoods: a
@@ -124,8 +126,7 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
     """
     is_good = np.ones(columns.n_boxes, bool)
     is_good[list(columns.faults)] = False
-    for geometry in columns.geometries:
-        is_good &= (geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1)
+    is_good &= np.any([_are_positive(geometry) for geometry in columns.geometries], axis=0)
     sample: _Sample = []
     taken = 0
     good_plans = {name: rows for name, rows in plans.items() if name not in damaged and is_good[rows].all()}
@@ -137,6 +138,11 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
             sample.append((used, container_of(columns.source.boxes.containers, name)))
             taken += len(used)
     return sample
+
+
+def _are_positive(geometry: Geometry) -> NDArray[np.bool_]:
+    """(n,) whether a geometry has sizes and a place for each box."""
+    return np.asarray((geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1))
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
@@ -151,6 +157,8 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     costs: list[float] = []
     origins: list[str] = []
     sums = np.zeros(4)
+    is_positive = _are_positive(candidate.geometry)
+    sample = [(rows[is_positive[rows]], container) for rows, container in sample if is_positive[rows].any()]
     for rows, container in sample:
         whole_layout = layout_of(columns, candidate, container)
         layouts.append(Layout(whole_layout.low[rows], whole_layout.size[rows], whole_layout.container))
@@ -330,7 +338,9 @@ def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
     """
     first, *others = best.units
     rivals = [choice for choice in others if choice.length != first.length and choice.cost < first.cost + TIE]
-    if best.candidate.scale == 1.0:
+    if _are_large_cells(best):
+        rivals = [choice for choice in others if choice.length != first.length]
+    elif best.candidate.scale == 1.0:
         cheapest: dict[str, _Units] = {}
         for choice in best.units:
             cheapest.setdefault(choice.length, choice)
@@ -352,6 +362,14 @@ def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
     return [first, *rivals[:1]]
 
 
+def _are_large_cells(best: _Judged) -> bool:
+    """Whether boxes consist of a few cells of a grid. Cells may have any size, so nothing shows their unit."""
+    size = best.candidate.geometry.size[best.rows]
+    return LAST_CELLS in best.candidate.geometry.columns and bool(np.median(size.min(axis=1)) < _FEW_CELLS)
+
+
+_FEW_CELLS: Final = 5
+"""Boxes are hardly drawn on a grid of millimetres, centimetres or inches if most have a side of fewer cells."""
 _TRIED: Final = ("mm", "cm", "m", "in")
 """Units of lengths that are tried. Two such units are a tie if boxes and load fit a carrier in both units."""
 _THIN, _DENSE = 20.0, 2000.0
