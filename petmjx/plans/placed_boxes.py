@@ -398,7 +398,9 @@ def range_faults(columns: BoxColumns, reading: Reading, candidate: Candidate) ->
     far_places = (raw_place < place_limits.smallest) | (raw_place > place_limits.largest)
     for row, axis in np.argwhere(bad_sizes | far_places).tolist():
         if bad_sizes[row, axis]:
-            fault = _end_fault(candidate.geometry, row, axis) or positive_fault(named_sizes[axis], float(raw_size[row, axis]), *size_limits)
+            fault = _end_fault(candidate.geometry, row, axis) or positive_fault(
+                named_sizes[axis], float(raw_size[row, axis]), *size_limits
+            )
         else:
             fault = coordinate_fault(named_places[axis], float(raw_place[row, axis]), *place_limits)
         if fault is not None:

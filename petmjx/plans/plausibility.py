@@ -241,11 +241,11 @@ def begins_half_a_box_along_y(layout: Layout) -> bool:
     return bool(abs(float((low - size / 2).min())) <= tolerance < abs(float(low.min())))
 
 
-def rises_along_y_alone(layout: Layout) -> bool:
-    """Whether the boxes, in packing order, never go back along y, but go down along z."""
+def rises_sideways(layout: Layout) -> bool:
+    """Whether the boxes, in packing order, never go back along x, or never along y, but go down along z."""
     tolerance = _tolerance_of(layout)
-    y, z = (np.diff(layout.low[:, axis]) >= -tolerance for axis in (1, 2))
-    return bool(y.all() and not z.all())
+    x, y, z = (bool((np.diff(layout.low[:, axis]) >= -tolerance).all()) for axis in range(3))
+    return (x or y) and not z
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:

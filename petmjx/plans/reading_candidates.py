@@ -42,7 +42,7 @@ def axis_up(up: str) -> int:
     return _UP[up][2]
 
 
-UNUSUAL_UP: Final = 2.5
+UNUSUAL_UP: Final = 2.0
 """Cost of a reading with x upwards, before any numbers are considered."""
 
 
@@ -146,7 +146,7 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
         return [("z", 0.2), ("y", 0.2)]
     usual = [("z", 0.0), ("y", 1.0)]
     # the container shows whether x is the vertical
-    return [*usual, ("x", UNUSUAL_UP)] if columns.source.boxes.containers else usual
+    return [*usual, ("x", UNUSUAL_UP)]
 
 
 def _turning_axis(turn: FloatArray) -> str:

@@ -25,7 +25,7 @@ from petmjx.plans.plausibility import (
     density_cost,
     layout_cost,
     load_fit,
-    rises_along_y_alone,
+    rises_sideways,
     same_layouts,
     side_cost,
 )
@@ -56,8 +56,8 @@ _SHIFTED: Final = 3.6
 coordinates of centres costs half as much if they are perhaps those of tops (``begins_half_a_box_along_y``), since only
 one axis shows this."""
 _ON_SIDE: Final = 1.0
-"""Cost of a reading in which boxes are listed from back to front, but not from the ground up: y may be the vertical.
-The cost is that of y upwards in a file that does not name the vertical."""
+"""Cost of a reading in which boxes are listed from one side to the other, but not from the ground up: the axis of these
+sides may be the vertical. The cost is that of y upwards in a file that does not name the vertical."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -186,9 +186,7 @@ def _order_cost(judged: _Judged, mm: float) -> float:
         are_centres(layout, mm, far=anchor == "far-corner") for layout in judged.layouts
     )
     are_tops = anchor == "centre" and all(map(begins_half_a_box_along_y, judged.layouts))
-    return _SHIFTED * (shifted + 0.5 * are_tops) + _ON_SIDE * all(
-        rises_along_y_alone(layout) for layout in judged.layouts
-    )
+    return _SHIFTED * (shifted + 0.5 * are_tops) + _ON_SIDE * all(map(rises_sideways, judged.layouts))
 
 
 def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:
@@ -261,7 +259,10 @@ def choose_reading(
     unusual = best.candidate.prior - min(one.candidate.prior for one in judged) >= _UNUSUAL
     lead = max(tie, WEAK_LEAD * is_weak, best.layout_cost * (is_weak and unusual))
     close = [
-        other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
+        other
+        for other in judged[1:]
+        if other.cost < best.cost + max(lead, WEAK_LEAD * _stands_alone(other, best))
+        and not same_layouts(best.layouts, other.layouts)
     ]
     if close:
         readings = [_reading(one, columns, wishes) for one in (best, *close)]
@@ -278,6 +279,14 @@ def choose_reading(
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
+
+
+def _stands_alone(other: _Judged, best: _Judged) -> bool:
+    """Whether no box overlaps or floats along another vertical axis than that of the most plausible reading, along
+    which boxes overlap or float, or are listed from one side to the other."""
+    odd = [one.evidence.n_overlapping + one.evidence.n_floating for one in (other, best)]
+    is_worse = odd[1] > 0 or best.order_cost >= _ON_SIDE > other.order_cost
+    return other.candidate.up != best.candidate.up and not odd[0] and is_worse
 
 
 _LEAST_OVERLAPPING: Final = 6

@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from datetime import datetime
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -726,18 +727,104 @@ def test_documents_in_further_conventions(name: str, tmp_path: Path) -> None:
 
 
 def test_x_may_be_the_vertical(tmp_path: Path) -> None:
-    """The deck shows that x or z is the vertical, and the user tells which of them."""
+    """The deck shows that x is the vertical. Without a deck, the user tells it."""
     boxes = [
         {"name": name, "origin": dict(zip("yzx", box[:3], strict=True)), "weight": box[6],
          "dimensions": dict(zip("yzx", box[3:6], strict=True))}
         for name, box in zip(NAMES, PILE, strict=True)
     ]  # fmt: skip
     content = json.dumps({"boxes": [{"box": {"dimensions": {"x": 2000, "y": 1200, "z": 800}, "items": boxes}}]})
+    (plan,) = load(tmp_path, "pile.json", content).plans
+    check_pile(plan)
+    content = json.dumps({"items": boxes})
     (skipped,) = load(tmp_path, "pile.json", content).skipped
-    assert "can be read in two ways: x upwards" in skipped.message
+    assert "x upwards" in skipped.message
     assert "say which with --up (x, y or z)" in skipped.message
     (plan,) = load(tmp_path, "pile.json", content, up="x").plans
     check_pile(plan)
+
+
+def test_rows_along_x_may_be_layers(tmp_path: Path) -> None:
+    """Equal boxes stand along each axis, but they are listed by x, and not by z."""
+    cells = [(x, y, z) for x in range(3) for y in range(2) for z in range(2)]
+    rows = [{"x": 200 * x, "y": 250 * y, "z": 300 * z, "dx": 200, "dy": 250, "dz": 300} for x, y, z in cells]
+    (skipped,) = load(tmp_path, "pile.json", json.dumps(rows)).skipped
+    assert "say which with --up (x, y or z)" in skipped.message
+    by_z = sorted(rows, key=lambda row: row["z"])
+    (plan,) = load(tmp_path, "pile.json", json.dumps(by_z)).plans
+    assert plan.size_mm[0].tolist() == [200, 250, 300]
+
+
+def test_remarks_and_titles_between_boxes(tmp_path: Path) -> None:
+    def load_with(line: str, place: int, above: str = "") -> petmjx.PlanSet:
+        rows = [f"{name},{','.join(map(str, box))}" for name, box in zip(NAMES, PILE, strict=True)]
+        rows[place:place] = [line]
+        return load(tmp_path, "pile.csv", "\n".join([*filter(None, [above]), f"box,{','.join(FIELDS)}", *rows]))
+
+    plan_set = load_with("scan failed", 4)
+    check_pile(plan_set.plans[0])
+    assert "row 6 is a remark, and left out: scan failed" in notes_of(plan_set)
+    (skipped,) = load_with("d", 4).skipped
+    assert skipped.message.endswith("row 6: is no box: d")
+    (skipped,) = load_with("Lyon", 4, above="Report").skipped
+    assert skipped.message.endswith("row 7: is no box: Lyon")
+
+
+def test_lines_of_values_below_titles(tmp_path: Path) -> None:
+    lines = [
+        f"Item: {name}, Position: ({x}, {y}, {z}), Dimensions: {length} x {width} x {height}, Weight: {kg}, Layer: 1"
+        for name, (x, y, z, length, width, height, kg) in zip(NAMES, PILE, strict=True)
+    ]
+    text = "\n".join(["Pallet 1:", *lines, "Pallet 2:", *lines, "Unplaced items:", lines[0]])
+    plan_set = load(tmp_path, "pile.txt", text)
+    for plan in plan_set.plans:
+        check_pile(plan)
+    assert [plan.plan_id for plan in plan_set.plans] == ["Pallet 1", "Pallet 2"]
+    assert "1 box is not placed, and left out" in notes_of(plan_set)
+
+
+def test_comments_behind_values(tmp_path: Path) -> None:
+    fields = [
+        f"{{ x: {x} /* mm */, y: {y} // left, at front\n, z: {z}, l: {length}, w: {width}, h: {height}, kg: {kg} }}"
+        for x, y, z, length, width, height, kg in PILE
+    ]
+    check_pile(load(tmp_path, "pile.txt", f"[{', '.join(fields)}]").plans[0])
+
+
+def test_eight_corners_may_have_small_errors(tmp_path: Path) -> None:
+    rng = np.random.default_rng(33501)
+    rows = []
+    for box in PILE:
+        ends = [(box[axis], box[axis] + box[axis + 3]) for axis in range(3)]
+        rows.append([*(np.array(list(product(*ends))) + rng.uniform(-0.5, 0.5, (8, 3))).round(2).ravel(), box[6]])
+    header = ",".join(f"{axis}{corner} [mm]" for corner in range(1, 9) for axis in "xyz") + ",weight"
+    (plan,) = load(tmp_path, "pile.csv", "\n".join([header, *(",".join(map(str, row)) for row in rows)])).plans
+    assert np.abs(plan.size_mm - np.array(PILE)[:, 3:6]).max() < 1
+
+
+def test_cells_of_a_grid(tmp_path: Path) -> None:
+    """A box may be one cell thick, and there may be an empty cell between boxes."""
+    header = "id,x1,y1,z1,x2,y2,z2,weight"
+
+    def of_cells(*boxes: tuple[int, ...]) -> str:
+        rows = [f"b{number},{','.join(map(str, box))},5" for number, box in enumerate(boxes)]
+        return "\n".join([header, *rows])
+
+    lower = [(0, 0, 0, 39, 29, 19), (41, 0, 0, 80, 29, 19), (0, 31, 0, 39, 60, 19), (41, 31, 0, 80, 60, 19)]
+    upper = [(*box[:2], 21, *box[3:5], 40) for box in lower]
+    (plan,) = load(tmp_path, "cells.csv", of_cells(*lower, (0, 0, 20, 80, 60, 20), *upper)).plans
+    assert plan.size_mm[[0, 4]].tolist() == [[400, 300, 200], [810, 610, 10]]
+    (skipped,) = load(tmp_path, "cells.csv", of_cells(*lower)).skipped
+    assert 'say which with --columns ("last cells=NAME", or "last cells=-")' in skipped.message
+    (plan,) = load(tmp_path, "cells.csv", of_cells(*lower), columns={"last cells": "x2"}).plans
+    assert plan.size_mm[0].tolist() == [400, 300, 200]
+    (plan,) = load(tmp_path, "cells.csv", of_cells(*lower), columns={"last cells": "-"}).plans
+    assert plan.size_mm[0].tolist() == [390, 290, 190]
+    (skipped,) = load(tmp_path, "ends.csv", of_cells((0, 0, 0, 40, 30, 0), (40, 0, 0, 80, 30, 20))).skipped
+    assert skipped.message.endswith("row 2 (b0): z2 must be beyond z1, got 0")
+    tiny = of_cells(*((x, y, z, x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1, 2)))
+    (skipped,) = load(tmp_path, "cells.csv", tiny).skipped
+    assert "say which with --units" in skipped.message
 
 
 def test_feet_are_a_unit_that_the_user_can_name(tmp_path: Path) -> None:
