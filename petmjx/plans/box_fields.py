@@ -84,6 +84,8 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
             inner = inner.tolist()
         if isinstance(inner, Mapping) and (quantity := _quantity(inner)) is not None:
             flat[path] = quantity
+        elif isinstance(inner, Mapping) and str(name).lower() in _UNITS and isinstance(inner.get("Code"), str):
+            flat[path] = inner["Code"]
         elif isinstance(inner, Mapping):
             if depth < 4:
                 flat |= flattened(inner, f"{path}.", depth + 1)
@@ -141,7 +143,20 @@ def _parts_of_pose(path: str, numbers: Sequence[Any]) -> dict[str, Any]:
 
 _VALUES: Final = ("value", "amount", "magnitude")
 _UNITS: Final = frozenset(
-    ("unit", "units", "uom", "einheit", "unite", "unité", "unidad", "unita", "unità", "jednostka")
+    (
+        "unit",
+        "units",
+        "uom",
+        "unitofmeasurement",
+        "unitofmeasure",
+        "einheit",
+        "unite",
+        "unité",
+        "unidad",
+        "unita",
+        "unità",
+        "jednostka",
+    )
 )
 """Names of the two fields in objects such as {"value": 400, "unit": "mm"}: of the field with the number, and of the
 field with the unit."""

@@ -17,7 +17,7 @@ from petmjx.plans.known_forms import MOST_BYTES, BoxSource, with_known_form, wit
 from petmjx.plans.nested_containers import LAYERS
 from petmjx.plans.nested_json import box_lists, decoded_json
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
-from petmjx.plans.printed_values import printed_values, values_of_lines
+from petmjx.plans.printed_values import printed_values, values_of_blocks, values_of_lines
 from petmjx.plans.python_objects_and_texts import is_printed_object, python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, RawTable, not_placed, rows_with_boxes, united, with_titles
@@ -97,7 +97,12 @@ def _sources_of_document(text: str, path: Path | None) -> list[BoxSource] | None
     """
     if (name := nested_format(text, path)) is None:
         return None
-    value = value_of_toml(text) if name == "TOML" else value_of_yaml(text)
+    try:
+        value = value_of_toml(text) if name == "TOML" else value_of_yaml(text)
+    except InputError:
+        if name != "TOML" or (value := values_of_blocks(text)) is None:
+            raise
+        name = "INI"
     sources = [with_named_units(with_known_form(boxes, name)) for boxes in box_lists(value)]
     if not sources:
         raise NoGeometry(f"is {name} without a list of boxes: petmjx looks for objects with places and sizes")
@@ -112,6 +117,8 @@ def _sources_of_printed(text: str) -> list[BoxSource] | None:
     """
     value = printed_values(text)
     value = values_of_lines(text) if value is None else value
+    if value is None and nested_format(text, None) != "TOML":
+        value = values_of_blocks(text)
     return [with_named_units(with_known_form(boxes, "printed text")) for boxes in box_lists(value)] or None
 
 

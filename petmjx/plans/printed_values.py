@@ -1,5 +1,6 @@
-"""Reads values as programs print them for people (``printed_values``, ``values_of_lines``): structures of Rust, Go,
-JavaScript, Java, Kotlin, C#, PHP and Lua, EDN, and lines of named values.
+"""Reads values as programs print them for people (``printed_values``, ``values_of_lines``, ``values_of_blocks``):
+structures of Rust, Go, JavaScript, Java, Kotlin, C#, PHP and Lua, EDN, named arrays, messages of protocol buffers, and
+lines of named values.
 
 All of them put names and values into brackets. A name may stand before a bracket ("Box3D {"), separators may be commas,
 semicolons or white space, and a name is followed by ":", "=" or "=>", or begins with ":".
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
@@ -73,13 +74,29 @@ _LEAST_PAIRS: Final = 5
 """Fewest named values of a line that describes a box."""
 
 
+_ARRAYS: Final = re.compile(r"\s*(?:[#%/][^\n]*\s*)*[A-Za-z_]\w*\s*=\s*(?:\[|-?\d[\d.]*\s*;)")
+"""The beginning of a text of named arrays, as MiniZinc and Octave print them: "x = [0, 400];"."""
+_MESSAGES: Final = re.compile(
+    r"\s*(?!return\b)(?:[a-z_]\w*\s*:\s*(?:\"[^\"\n]*\"|[\w.+-]+)\s+)*[a-z_]\w*\s*\{\s*\w+\s*[:{]"
+)
+"""The beginning of messages of protocol buffers as text: "boxes { sku: ..."."""
+_FIELD: Final = re.compile(r"\"(?:\\.|[^\"\\\n])*+\"|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
+"""A field of such a message: "boxes {" or "sku:"; or a text in quotation marks, which may contain the like."""
+_RULES: Final = re.compile(r"^(?:[-=]{3,}|[#%][^\n]*)$", re.MULTILINE)
+"""Lines between named arrays that hold no values."""
+
+
 def printed_values(text: str) -> Any:
-    """The values in a text that a program has printed: a structure, or one structure in each line. None for other
-    texts.
+    """The values in a text that a program has printed: a structure, one structure in each line, named arrays, or
+    messages of protocol buffers. None for other texts.
 
     Raises:
         InputError: the text begins as a structure, but is damaged. The error names the line, but not the file.
     """
+    if _ARRAYS.match(text):
+        text = f"{{{_RULES.sub('', text)}}}"
+    elif _MESSAGES.match(text):
+        text = f"{{{_FIELD.sub(_with_separator, text).replace(',', ' ', 1)}}}"
     if len(text) > _MOST_PRINTED or _BEGINS.match(text) is None or _JSON_NAME.search(text):
         return None
     values = JsonLines()
@@ -97,6 +114,10 @@ def printed_values(text: str) -> Any:
         at, line = end, line + text.count("\n", at, end)
     _check_alike(text, places, values, 2)
     return values[0] if len(values) == 1 else values
+
+
+def _with_separator(field: re.Match[str]) -> str:
+    return f",{field[1]}: {field[2].lstrip(':')}" if field[1] else field[0]
 
 
 def values_of_lines(text: str) -> JsonLines | None:
@@ -157,6 +178,41 @@ def _pairs_of_line(line: str) -> Mapping[str, Any]:
     return pairs
 
 
+_BLOCK: Final = re.compile(r"\s*(?:\*{3,} \d+\. row \*{3,}|-\[ RECORD \d+ \][-+]*|\[([^\[\]\n]{1,100})\])\s*")
+"""The line above the values of a record, as MySQL and PostgreSQL print them, or above a section of an INI file."""
+_NAMED: Final = re.compile(r"\s*([A-Za-z][\w .#/-]{0,40}?)\s*[:=|]\s*(.*)")
+_COMMENT: Final = re.compile(r"\s*(?:[;#].*)?")
+
+
+def values_of_blocks(text: str) -> Any:
+    """The values in blocks of lines with one named value each, below a line that begins the block; None for other
+    texts. Blocks whose names differ in their numbers are one list: "[box1]", "[box2]".
+
+    Raises:
+        InputError: a line between two blocks is none. The error names the line.
+    """
+    lines = text.splitlines()
+    heads = [index for index, line in enumerate(lines) if _BLOCK.fullmatch(line)]
+    if len(heads) < 2 or any(not _COMMENT.fullmatch(line) for line in lines[: heads[0]]):
+        return None
+    lists: dict[str, JsonLines] = {}
+    for head, end in zip(heads, [*heads[1:], len(lines)], strict=True):
+        section = cast(re.Match[str], _BLOCK.fullmatch(lines[head]))[1] or ""
+        pairs: dict[str, Any] = {"section": section} if section else {}
+        for index in range(head + 1, end):
+            if (named := _NAMED.fullmatch(lines[index])) is not None and named[1] not in pairs:
+                pairs[named[1]] = named[2].strip() or None
+            elif not _COMMENT.fullmatch(lines[index]) and (end < len(lines) or named is not None):
+                raise InputError(f"line {index + 1}: is no named value: {printable_name(lines[index].strip())}")
+        values = lists.setdefault(re.sub(r"[\W\d_]+", "", section), JsonLines())
+        values.append(pairs)
+        values.lines.append(head + 1)
+    boxes = max(lists.values(), key=len)
+    if len(boxes) < 2 or sum(meaning is not None for meaning in column_meanings(list(boxes[0]))) < _LEAST_PAIRS:
+        return None
+    return boxes if len(lists) == 1 else {name: some if len(some) > 1 else some[0] for name, some in lists.items()}
+
+
 def _value(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any, int]:
     """The value at a position of a text, and the position behind it."""
     if depth > _DEEPEST:
@@ -202,6 +258,8 @@ def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any,
         kind: the name before the bracket.
     """
     pairs: dict[str, Any] = {}
+    repeated: set[str] = set()
+    """Names of several objects, as of boxes in messages of protocol buffers."""
     items: list[Any] = []
     places: list[int] = []
     begin = at
@@ -216,14 +274,22 @@ def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any,
         if (name := _NAME.match(text, at)) is not None:
             key = next(filter(None, name.groups())).strip()
             key = re.sub(r"(?::[\w\\]+)?:(?:private|protected)$", "", key)  # PHP: "x:protected", "x:Box:private"
-            if key in pairs:
-                raise _fault(text, at, f"{printable_name(key)} stands twice")
+            begin_of_pair = at
             if name[1]:  # a text of EDN has quotation marks, so that no value has several words
-                pairs[key], at = _value(text, _behind(_SPACE, text, name.end()), depth + 1, "M")
+                value, at = _value(text, _behind(_SPACE, text, name.end()), depth + 1, "M")
             else:
                 of_dotnet = close == "}" and name[0].endswith(" =")  # C# writes the record's name, F# does not
                 marks = ("mM" if kind else "M") if of_dotnet else ""
-                pairs[key], at = _value_of_name(text, name.end(), depth + 1, marks)
+                value, at = _value_of_name(text, name.end(), depth + 1, marks)
+            if key not in pairs:
+                pairs[key] = value
+            elif isinstance(value, dict) and (key in repeated or isinstance(pairs[key], dict)):
+                if key not in repeated:
+                    pairs[key] = [pairs[key]]
+                    repeated.add(key)
+                pairs[key].append(value)
+            else:
+                raise _fault(text, begin_of_pair, f"{printable_name(key)} stands twice")
         else:
             places.append(at)
             value, at = _value(text, at, depth + 1)

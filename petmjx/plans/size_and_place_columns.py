@@ -40,8 +40,9 @@ may describe any point of the box."""
 _FAR_SIDES: Final = word_set("right back rear far rechts hinten droite arriere derecha destra")
 """Words for the sides of a box that are far from the origin. "back_right_top" is the far corner, whereas "top" alone
 may be any point of the top."""
-_PICKED: Final = word_set("pick picked grasp source from")
-"""Words in the names of columns that hold the places from which a robot takes boxes."""
+_PICKED: Final = tuple(map(word_set, ("offset offsets", "pick picked grasp source from")))
+"""Words in the names of columns that do not hold places if other columns do: those of offsets, which are relative to
+the box, and those of the places from which a robot takes boxes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,8 +264,8 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
     return None
 
 
-_CORNER_NAME: Final = re.compile(r"([xyz])[\s_.-]?([1-8])", re.IGNORECASE)
-"""A coordinate of one of the eight corners of a box: "x1" … "z8"."""
+_CORNER_NAME: Final = re.compile(r"([xyz])(?:[\s_.-]?([1-8])|\[([0-7])\])", re.IGNORECASE)
+"""A coordinate of one of the eight corners of a box: "x1" … "z8", or "x[0]" … "z[7]"."""
 
 
 _CORNER_NOISE: Final = 0.01
@@ -273,11 +274,14 @@ errors."""
 
 
 def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
-    """Sizes and places from the eight corners of each box, in columns x1, y1, z1 … z8 in any order; None if there are
-    no such columns."""
+    """Sizes and places from the eight corners of each box, in columns x1, y1, z1 … z8 or x[0] … z[7] in any order; None
+    if there are no such columns."""
     header = extraction.table.header
-    names = {match[1].lower() + match[2]: index for index, name in enumerate(header)
-             if (match := _CORNER_NAME.fullmatch(split_unit(name)[0].strip())) is not None}  # fmt: skip
+    names = {
+        f"{match[1].lower()}{int(match[2] or 1 + int(match[3]))}": index
+        for index, name in enumerate(header)
+        if (match := _CORNER_NAME.fullmatch(split_unit(name)[0].strip())) is not None
+    }
     if len(names) < 24:
         return None
     parts = [[extraction.numbers(names[f"{axis}{corner}"], LENGTH_UNITS)[0] for corner in range(1, 9)] for axis in XYZ]
@@ -291,8 +295,10 @@ def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
         axis, corner = np.argwhere(~ends[:, :, row])[0].tolist()
         index = names[f"{XYZ[axis]}{corner + 1}"]
         extraction.bad(row, index, f"must be {low[row, axis]:g} or {high[row, axis]:g}, as of the other corners")
-    columns = {axis: header[names[f"{axis}1"]] for axis in XYZ} | {
-        f"{axis} (far)": header[names[f"{axis}8"]] for axis in XYZ
+    columns = {axis: header[names[f"{axis}1"]] for axis in XYZ}
+    columns |= {f"{axis} (far)": header[names[f"{axis}8"]] for axis in XYZ}
+    columns |= {
+        f"{axis} of corner {number}": header[names[f"{axis}{number}"]] for number in range(2, 8) for axis in XYZ
     }
     lows, highs = [columns[axis] for axis in XYZ], [names[f"{axis}8"] for axis in XYZ]
     unit = split_unit(columns["x"])[1]
@@ -375,10 +381,12 @@ def _stem(name: str) -> str:
 
 
 def _without_picks(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[list[int]]:
-    """The columns for each coordinate. Columns with the places from which a robot takes boxes are left out if there are
-    other columns."""
-    others = [[index for index in columns if not _PICKED.intersection(words_of(header[index]))] for columns in picked]
-    return others if all(others) else [list(columns) for columns in picked]
+    """The columns for each coordinate, without columns that do not hold places (``_PICKED``) if there are others."""
+    columns = [list(some) for some in picked]
+    for words in _PICKED:
+        others = [[index for index in some if not words.intersection(words_of(header[index]))] for some in columns]
+        columns = others if all(others) else columns
+    return columns
 
 
 # Columns without names.
