@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
 from petmjx.plans.column_names import column_meanings, word_set, words_of
 from petmjx.plans.raw_cells import cell_number
 
@@ -19,7 +22,11 @@ _LEAST_COLUMNS: Final = 5
 def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     """The rows of an object that stores a table in one of three forms: a list for each column; an object for each
     column, with one value per row; or the names of all columns in one field, and in another field a list of values for
-    each row (such as ``columns`` and ``data`` of pandas). None if the object has another form."""
+    each row (such as ``columns`` and ``data`` of pandas). None if the object has another form.
+
+    Raises:
+        InputError: the lists for sizes and places have several lengths.
+    """
     names = _names_in(value)
     for data in value.values() if names else ():
         rows = list(data.values()) if isinstance(data, Mapping) else data
@@ -35,6 +42,8 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
         return None
     lists = {name: list(inner) for name, inner in value.items() if isinstance(inner, list | tuple | np.ndarray)}
     lengths = {len(inner) for inner in lists.values()}
+    if len(lists) >= LEAST_NUMBERS:
+        _check_lengths(lists)
     if len(lengths) != 1 or 0 in lengths or any(isinstance(inner[0], Mapping) for inner in lists.values()):
         return None
     if sum(meaning is not None for meaning in column_meanings(list(lists))) < 2:
@@ -43,6 +52,22 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     if flat < _LEAST_COLUMNS:
         return None
     return [{name: inner[index] for name, inner in lists.items()} for index in range(lengths.pop())]
+
+
+def _check_lengths(lists: Mapping[str, Sequence[Any]]) -> None:
+    """Refuse lists for the sizes and places of boxes if one of them is longer or shorter than the others."""
+    known = [
+        name
+        for name, meaning in zip(lists, column_meanings(list(lists)), strict=True)
+        if meaning is not None and meaning.kind in ("size", "position")
+    ]
+    counts = Counter(len(lists[name]) for name in known)
+    if len(known) < LEAST_NUMBERS or len(counts) != 2:
+        return
+    (usual, n_usual), (odd, n_odd) = counts.most_common()
+    if n_odd == 1 < n_usual and abs(odd - usual) == 1 and min(odd, usual) > 1:
+        name = next(name for name in known if len(lists[name]) == odd)
+        raise InputError(f"{printable_name(name)} has {count_text(odd, 'value')}, but other lists have {usual}")
 
 
 def _names_in(value: Mapping[str, Any]) -> list[str]:
