@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Mapping
 from typing import Final
 
 from petmjx.common.errors import InputError
@@ -32,8 +32,11 @@ def rows_of_sql(text: str) -> dict[str, list[list[str]]]:
         InputError: the names of the columns of a table are missing, or a row is damaged.
     """
     tables: dict[str, list[list[str]]] = {}
+    bodies: dict[str, int] = {}
+    if _INSERT.search(text) is not None:  # where the columns of each table stand
+        bodies = {create[1].strip(_QUOTES): create.end() for create in _CREATE.finditer(text)}
     for insert in _INSERT.finditer(text):
-        rows = _table_of(tables, insert, text)
+        rows = _table_of(tables, insert, text, bodies)
         at = insert.end()
         while (row := _ROW.match(text, at)) is not None:
             values = next(csv.reader([row[1]], quotechar="'", escapechar="\\", skipinitialspace=True), [])
@@ -42,37 +45,41 @@ def rows_of_sql(text: str) -> dict[str, list[list[str]]]:
         if text[at : at + 99].lstrip()[:1] not in ("", ";") and not text[at : at + 99].lstrip().startswith("ON "):
             raise InputError(f"line {text.count(chr(10), 0, at) + 1}: not a row of values")
     for copy in _COPY.finditer(text):
-        rows = _table_of(tables, copy, text)
-        for line in text[copy.end() : text.find("\n\\.", copy.end())].splitlines()[1:]:
+        rows = _table_of(tables, copy, text, bodies)
+        if (end := text.find("\n\\.", copy.end())) < 0:
+            raise InputError(f"line {text.count(chr(10), 0, copy.end()) + 1}: the rows have no end; truncated?")
+        for line in text[copy.end() : end].splitlines()[1:]:
             rows.append(["" if value == "\\N" else value for value in line.split("\t")])
     return {name: rows for name, rows in tables.items() if len(rows) > 1}
 
 
-def _table_of(tables: dict[str, list[list[str]]], statement: re.Match[str], text: str) -> list[list[str]]:
-    """The rows so far of the table of a statement. A new table has the names of its columns."""
+def _table_of(
+    tables: dict[str, list[list[str]]], statement: re.Match[str], text: str, bodies: Mapping[str, int]
+) -> list[list[str]]:
+    """The rows so far of the table of a statement. A new table has the names of its columns.
+
+    Args:
+        bodies: name of a table → where its columns stand in the text.
+    """
     name = statement[1].strip(_QUOTES)
     if name not in tables:
-        columns = statement[2].split(",") if statement[2] else list(_created_columns(text, name))
+        columns = statement[2].split(",") if statement[2] else _created_columns(text, bodies.get(name, len(text)))
         if not columns:
             raise InputError(f"the names of the columns of {printable_name(name)} are missing")
         tables[name] = [[column.strip(_QUOTES) for column in columns]]
     return tables[name]
 
 
-def _created_columns(text: str, name: str) -> Iterator[str]:
+def _created_columns(text: str, begin: int) -> list[str]:
     """The names of the columns in the statement that creates a table."""
-    for create in _CREATE.finditer(text):
-        if create[1].strip(_QUOTES) != name:
-            continue
-        end = text.find(";", create.end())
-        body = re.sub(r"\([^()]*\)", "", text[create.end() : end if end > 0 else len(text)])
-        for column in body.split(","):
-            words = column.split()
-            if words and words[0].strip(_QUOTES).upper() not in _NOT_COLUMNS:
-                yield words[0].strip(_QUOTES)
-        return
+    end = text.find(";", begin)
+    body = re.sub(r"\([^()]*\)", "", text[begin : end if end > 0 else len(text)][:_LONGEST_CREATE])
+    first_words = [column.split()[0].strip(_QUOTES) for column in body.split(",") if column.strip()]
+    return [word for word in first_words if word.upper() not in _NOT_COLUMNS]
 
 
+_LONGEST_CREATE: Final = 100_000
+"""Longest statement that is read, in characters."""
 _TABULAR: Final = re.compile(r"\\begin\{(?:tabular[xy*]?|longtable|array|tblr)\}")
 _SPAN: Final = re.compile(r"\\multicolumn\{(\d{1,2})\}\{[^{}]{0,99}\}\{([^{}]{0,999})\}")
 _MARKED: Final = re.compile(

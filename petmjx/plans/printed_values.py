@@ -16,6 +16,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.plans.column_names import column_meanings
 from petmjx.plans.nested_json import JsonLines
+from petmjx.plans.raw_tables import MOST_COLUMNS
 from petmjx.plans.table_sections import are_unplaced, names_part, part_role
 
 _MOST_PRINTED: Final = 8 << 20
@@ -74,13 +75,13 @@ _LEAST_PAIRS: Final = 5
 """Fewest named values of a line that describes a box."""
 
 
-_ARRAYS: Final = re.compile(r"\s*(?:[#%/][^\n]*\s*)*[A-Za-z_]\w*\s*=\s*(?:\[|-?\d[\d.]*\s*;)")
+_ARRAYS: Final = re.compile(r"\s*(?:[#%/][^\n]*\s*)*[A-Za-z_]\w*\s*=\s*(?:\[\s*[-+.\d]|-?\d[\d.]*\s*;)")
 """The beginning of a text of named arrays, as MiniZinc and Octave print them: "x = [0, 400];"."""
 _MESSAGES: Final = re.compile(
     r"\s*(?!return\b)(?:[a-z_]\w*\s*:\s*(?:\"[^\"\n]*\"|[\w.+-]+)\s+)*[a-z_]\w*\s*\{\s*\w+\s*[:{]"
 )
 """The beginning of messages of protocol buffers as text: "boxes { sku: ..."."""
-_FIELD: Final = re.compile(r"\"(?:\\.|[^\"\\\n])*+\"|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
+_FIELD: Final = re.compile(r"\"(?:\\.|[^\"\\\n])*+\"?|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
 """A field of such a message: "boxes {" or "sku:"; or a text in quotation marks, which may contain the like."""
 _RULES: Final = re.compile(r"^(?:[-=]{3,}|[#%][^\n]*)$", re.MULTILINE)
 """Lines between named arrays that hold no values."""
@@ -208,7 +209,10 @@ def values_of_blocks(text: str) -> Any:
         values.append(pairs)
         values.lines.append(head + 1)
     boxes = max(lists.values(), key=len)
-    if len(boxes) < 2 or sum(meaning is not None for meaning in column_meanings(list(boxes[0]))) < _LEAST_PAIRS:
+    n_known = 0
+    if len(boxes) > 1 and len(boxes[0]) <= MOST_COLUMNS:
+        n_known = sum(meaning is not None for meaning in column_meanings(list(boxes[0])))
+    if n_known < _LEAST_PAIRS:
         return None
     return boxes if len(lists) == 1 else {name: some if len(some) > 1 else some[0] for name, some in lists.items()}
 

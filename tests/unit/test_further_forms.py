@@ -265,6 +265,13 @@ TABLES = {
     "a remark between boxes": table(f"box,x,y,z,{SIZES},weight", named).replace("f,", "checked by A,,,,,,,\nf,", 1),
     "sections of layers": table(f"box,x,y,z,{SIZES},weight", named, mark=";").replace("e;", "Layer 2;;;;;;;\ne;", 1)
     .replace("a;", "Layer 1;;;;;;;\na;", 1),
+    "LaTeX": "\\begin{tabular}{lrrrrrrr}\n\\toprule\n"
+    + table(f"box,$x$,$y$,$z$,{SIZES},\\textbf{{Weight}} (kg)", named, mark=" & ").replace("\n", " \\\\\n")
+    + "\\end{tabular}\n",
+    "MATLAB": "T =\n\n  8x8 table\n\n"
+    + "\n".join("    ".join(cell.rjust(7) for cell in row) for row in (
+        ["box", *FIELDS], ["_" * 7] * 8, [" "], *([NAMES[k], *map(str, box)] for k, box in enumerate(PILE)))) + "\n",
+    "lengths along axes": table("box,pos_x,pos_y,pos_z,len_x,len_y,len_z,weight", named),
     "Markdown": "\n".join(
         [f"| box | {' | '.join(FIELDS)} |", "|:---|" + "---:|" * len(FIELDS)]
         + [f"| {NAMES[k]} | " + " | ".join(map(str, box)) + " |" for k, box in enumerate(PILE)]
@@ -627,6 +634,114 @@ def test_values_as_programs_print_them(language: str, tmp_path: Path) -> None:
 def test_damaged_printed_values_are_one_line(text: str, fault: str, tmp_path: Path) -> None:
     (skipped,) = load(tmp_path, "pile.txt", text).skipped
     assert skipped.message.endswith(fault)
+
+
+def database(kind: str) -> str:
+    """A dump of a database with the pile, or the result of a query."""
+    columns = ", ".join(f"`{name}`" for name in ("box", *FIELDS))
+    rows = [f"('{name}', {', '.join(map(str, box))})" for name, box in zip(NAMES, PILE, strict=True)]
+    if kind == "COPY":
+        lines = ["\t".join(map(str, named(k, list(map(float, box))))) for k, box in enumerate(PILE)]
+        return "\n".join([f"COPY public.boxes ({', '.join(('box', *FIELDS))}) FROM stdin;", *lines, "\\.", ""])
+    if kind == "INSERT":
+        return f"INSERT INTO `boxes` ({columns}) VALUES\n{(',' + chr(10)).join(rows)};\n"
+    if kind == "CREATE":
+        created = ", ".join(f"`{name}` varchar(20) NOT NULL" for name in ("box", *FIELDS))
+        inserts = "".join(f"INSERT INTO boxes VALUES {row};\n" for row in rows)
+        return f"CREATE TABLE `boxes` ({created}, PRIMARY KEY (`box`));\n{inserts}"
+    heads = {"MySQL": "***** {}. row *****", "PostgreSQL": "-[ RECORD {} ]-----", "INI": "[box{}]"}
+    mark = {"MySQL": ": ", "PostgreSQL": " | ", "INI": "="}[kind]
+    blocks = [
+        "\n".join(
+            [heads[kind].format(number), *map(mark.join, zip(("box", *FIELDS), (name, *map(str, box)), strict=True))]
+        )
+        for number, (name, box) in enumerate(zip(NAMES, PILE, strict=True), start=1)
+    ]
+    return "\n".join(["[pallet]\nkind=euro\n" if kind == "INI" else "", *blocks, ""]).lstrip()
+
+
+@pytest.mark.parametrize("kind", ["INSERT", "CREATE", "COPY", "MySQL", "PostgreSQL", "INI"])
+def test_databases_and_blocks_of_lines(kind: str, tmp_path: Path) -> None:
+    text = database(kind)
+    (plan,) = load(tmp_path, "pile.txt", text).plans
+    check_pile(plan)
+    assert plan.item_ids == tuple(NAMES)
+    (skipped,) = load(tmp_path, "pile.txt", text.replace("7.75", "seven")).skipped
+    assert skipped.message.endswith('weight must be a number, got "seven"')
+
+
+def test_damaged_dumps_are_one_line(tmp_path: Path) -> None:
+    for text, fault in (
+        (database("COPY").replace("\\.", ""), "line 1: the rows have no end; truncated?"),
+        (database("INSERT").replace("('c'", "'c'"), "line 3: not a row of values"),
+        ("INSERT INTO boxes VALUES ('a', 0);", "the names of the columns of boxes are missing"),
+    ):
+        (skipped,) = load(tmp_path, "dump.sql", text).skipped
+        assert skipped.message.endswith(fault)
+
+
+def message(box: Sequence[float], name: str) -> str:
+    """A message of protocol buffers, in which zeros are not written."""
+    fields = [" ".join(f"{axis}: {value}" for axis, value in zip(FIELDS[:3], box, strict=False) if value)]
+    fields += [f"{field}: {value}" for field, value in zip(FIELDS[3:], box[3:], strict=True)]
+    return f'boxes {{\n  name: "{name}: {{x"\n  at {{ {fields[0]} }}\n  ' + "\n  ".join(fields[1:]) + "\n}\n"
+
+
+def test_messages_and_arrays(tmp_path: Path) -> None:
+    text = 'plan_id: "P"\n' + "".join(message(box, name) for name, box in zip(NAMES, PILE, strict=True))
+    (plan,) = load(tmp_path, "pile.textproto", text).plans
+    check_pile(plan)
+    assert plan.plan_id == "P"
+    columns = zip(FIELDS, zip(*PILE, strict=True), strict=True)
+    arrays = "% solved\n" + "".join(f"{name} = {list(values)};\n" for name, values in columns) + "----------\n"
+    check_pile(load(tmp_path, "pile.txt", arrays).plans[0])
+    (skipped,) = load(tmp_path, "pile.txt", arrays.replace("y = [0, ", "y = [")).skipped
+    assert skipped.message.endswith("y has 7 values, but other lists have 8")
+
+
+@pytest.mark.parametrize("kind", ["MongoDB", "DynamoDB", "Firestore", "figure", "UPS"])
+def test_json_of_databases_and_figures(kind: str, tmp_path: Path) -> None:
+    boxes = [dict(zip(("name", *FIELDS), (name, *box), strict=True)) for name, box in zip(NAMES, PILE, strict=True)]
+    types = {"MongoDB": "$numberDouble", "DynamoDB": "N", "Firestore": "doubleValue"}
+    value: Any
+    if kind in types:
+        texts = {"MongoDB": "$oid", "DynamoDB": "S", "Firestore": "stringValue"}
+        typed = [
+            {field: {texts[kind] if field == "name" else types[kind]: str(cell)} for field, cell in box.items()}
+            for box in boxes
+        ]
+        value = {"documents": [{"fields": box} for box in typed]} if kind == "Firestore" else {"Items": typed}
+    elif kind == "figure":  # corners of meshes
+        ends = [[(box[axis], box[axis] + box[axis + 3]) for axis in range(3)] for box in PILE]
+        corners = [list(zip(*product(*some), strict=True)) for some in ends]
+        value = {"data": [dict(zip("xyz", some, strict=True)) for some in corners]}
+    else:
+        unit = {"UnitOfMeasurement": {"Code": "KGS", "Description": "Kilograms"}}
+        value = {"Package": [{**box, "weight": {**unit, "Weight": box["weight"]}} for box in boxes]}
+    (plan,) = load(tmp_path, "pile.json", json.dumps(value)).plans
+    check_pile(plan, weights=kind != "figure")
+
+
+def test_cells_of_a_web_page_over_several_rows(tmp_path: Path) -> None:
+    head = "".join(f"<th>{name}</th>" for name in ("pallet", "box", *FIELDS))
+    rows = ["".join(f"<td>{cell}</td>" for cell in named(k, list(map(float, box)))) for k, box in enumerate(PILE)]
+    pallets = "".join(f"<tr><td rowspan='{len(PILE)}'>P{number}</td>{'</tr><tr>'.join(rows)}</tr>" for number in (1, 2))
+    plans = load(tmp_path, "pile.html", f"<html><table><tr>{head}</tr>{pallets}</table></html>").plans
+    assert [plan.plan_id for plan in plans] == ["P1", "P2"]
+    for plan in plans:
+        check_pile(plan)
+
+
+def test_kinds_of_files_without_lists_of_boxes(tmp_path: Path) -> None:
+    for text, kind in (
+        ("#VRML V2.0 utf8\nTransform { translation 0 0 0 }\n", "is a scene in VRML"),
+        ("# load\no box\nv 0 0 0\nv 400 0 0\n", "is a mesh (OBJ)"),
+        ("/PROG PALLET\n/POS\nP[1]{ X = 0 mm };\n", "is a program of a robot"),
+        ("translate([0, 0, 0]) cube([400, 300, 200]);\n", "is a model in OpenSCAD"),
+        ("placed(400, 300, 200, 0, 0, 0).\n", "has facts (Prolog)"),
+    ):
+        (skipped,) = load(tmp_path, "pile.txt", text).skipped
+        assert kind in skipped.message
 
 
 DOCUMENTS = {
