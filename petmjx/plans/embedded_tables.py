@@ -11,9 +11,14 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 
 _INSERT: Final = re.compile(
-    r"\bINSERT\s{1,9}(?:IGNORE\s{1,9})?INTO\s{1,9}([\w.`\"\[\]]{1,200})\s{0,9}(?:\(([^()]{1,9999})\))?\s{0,9}VALUES\b",
-    re.IGNORECASE,
+    r"^[ \t]{0,99}INSERT\s{1,9}(?:IGNORE\s{1,9})?INTO\s{1,9}([\w.`\"\[\]]{1,200})\s{0,9}"
+    r"(?:\(([^()]{1,9999})\))?\s{0,9}VALUES\b",
+    re.IGNORECASE | re.MULTILINE,
 )
+_CHANGE: Final = re.compile(
+    r"^[ \t]{0,99}(?:UPDATE|DELETE\s{1,9}FROM|REPLACE\s{1,9}INTO)\s", re.IGNORECASE | re.MULTILINE
+)
+"""A statement that changes rows that were inserted before."""
 _COPY: Final = re.compile(
     r"^COPY\s{1,9}([\w.\"]{1,200})\s{0,9}\(([^()]{1,9999})\)\s{1,9}FROM\s{1,9}stdin;", re.MULTILINE
 )
@@ -44,6 +49,9 @@ def rows_of_sql(text: str) -> dict[str, list[list[str]]]:
             at = row.end()
         if text[at : at + 99].lstrip()[:1] not in ("", ";") and not text[at : at + 99].lstrip().startswith("ON "):
             raise InputError(f"line {text.count(chr(10), 0, at) + 1}: not a row of values")
+    if tables and (change := _CHANGE.search(text)) is not None:
+        number = text.count("\n", 0, change.end()) + 1
+        raise InputError(f"line {number}: rows are changed after they were inserted; export the table instead")
     for copy in _COPY.finditer(text):
         rows = _table_of(tables, copy, text, bodies)
         if (end := text.find("\n\\.", copy.end())) < 0:
@@ -86,6 +94,9 @@ _MARKED: Final = re.compile(
     r"\\(?:textbf|textit|emph|texttt|text|mathrm|num|makecell|multirow\{\d+\}\{[^{}]*\})\{([^{}]*)\}"
 )
 _COMMAND: Final = re.compile(r"\\[a-zA-Z]+\*?(?:\[[^\]\n]{0,99}\]|\([^)\n]{0,99}\)|\{[^{}\n]{0,99}\})*")
+_END: Final = re.compile(r"\\\\(?:\[[^\]\n]{0,99}\])?")
+"""The end of a row, with the space below it."""
+_COMMENT: Final = re.compile(r"(?<!\\)%.*")
 _ESCAPED: Final = re.compile(r"\\([_%&#$])")
 _AMPERSAND: Final = "\ue002"
 
@@ -97,8 +108,9 @@ def text_of_latex(text: str) -> str:
         return ""
     lines = []
     for line in text.split("\n"):
-        line = _ESCAPED.sub(lambda mark: _AMPERSAND if mark[1] == "&" else mark[1], line.replace("\\\\", "\n"))
+        line = _COMMENT.sub("", line)
+        line = _ESCAPED.sub(lambda mark: _AMPERSAND if mark[1] == "&" else mark[1], _END.sub("\n", line))
         line = _SPAN.sub(lambda span: span[2] + " &" * (int(span[1]) - 1), line)
-        line = _COMMAND.sub(" ", _MARKED.sub(r"\1", line)).partition("\n")[0]
+        line = _COMMAND.sub(" ", _MARKED.sub(r"\1", line)).strip()
         lines.append(re.sub(r"[${}]", "", line.replace("~", " ")) if "&" in line else "")
     return "\n".join(lines).replace(_AMPERSAND, "and")

@@ -22,6 +22,7 @@ from petmjx.plans.python_objects_and_texts import is_printed_object, python_valu
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, RawTable, not_placed, rows_with_boxes, united, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
+from petmjx.plans.table_sections import are_unplaced
 from petmjx.plans.text_tables import decoded_text
 from petmjx.plans.workbooks import read_raw_tables, tables_of_page, value_of_xml
 from petmjx.plans.yaml_text import nested_format, value_of_toml, value_of_yaml
@@ -147,7 +148,11 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
         kind: kind of the file, in words.
     """
     groups: dict[tuple[str, ...], list[RawTable]] = {}
+    unplaced = [table for table in raw_tables if table.title and are_unplaced(table.title.replace("_", " "))]
+    n_unplaced = sum(len(table.rows) for table in unplaced) if len(unplaced) < len(raw_tables) else 0
     for table in raw_tables:
+        if n_unplaced and table in unplaced:
+            continue
         key = geometric_names(table.header) if table.has_header else table.header
         groups.setdefault(key, []).append(table)
     sources = []
@@ -161,7 +166,7 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
         if names and all(LAYERS.intersection(words_of(name)) for name in names):
             names = [""] * len(names)
         joined = united(with_titles(tables))
-        boxes = BoxList(joined, "", tuple(names), _containers_above(joined))
+        boxes = BoxList(joined, "", tuple(names), _containers_above(joined), left_out=tuple(not_placed(n_unplaced)))
         if boxes.has_places:
             boxes = _without_unplaced(boxes)
         sources.append(with_known_form(boxes, kind))

@@ -9,7 +9,7 @@ semicolons or white space, and a name is followed by ":", "=" or "=>", or begins
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final, cast
 
 from petmjx.common.errors import InputError
@@ -75,14 +75,17 @@ _LEAST_PAIRS: Final = 5
 """Fewest named values of a line that describes a box."""
 
 
-_ARRAYS: Final = re.compile(r"\s*(?:[#%/][^\n]*\s*)*[A-Za-z_]\w*\s*=\s*(?:\[\s*[-+.\d]|-?\d[\d.]*\s*;)")
+_ARRAYS: Final = re.compile(
+    r"\s*+(?:[#%/][^\n]*+\s*+)*+(?:\w++\s*+=\s*+-?[\w.]++\s*+;?\s*+)*+[A-Za-z_]\w*+\s*+=\s*+\[\s*+[-+.\d]"
+)
 """The beginning of a text of named arrays, as MiniZinc and Octave print them: "x = [0, 400];"."""
 _MESSAGES: Final = re.compile(
-    r"\s*(?!return\b)(?:[a-z_]\w*\s*:\s*(?:\"[^\"\n]*\"|[\w.+-]+)\s+)*[a-z_]\w*\s*\{\s*\w+\s*[:{]"
+    r"\s*(?:#[^\n]*\s*)*(?!return\b)(?:[a-z_]\w*\s*:\s*(?:\"[^\"\n]*\"|[\w.+-]+)\s+)*[a-z_]\w*\s*\{\s*\w+\s*[:{]"
 )
 """The beginning of messages of protocol buffers as text: "boxes { sku: ..."."""
-_FIELD: Final = re.compile(r"\"(?:\\.|[^\"\\\n])*+\"?|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
-"""A field of such a message: "boxes {" or "sku:"; or a text in quotation marks, which may contain the like."""
+_FIELD: Final = re.compile(r"#[^\n]*|\"(?:\\.|[^\"\\\n])*+\"?|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
+"""A field of such a message: "boxes {" or "sku:"; or a comment, or a text in quotation marks, which may contain
+the like."""
 _RULES: Final = re.compile(r"^(?:[-=]{3,}|[#%][^\n]*)$", re.MULTILINE)
 """Lines between named arrays that hold no values."""
 
@@ -94,9 +97,10 @@ def printed_values(text: str) -> Any:
     Raises:
         InputError: the text begins as a structure, but is damaged. The error names the line, but not the file.
     """
+    are_messages = False
     if _ARRAYS.match(text):
         text = f"{{{_RULES.sub('', text)}}}"
-    elif _MESSAGES.match(text):
+    elif are_messages := (_MESSAGES.match(text) is not None):
         text = f"{{{_FIELD.sub(_with_separator, text).replace(',', ' ', 1)}}}"
     if len(text) > _MOST_PRINTED or _BEGINS.match(text) is None or _JSON_NAME.search(text):
         return None
@@ -114,11 +118,36 @@ def printed_values(text: str) -> Any:
         end = _behind_gap(text, end)
         at, line = end, line + text.count("\n", at, end)
     _check_alike(text, places, values, 2)
+    if are_messages:
+        return _with_lists(values[0], _repeated_names(values[0]))
     return values[0] if len(values) == 1 else values
 
 
 def _with_separator(field: re.Match[str]) -> str:
+    if field[0].startswith("#"):
+        return ""
     return f",{field[1]}: {field[2].lstrip(':')}" if field[1] else field[0]
+
+
+def _repeated_names(value: Any) -> set[str]:
+    """The names of lists of objects in a value."""
+    if isinstance(value, list):
+        return set().union(*map(_repeated_names, value))
+    names: set[str] = set()
+    for name, inner in value.items() if isinstance(value, dict) else ():
+        is_list = isinstance(inner, list) and any(isinstance(member, dict) for member in inner)
+        names |= _repeated_names(inner) | ({name} if is_list else set())
+    return names
+
+
+def _with_lists(value: Any, names: Collection[str]) -> Any:
+    """A value in which each object with one of these names is a list of one object."""
+    if isinstance(value, list):
+        return [_with_lists(inner, names) for inner in value]
+    if not isinstance(value, dict):
+        return value
+    inside = {name: _with_lists(inner, names) for name, inner in value.items()}
+    return {name: [inner] if name in names and isinstance(inner, dict) else inner for name, inner in inside.items()}
 
 
 def values_of_lines(text: str) -> JsonLines | None:
@@ -197,6 +226,7 @@ def values_of_blocks(text: str) -> Any:
     if len(heads) < 2 or any(not _COMMENT.fullmatch(line) for line in lines[: heads[0]]):
         return None
     lists: dict[str, JsonLines] = {}
+    sections: list[tuple[str, dict[str, Any]]] = []
     for head, end in zip(heads, [*heads[1:], len(lines)], strict=True):
         section = cast(re.Match[str], _BLOCK.fullmatch(lines[head]))[1] or ""
         pairs: dict[str, Any] = {"section": section} if section else {}
@@ -205,10 +235,19 @@ def values_of_blocks(text: str) -> Any:
                 pairs[named[1]] = named[2].strip() or None
             elif not _COMMENT.fullmatch(lines[index]) and (end < len(lines) or named is not None):
                 raise InputError(f"line {index + 1}: is no named value: {printable_name(lines[index].strip())}")
-        values = lists.setdefault(re.sub(r"[\W\d_]+", "", section), JsonLines())
+        name = re.sub(r"[\W\d_]+", "", section)
+        values = lists.setdefault(name, JsonLines())
         values.append(pairs)
         values.lines.append(head + 1)
+        sections.append((section, pairs))
     boxes = max(lists.values(), key=len)
+    titles = [name for name, some in lists.items() if some is not boxes and names_part(name) and len(some) > 1]
+    title = ""
+    for section, pairs in sections if titles else ():  # boxes below "[pallet2]"
+        if re.sub(r"[\W\d_]+", "", section) in titles:
+            title = section
+        else:
+            pairs |= _fields_of_title(title)
     n_known = 0
     if len(boxes) > 1 and len(boxes[0]) <= MOST_COLUMNS:
         n_known = sum(meaning is not None for meaning in column_meanings(list(boxes[0])))

@@ -165,12 +165,14 @@ class _PageRows(HTMLParser):
                 self.spans |= dict.fromkeys(range(self.cell[1], len(row)), (row, n_more))
 
     def _copy_from_above(self, row: list[Any]) -> None:
-        """Add the cells of rows above that extend over the next columns of a row."""
+        """Add the cells of rows above that extend over the next columns of a row. Numbers are left out: a weight beside
+        several boxes may be that of all of them."""
         while (span := self.spans.pop(len(row), None)) is not None and self.n_copies < MOST_ROWS:
             above, n_more = span
             if n_more > 1:
                 self.spans[len(row)] = (above, n_more - 1)
-            row.append(above[len(row)])
+            cell = above[len(row)]
+            row.append(None if cell is None or cell_number(cell) is not None else cell)
             self.n_copies += 1
 
     def handle_endtag(self, tag: str) -> None:

@@ -730,6 +730,31 @@ def test_cells_of_a_web_page_over_several_rows(tmp_path: Path) -> None:
     assert [plan.plan_id for plan in plans] == ["P1", "P2"]
     for plan in plans:
         check_pile(plan)
+    one_weight = rows[1].replace(f"<td>{float(PILE[1][6])}</td>", "")
+    first = rows[0].replace(f"<td>{float(PILE[0][6])}", f"<td rowspan=2>{float(PILE[0][6])}")
+    lines = "".join(f"<tr><td>P</td>{row}</tr>" for row in (first, one_weight, *rows[2:]))
+    (skipped,) = load(tmp_path, "pile.html", f"<html><table><tr>{head}</tr>{lines}</table></html>").skipped
+    assert skipped.message.endswith("row 3 (b): weight is missing")
+
+
+def test_pallets_in_sections_and_messages(tmp_path: Path) -> None:
+    sections = database("INI").replace("[pallet]\nkind=euro\n", "")
+    text = "".join(f"[pallet{number}]\nkind=euro\n{sections}" for number in (1, 2))
+    plans = list(load(tmp_path, "load.ini", text).plans)
+    assert [plan.plan_id for plan in plans] == ["pallet1", "pallet2"]
+    messages = [message(box, name) for name, box in zip(NAMES, PILE, strict=True)]
+    text = f'pallet {{\n  id: "A"\n{"".join(messages)}}}\npallet {{\n  id: "B"\n{messages[0]}}}\n'
+    a, b = load(tmp_path, "load.textproto", f"# two pallets\n{text}").plans
+    assert (a.plan_id, b.plan_id, b.n_boxes) == ("A", "B", 1)
+    for plan in (*plans, a):
+        check_pile(plan)
+
+
+def test_tables_of_boxes_that_are_not_placed(tmp_path: Path) -> None:
+    dump = database("INSERT") + database("INSERT").replace("`boxes`", "unplaced_boxes")
+    plan_set = load(tmp_path, "dump.sql", dump)
+    check_pile(plan_set.plans[0])
+    assert "8 boxes are not placed, and left out" in notes_of(plan_set)
 
 
 def test_kinds_of_files_without_lists_of_boxes(tmp_path: Path) -> None:
