@@ -29,7 +29,7 @@ from petmjx.plans.plausibility import (
     same_layouts,
     side_cost,
 )
-from petmjx.plans.reading_candidates import UNUSUAL_UP, Candidate, candidates, layout_of
+from petmjx.plans.reading_candidates import Candidate, candidates, layout_of, sideways_candidates
 from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, overlap_text, tie_text
 from petmjx.plans.size_and_place_columns import Geometry
 
@@ -43,8 +43,8 @@ WEAK: Final = 5.0
 """A reading is weak if the cost of its layout exceeds this value. A layout has this cost if a fifth of its boxes
 overlap, or if a quarter of them float."""
 _POOR: Final = 0.8 * WEAK
-"""If every reading has a layout with a higher cost than this, unusual readings are tried: x upwards, and coordinates in
-another unit than sizes."""
+"""If every reading has a layout with a higher cost than this, coordinates in another unit than sizes are tried. Layouts
+with x upwards and with a higher cost are not considered."""
 WEAK_LEAD: Final = 3.0
 """A weak reading wins only if its cost is lower than the cost of every other reading by at least this value. If a plan
 really has odd boxes, even more boxes are odd in wrong readings."""
@@ -281,6 +281,13 @@ def choose_reading(
     return replace(reading, alternatives=alternatives), best.candidate
 
 
+def _may_lie(best: _Judged) -> bool:
+    """Whether boxes overlap, float, are outside or are listed from one side to the other in the most plausible reading,
+    so that another axis may be the vertical."""
+    evidence = best.evidence
+    return evidence.n_overlapping + evidence.n_floating + evidence.n_outside > 0 or best.order_cost >= _ON_SIDE
+
+
 def _stands_alone(other: _Judged, best: _Judged) -> bool:
     """Whether no box overlaps or floats along another vertical axis than that of the most plausible reading, along
     which boxes overlap or float, or are listed from one side to the other."""
@@ -312,12 +319,11 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
             break
         judged.append(_judge(columns, wishes, candidate, sample))
         lowest = min(lowest, judged[-1].cost)
-    best = min((one.layout_cost for one in judged), default=0.0)
-    if best > _POOR and not (wishes.up or columns.source.form.up):
-        plain = {id(one.candidate.geometry): one for one in sorted(judged, key=lambda one: one.candidate.prior)[::-1]}
-        for one in plain.values():
-            sideways = replace(one.candidate, up="x", prior=one.candidate.prior + UNUSUAL_UP)
-            other = _judge(columns, wishes, sideways, sample)
+    if judged and _may_lie(min(judged, key=lambda one: one.cost)):
+        for candidate in sorted(sideways_candidates(columns, wishes), key=lambda one: one.prior):
+            if candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
+                break
+            other = _judge(columns, wishes, candidate, sample)
             judged += [other] if other.layout_cost <= _POOR else []
     no_sizes_unit = not wishes.units and not any(geometry.size_unit for geometry in columns.geometries)
     if no_sizes_unit and judged and min(one.layout_cost for one in judged) > _POOR:
