@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Any, Final
 
 import numpy as np
@@ -199,6 +200,11 @@ def _quantity(value: Mapping[str, Any]) -> Any:
     return None
 
 
+CORNER_NOISE: Final = 0.01
+"""Largest error of the corners of a box, as a share of its smallest side: cameras and floating-point numbers make
+errors."""
+
+
 def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | None:
     """The smallest and the largest coordinates of the eight corners of a box, [[x, y, z], …]; None for other lists. If
     the points are not the corners of a level box, one coordinate in the result is replaced by an error text."""
@@ -206,13 +212,14 @@ def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | Non
         return None
     ends: tuple[list[Any], list[Any]] = ([], [])
     for column in zip(*value, strict=True):
-        numbers = [number.value for cell in column if (number := cell_number(cell)) is not None]
+        numbers = sorted(number.value for cell in column if (number := cell_number(cell)) is not None)
         odd = [cell for cell in column if cell_number(cell) is None]
-        halves = len(numbers) == 8 and sorted(numbers)[3] == min(numbers) and sorted(numbers)[4] == max(numbers)
-        if not halves and not odd:
+        low, high = (0.0, 0.0) if odd else (median(numbers[:4]), median(numbers[4:]))
+        noise = CORNER_NOISE * (high - low)
+        if not odd and max(numbers[3] - numbers[0], numbers[7] - numbers[4]) > noise:
             odd = [f"{column[0]}, …, which are no level box"]
-        ends[0].append(odd[0] if odd else min(numbers))
-        ends[1].append(max(numbers, default=None))
+        ends[0].append(odd[0] if odd else low)
+        ends[1].append(high if not odd else max(numbers, default=None))
     return ends
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
+from petmjx.plans.box_fields import CORNER_NOISE
 from petmjx.plans.column_extraction import HALF_EXTENTS, LAST_CELLS, SIZE_WORDS, XYZ, ColumnExtraction, role_of
 from petmjx.plans.column_names import BASE_WORDS, CENTRE_WORDS, LENGTH_UNITS, split_unit, word_set, words_of
 from petmjx.plans.turn_columns import Turns
@@ -268,11 +269,6 @@ _CORNER_NAME: Final = re.compile(r"([xyz])(?:[\s_.-]?([1-8])|\[([0-7])\])", re.I
 """A coordinate of one of the eight corners of a box: "x1" … "z8", or "x[0]" … "z[7]"."""
 
 
-_CORNER_NOISE: Final = 0.01
-"""Largest error of the corners of a box, as a share of its smallest side: cameras and floating-point numbers make
-errors."""
-
-
 def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
     """Sizes and places from the eight corners of each box, in columns x1, y1, z1 … z8 or x[0] … z[7] in any order; None
     if there are no such columns."""
@@ -287,7 +283,7 @@ def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
     parts = [[extraction.numbers(names[f"{axis}{corner}"], LENGTH_UNITS)[0] for corner in range(1, 9)] for axis in XYZ]
     corners = np.sort(parts, axis=1)  # (3, 8, n)
     low, high = np.median(corners[:, :4], axis=1).T, np.median(corners[:, 4:], axis=1).T
-    noise = _CORNER_NOISE * (high - low).min(axis=1)
+    noise = CORNER_NOISE * (high - low).min(axis=1)
     corners = np.array(parts)
     ends = np.minimum(abs(corners - low.T[:, None]), abs(corners - high.T[:, None])) <= noise
     ends |= np.isnan(corners)

@@ -933,13 +933,17 @@ def test_comments_behind_values(tmp_path: Path) -> None:
 
 def test_eight_corners_may_have_small_errors(tmp_path: Path) -> None:
     rng = np.random.default_rng(33501)
-    rows = []
+    rows, boxes = [], []
     for box in PILE:
         ends = [(box[axis], box[axis] + box[axis + 3]) for axis in range(3)]
-        rows.append([*(np.array(list(product(*ends))) + rng.uniform(-0.5, 0.5, (8, 3))).round(2).ravel(), box[6]])
+        corners = (np.array(list(product(*ends))) + rng.uniform(-0.5, 0.5, (8, 3))).round(2)
+        rows.append([*corners.ravel(), box[6]])
+        boxes.append({"corners": corners.tolist(), "weight": box[6]})
     header = ",".join(f"{axis}{corner} [mm]" for corner in range(1, 9) for axis in "xyz") + ",weight"
     (plan,) = load(tmp_path, "pile.csv", "\n".join([header, *(",".join(map(str, row)) for row in rows)])).plans
-    assert np.abs(plan.size_mm - np.array(PILE)[:, 3:6]).max() < 1
+    (same,) = load(tmp_path, "pile.json", json.dumps(boxes)).plans
+    for one in (plan, same):
+        assert np.abs(one.size_mm - np.array(PILE)[:, 3:6]).max() < 1
 
 
 def test_cells_of_a_grid(tmp_path: Path) -> None:
