@@ -365,10 +365,11 @@ def first_bad_row(columns: BoxColumns, wishes: Wishes) -> tuple[int, str] | None
 
 def _end_fault(geometry: Geometry, row: int, axis: int) -> str:
     """The fault of a box that ends where it begins, with the names of the columns of both ends; "" for other boxes."""
-    far = geometry.columns.get(f"{geometry.axes[axis]} (far)", "")
+    far = geometry.columns.get(f"{geometry.axes[axis]} (far)", geometry.columns.get("corners", ""))
     if not far or geometry.size[row, axis]:
         return ""
-    return f"{far} must be beyond {_place_names(geometry.columns)[axis]}, got {geometry.place[row, axis]:g}"
+    near = "its near corner" if "corners" in geometry.columns else _place_names(geometry.columns)[axis]
+    return f"{far} must be beyond {near}, got {geometry.place[row, axis]:g}"
 
 
 def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
@@ -414,7 +415,7 @@ def _size_names(geometry: Geometry, columns: Mapping[str, str]) -> list[str]:
     Args:
         columns: role → name of its column.
     """
-    roles = [(role_of(axis), "sizes", f"{axis} (far)") for axis in geometry.axes]
+    roles = [(role_of(axis), "sizes", f"{axis} (far)", "corners") for axis in geometry.axes]
     return [next(filter(None, map(columns.get, names)), names[0]) for names in roles]
 
 
