@@ -17,7 +17,7 @@ from petmjx.common.text import printable_name
 from petmjx.plans.column_names import column_meanings
 from petmjx.plans.nested_json import JsonLines
 from petmjx.plans.raw_tables import MOST_COLUMNS
-from petmjx.plans.table_sections import are_unplaced, names_part, part_role
+from petmjx.plans.table_sections import are_unplaced, begins_section, names_part, part_role
 
 _MOST_PRINTED: Final = 8 << 20
 """Largest text that is read, in characters."""
@@ -170,7 +170,7 @@ def values_of_lines(text: str) -> JsonLines | None:
         return None
     values = JsonLines()
     above = [line.strip() for line in lines[: used[0]] if line.strip()]
-    title = above[-1] if above and names_part(above[-1]) else ""
+    title = first_title = above[-1] if above and names_part(above[-1]) else ""
     for index in range(used[0], used[-1] + 1):
         line = lines[index].strip()
         if not line:
@@ -178,7 +178,7 @@ def values_of_lines(text: str) -> JsonLines | None:
         if len(records[index]) >= _LEAST_PAIRS:
             values.append({**_fields_of_title(title), **records[index]})
             values.lines.append(index + 1)
-        elif names_part(line) or are_unplaced(line):
+        elif are_unplaced(line) or begins_section(line, first_title):
             title = line
         elif not (are_unplaced(title) and records[index]):
             raise InputError(f"line {index + 1}: is no box: {printable_name(line)}")

@@ -235,16 +235,24 @@ def part_role(title: str) -> str:
 
 
 def begins_section(title: str, first: str, above: Sequence[str] = ()) -> bool:
-    """Whether a line between boxes is the title of the boxes below it: it has a word for pallets, orders, layers or
-    stacks, or it is like the title of the first boxes. Any other line may be a damaged box.
+    """Whether a line between boxes is the title of the boxes below it, and no remark: it is like the title of the first
+    boxes, or, if these have none, it has a number or letter and a word for pallets, orders, layers or stacks.
 
     Args:
         first: the title of the first boxes; "": they have none.
-        above: the lines above the header.
+        above: the lines above the header. The last one is the title of the first boxes if it has a word of this line.
     """
     words = {word for word in words_of(title) if not word.isdecimal()}
-    is_like_above = bool(above) and bool(words.intersection(words_of(above[-1])))
-    return names_part(title) or is_like_above or bool(first and not names_part(first))
+    if not first and above and words.intersection(words_of(above[-1])):
+        first = above[-1]
+    if not first or (names_part(first) and not names_part(title)):
+        return not first and names_part(title) and _is_numbered(title)
+    return _is_numbered(title) or not _is_numbered(first)
+
+
+def _is_numbered(title: str) -> bool:
+    """Whether a title has a number or a letter, as "Pallet 2" and "Order B". "50 %" is no such number."""
+    return re.search(r"\d(?![\d.,]*\s*%)|\b[A-Z]\b", title) is not None
 
 
 _KEY_AND_VALUE: Final = re.compile(r"^[^\d:;]{3,60}:\s*[\d.,]+\s*\S{0,12}$")

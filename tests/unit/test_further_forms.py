@@ -901,9 +901,15 @@ def test_remarks_and_titles_between_boxes(tmp_path: Path) -> None:
         rows[place:place] = [line]
         return load(tmp_path, "pile.csv", "\n".join([*filter(None, [above]), f"box,{','.join(FIELDS)}", *rows]))
 
-    plan_set = load_with("scan failed", 4)
-    check_pile(plan_set.plans[0])
-    assert "row 6 is a remark, and left out: scan failed" in notes_of(plan_set)
+    for remark in ("scan failed", "pallet checked", "load 50 % done"):
+        plan_set = load_with(remark, 4)
+        check_pile(plan_set.plans[0])
+        assert f"row 6 is a remark, and left out: {remark}" in notes_of(plan_set)
+    titled = load(
+        tmp_path, "pile.csv", table(",".join(FIELDS)) + "Pallet 2\n" + table(",".join(FIELDS)).partition("\n")[2]
+    )
+    assert [plan.plan_id for plan in titled.plans] == ["pile/1", "Pallet 2"]
+    assert "row 10 is a title: Pallet 2" in notes_of(titled)
     (skipped,) = load_with("d", 4).skipped
     assert skipped.message.endswith("row 6: is no box: d")
     (skipped,) = load_with("Lyon", 4, above="Report").skipped
