@@ -57,7 +57,17 @@ _PROGRAMS: Final = (
     (r"#usda\b", "is a scene in USD: save it as glTF"),
     (r"(?:%%%.*\n)?\s*(?:&ACCESS|DEFDAT|MODULE)\s", f"is a program of a robot: {_OWN_FORMS}"),
     (r"(?:#.*\n|\s)*def \w+\(\):\s[^=]*?\b(?:movej|movel|movep|set_tcp)\(", f"is a program of a robot: {_OWN_FORMS}"),
+    (r"/PROG\s", f"is a program of a robot: {_OWN_FORMS}"),
     (r"(?:UNA|UNB\+|ISA\*)", f"is an EDI message: {_OWN_FORMS}"),
+    (r"#VRML\b", "is a scene in VRML: save it as glTF or X3D"),
+    (r"(?://.*\n|\s)*(?:translate|cube|color|union|module \w+)\s*\(", f"is a model in OpenSCAD: {_OWN_FORMS}"),
+    (r"(?:#.*\n|(?:mtllib|o|g|s) .*\n|\s)*v\s+-?[\d.]+\s+-?[\d.]+\s", "is a mesh (OBJ): save it as glTF"),
+    (r"solid\b.*\n\s*facet normal\s", "is a mesh (STL): save it as glTF, with one mesh for each box"),
+    (r"ply\s*\nformat\s", "is a mesh or a cloud of points (PLY): save boxes as glTF"),
+    (r"ISO-10303-21;", "is a CAD model (STEP or IFC): save it as glTF"),
+    (r"\s*0\s*\n\s*SECTION\s", "is a drawing (DXF): save it as glTF"),
+    (r"clingo version |# (?:Solution for model|Objective value)", f"has the variables of a solver: {_OWN_FORMS}"),
+    (r"(?:%.*\n|\s)*[a-z]\w*\([^()\n]*\)\.\s", f"has facts (Prolog): {_OWN_FORMS}"),
 )
 """Beginning of a text, as a pattern → the error text."""
 

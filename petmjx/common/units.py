@@ -40,17 +40,17 @@ PLAN_UNITS: Final = "mm,kg"
 
 def plan_units(text: str) -> tuple[str, str]:
     """The unit of lengths and the unit of masses that a text such as "cm", "g" or "cm,g" names. If the text names only
-    one of the two, the other is taken from ``PLAN_UNITS``.
+    one of the two, the other is taken from ``PLAN_UNITS``. "cm/mm" is the unit of sizes and that of coordinates.
 
     Raises:
         ValueError: the text has an unknown unit, or two units of the same kind.
     """
     names = [name.strip() for name in text.split(",")]
-    lengths = [name for name in names if name in LENGTHS_MM]
+    lengths = [name for name in names if name.count("/") < 2 and {*name.split("/")} <= LENGTHS_MM.keys()]
     masses = [name for name in names if name in MASSES_KG]
     if len(lengths) > 1 or len(masses) > 1 or len(lengths) + len(masses) != len(names):
         unit_names = f"one of {', '.join(LENGTHS_MM)} and one of {', '.join(MASSES_KG)}"
-        raise ValueError(f"must be {unit_names}, separated by a comma, such as cm or cm,g")
+        raise ValueError(f"must be {unit_names}, separated by a comma, such as cm or cm,g (cm/mm: sizes/coordinates)")
     usual_length, usual_mass = PLAN_UNITS.split(",")
     return (lengths or [usual_length])[0], (masses or [usual_mass])[0]
 

@@ -70,7 +70,8 @@ def _address(text: str | None) -> str | None:
 
 
 def _units(text: str | None) -> str | None:
-    """Validator of the option ``units``: the unit of lengths, the unit of masses, or both, such as "cm,g"."""
+    """Validator of the option ``units``: the unit of lengths, the unit of masses, or both, such as "cm,g" or
+    "cm/mm,kg"."""
     if text is None:
         return None
     try:
@@ -212,7 +213,7 @@ class RunOptions(CheckedRecord):
     ] = Field(
         None,
         description="unit of the lengths (mm, cm, m, in or ft) and unit of the masses (kg, g, lb or t) in the plans; "
-        "one of them or both, as in cm,g",
+        "one of them or both, as in cm,g; cm/mm: sizes in cm, coordinates in mm",
     )
     anchor: Annotated[Anchor | None, CliFlag("--anchor", "POINT", default=f"corner; {_OR_BY_FILE}")] = Field(
         None,

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from petmjx.common.units import FloatArray
-from petmjx.plans.column_extraction import ColumnExtraction
+from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS, ColumnExtraction
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, may_count, word_set, words_of
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.pose_columns import pose_choices
@@ -107,6 +107,10 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
         turns = rotations_in(extraction)
     for other_way in (with_half_extents, with_last_cells):
         geometries += [other for geometry in geometries if (other := other_way(geometry)) is not None]
+    for role in (HALF_EXTENTS, LAST_CELLS):
+        if role in chosen:
+            geometries = [one for one in geometries if (role in one.columns) == (chosen[role] != IGNORED)] or geometries
+    geometries = [geometry for geometry in geometries if (geometry.size > 0).all(axis=1).any()] or geometries
     weight_index = weight_column(extraction)
     density_index = extraction.first("density") if weight_index is None else None
     if not source.boxes.table.has_header:

@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Any, Final
 
 import numpy as np
 
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
 from petmjx.plans.column_names import column_meanings, word_set, words_of
 from petmjx.plans.raw_cells import cell_number
 
@@ -19,7 +23,11 @@ _LEAST_COLUMNS: Final = 5
 def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     """The rows of an object that stores a table in one of three forms: a list for each column; an object for each
     column, with one value per row; or the names of all columns in one field, and in another field a list of values for
-    each row (such as ``columns`` and ``data`` of pandas). None if the object has another form."""
+    each row (such as ``columns`` and ``data`` of pandas). None if the object has another form.
+
+    Raises:
+        InputError: the lists for sizes and places have several lengths.
+    """
     names = _names_in(value)
     for data in value.values() if names else ():
         rows = list(data.values()) if isinstance(data, Mapping) else data
@@ -35,6 +43,8 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
         return None
     lists = {name: list(inner) for name, inner in value.items() if isinstance(inner, list | tuple | np.ndarray)}
     lengths = {len(inner) for inner in lists.values()}
+    if len(lists) >= LEAST_NUMBERS:
+        _check_lengths(lists)
     if len(lengths) != 1 or 0 in lengths or any(isinstance(inner[0], Mapping) for inner in lists.values()):
         return None
     if sum(meaning is not None for meaning in column_meanings(list(lists))) < 2:
@@ -43,6 +53,22 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     if flat < _LEAST_COLUMNS:
         return None
     return [{name: inner[index] for name, inner in lists.items()} for index in range(lengths.pop())]
+
+
+def _check_lengths(lists: Mapping[str, Sequence[Any]]) -> None:
+    """Refuse lists for the sizes and places of boxes if one of them is longer or shorter than the others."""
+    known = [
+        name
+        for name, meaning in zip(lists, column_meanings(list(lists)), strict=True)
+        if meaning is not None and meaning.kind in ("size", "position")
+    ]
+    counts = Counter(len(lists[name]) for name in known)
+    if len(known) < LEAST_NUMBERS or len(counts) != 2:
+        return
+    (usual, n_usual), (odd, n_odd) = counts.most_common()
+    if n_odd == 1 < n_usual and abs(odd - usual) == 1 and min(odd, usual) > 1:
+        name = next(name for name in known if len(lists[name]) == odd)
+        raise InputError(f"{printable_name(name)} has {count_text(odd, 'value')}, but other lists have {usual}")
 
 
 def _names_in(value: Mapping[str, Any]) -> list[str]:
@@ -84,6 +110,8 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
             inner = inner.tolist()
         if isinstance(inner, Mapping) and (quantity := _quantity(inner)) is not None:
             flat[path] = quantity
+        elif isinstance(inner, Mapping) and str(name).lower() in _UNITS and isinstance(inner.get("Code"), str):
+            flat[path] = inner["Code"]
         elif isinstance(inner, Mapping):
             if depth < 4:
                 flat |= flattened(inner, f"{path}.", depth + 1)
@@ -141,7 +169,20 @@ def _parts_of_pose(path: str, numbers: Sequence[Any]) -> dict[str, Any]:
 
 _VALUES: Final = ("value", "amount", "magnitude")
 _UNITS: Final = frozenset(
-    ("unit", "units", "uom", "einheit", "unite", "unité", "unidad", "unita", "unità", "jednostka")
+    (
+        "unit",
+        "units",
+        "uom",
+        "unitofmeasurement",
+        "unitofmeasure",
+        "einheit",
+        "unite",
+        "unité",
+        "unidad",
+        "unita",
+        "unità",
+        "jednostka",
+    )
 )
 """Names of the two fields in objects such as {"value": 400, "unit": "mm"}: of the field with the number, and of the
 field with the unit."""
@@ -159,6 +200,11 @@ def _quantity(value: Mapping[str, Any]) -> Any:
     return None
 
 
+CORNER_NOISE: Final = 0.01
+"""Largest error of the corners of a box, as a share of its smallest side: cameras and floating-point numbers make
+errors."""
+
+
 def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | None:
     """The smallest and the largest coordinates of the eight corners of a box, [[x, y, z], …]; None for other lists. If
     the points are not the corners of a level box, one coordinate in the result is replaced by an error text."""
@@ -166,13 +212,14 @@ def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | Non
         return None
     ends: tuple[list[Any], list[Any]] = ([], [])
     for column in zip(*value, strict=True):
-        numbers = [number.value for cell in column if (number := cell_number(cell)) is not None]
+        numbers = sorted(number.value for cell in column if (number := cell_number(cell)) is not None)
         odd = [cell for cell in column if cell_number(cell) is None]
-        halves = len(numbers) == 8 and sorted(numbers)[3] == min(numbers) and sorted(numbers)[4] == max(numbers)
-        if not halves and not odd:
+        low, high = (0.0, 0.0) if odd else (median(numbers[:4]), median(numbers[4:]))
+        noise = CORNER_NOISE * (high - low)
+        if not odd and max(numbers[3] - numbers[0], numbers[7] - numbers[4]) > noise:
             odd = [f"{column[0]}, …, which are no level box"]
-        ends[0].append(odd[0] if odd else min(numbers))
-        ends[1].append(max(numbers, default=None))
+        ends[0].append(odd[0] if odd else low)
+        ends[1].append(high if not odd else max(numbers, default=None))
     return ends
 
 

@@ -42,9 +42,13 @@ from petmjx.plans.turn_columns import letters_of
 
 XYZ: Final = ("x", "y", "z")
 SIZE_WORDS: Final = ("length", "width", "height", "depth")
+HALF_EXTENTS: Final = "half extents"
+"""Role of a column of sizes, in addition to its own role, if sizes are half extents."""
+LAST_CELLS: Final = "last cells"
+"""Role of a column of far corners, in addition to its own role, if they are those of the last cells of boxes."""
 ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
-    "rotation", "plan", "sequence", "article", "item_id",
+    "rotation", "plan", "sequence", "article", "item_id", HALF_EXTENTS, LAST_CELLS,
 )  # fmt: skip
 """Roles that the option ``columns`` can assign to a column. ``sizes`` and ``position`` are three numbers in one
 column."""

@@ -131,7 +131,7 @@ CONTAINER_WORDS: Final = word_set(
 PALLET_WORDS: Final = word_set(
     "pallet pallets palette paletten palet paleta pale palety palete bancale bancali pal palno palnr palletno palletid "
     "palid lu hu su nve sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit versandelement carrier "
-    "container bin"
+    "container bin tote totes toteid"
 )
 """Words that mean a pallet in names of columns that otherwise have no known meaning, and in types of records."""
 TITLE_WORDS: Final = PALLET_WORDS | word_set(
@@ -404,10 +404,18 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
             unit = split_unit(names[column])[1]
             meanings[column] = ColumnMeaning("size", base[1], unit if unit in LENGTH_UNITS else "", half=True)
     along = {match[1].lower(): index for index, base in enumerate(bases) if (match := _PLACED_AXIS.fullmatch(base))}
-    kinds = {meaning.kind for index, meaning in enumerate(meanings) if meaning and index not in along.values()}
-    if len(along) == 3 and "position" in kinds and not kinds & {"size", "high"}:
+    kinds = {
+        meaning.kind
+        for index, meaning in enumerate(meanings)
+        if meaning and index not in along.values() and not (meaning.kind == "sizes" and bases[index][-1:].isdigit())
+    }
+    if len(along) == 3 and "position" in kinds and not kinds & {"size", "sizes", "high"}:
         for axis, column in along.items():
             meanings[column] = ColumnMeaning("size", axis, split_unit(names[column])[1], placed=True)
+    lengths = {match[1].lower(): index for index, base in enumerate(bases) if (match := _LENGTH_AXIS.fullmatch(base))}
+    if len(lengths) == 3:
+        for axis, column in lengths.items():
+            meanings[column] = ColumnMeaning("size", axis, split_unit(names[column])[1])
     if {"Lg", "lg"} <= set(bases):  # longueur and largeur
         small = bases.index("lg")
         meanings[small] = ColumnMeaning("size", "width", split_unit(names[small])[1])
@@ -450,6 +458,8 @@ def _letter_of_weight(single: Mapping[int, str]) -> int | None:
 
 _PLACED_AXIS: Final = re.compile(r"(?:packed|placed|rotated|oriented)[\s_.-]?([xyz])", re.IGNORECASE)
 """The size of a placed box along an axis, if other columns have its place: "PACKEDX"."""
+_LENGTH_AXIS: Final = re.compile(r"len(?:gth)?[\s_.-]?([xyz])", re.IGNORECASE)
+"""The size of a box along an axis, if three columns have such names: "len_x"."""
 _NUMBERED: Final = re.compile(r"^(.*?[A-Za-z])[\s_.-]?([0-3])$")
 """A name that ends in a number: "dim1", "DIM-2", "size_3"."""
 
@@ -627,8 +637,9 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if not index and words & _DIMENSIONS and is_dims:
         return ColumnMeaning("sizes", placed=placed, half=half, order=_orders(everything))
     if not index and len(words & (_POSITION | CENTRE_WORDS)) and words & {
-        "position", "coordinates", "koordinaten", "coords", "xyz", "location", "flb", "corner", "placement", "center",
-        "centre", "coordonnees", "coordenadas", "coordinate", "wspolrzedne", "posizione", "posicion", "pozycja",
+        "position", "translation", "coordinates", "koordinaten", "coords", "xyz", "location", "flb", "corner",
+        "placement", "center", "centre", "coordonnees", "coordenadas", "coordinate", "wspolrzedne", "posizione",
+        "posicion", "pozycja",
     }:  # fmt: skip
         return ColumnMeaning("positions", anchor=_anchor_of(everything))
     return None

@@ -17,11 +17,12 @@ from petmjx.plans.known_forms import MOST_BYTES, BoxSource, with_known_form, wit
 from petmjx.plans.nested_containers import LAYERS
 from petmjx.plans.nested_json import box_lists, decoded_json
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
-from petmjx.plans.printed_values import printed_values, values_of_lines
+from petmjx.plans.printed_values import printed_values, values_of_blocks, values_of_lines
 from petmjx.plans.python_objects_and_texts import is_printed_object, python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, RawTable, not_placed, rows_with_boxes, united, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
+from petmjx.plans.table_sections import are_unplaced
 from petmjx.plans.text_tables import decoded_text
 from petmjx.plans.workbooks import read_raw_tables, tables_of_page, value_of_xml
 from petmjx.plans.yaml_text import nested_format, value_of_toml, value_of_yaml
@@ -97,7 +98,12 @@ def _sources_of_document(text: str, path: Path | None) -> list[BoxSource] | None
     """
     if (name := nested_format(text, path)) is None:
         return None
-    value = value_of_toml(text) if name == "TOML" else value_of_yaml(text)
+    try:
+        value = value_of_toml(text) if name == "TOML" else value_of_yaml(text)
+    except InputError:
+        if name != "TOML" or (value := values_of_blocks(text)) is None:
+            raise
+        name = "INI"
     sources = [with_named_units(with_known_form(boxes, name)) for boxes in box_lists(value)]
     if not sources:
         raise NoGeometry(f"is {name} without a list of boxes: petmjx looks for objects with places and sizes")
@@ -112,6 +118,8 @@ def _sources_of_printed(text: str) -> list[BoxSource] | None:
     """
     value = printed_values(text)
     value = values_of_lines(text) if value is None else value
+    if value is None and nested_format(text, None) != "TOML":
+        value = values_of_blocks(text)
     return [with_named_units(with_known_form(boxes, "printed text")) for boxes in box_lists(value)] or None
 
 
@@ -140,7 +148,11 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
         kind: kind of the file, in words.
     """
     groups: dict[tuple[str, ...], list[RawTable]] = {}
+    unplaced = [table for table in raw_tables if table.title and are_unplaced(table.title.replace("_", " "))]
+    n_unplaced = sum(len(table.rows) for table in unplaced) if len(unplaced) < len(raw_tables) else 0
     for table in raw_tables:
+        if n_unplaced and table in unplaced:
+            continue
         key = geometric_names(table.header) if table.has_header else table.header
         groups.setdefault(key, []).append(table)
     sources = []
@@ -154,7 +166,7 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
         if names and all(LAYERS.intersection(words_of(name)) for name in names):
             names = [""] * len(names)
         joined = united(with_titles(tables))
-        boxes = BoxList(joined, "", tuple(names), _containers_above(joined))
+        boxes = BoxList(joined, "", tuple(names), _containers_above(joined), left_out=tuple(not_placed(n_unplaced)))
         if boxes.has_places:
             boxes = _without_unplaced(boxes)
         sources.append(with_known_form(boxes, kind))

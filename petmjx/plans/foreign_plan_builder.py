@@ -15,7 +15,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
-from petmjx.plans.column_extraction import IGNORED
+from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS
 from petmjx.plans.known_forms import PACKINGSOLVER
 from petmjx.plans.placed_boxes import (
     assumed_density,
@@ -38,8 +38,7 @@ from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, names_with_lost_rows, row_number, rows_by_name
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
-from petmjx.plans.readings import Reading, Wishes
-from petmjx.plans.size_and_place_columns import HALF_EXTENTS, LAST_CELLS
+from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +145,9 @@ class PlanBuilder:
             lost = names_with_lost_rows(self.boxes.table, names)
             single_reading = search.single_reading if len(plans) == 1 and not lost else None
             reading, candidate = single_reading or choose_reading(self.columns, plans, self.wishes, lost)
-        except InputError:  # either no row is good, or the good rows alone make no plausible plan
+        except InputError as error:  # either no row is good, or the good rows alone make no plausible plan
+            if isinstance(error, AmbiguousFile) and len({one.far_words for one in error.readings[:2]}) > 1:
+                raise  # boxes that end where they begin may be one cell thick
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]
                 raise InputError(f"{place}: {fault}") from None

@@ -61,10 +61,13 @@ def plans_of_sources(
 
 def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
     """Lines about lists of boxes that are not read. They have sizes and places, but other columns than the first list,
-    which is read."""
+    which is read. Objects around the boxes of the first list, such as layers, are no such boxes."""
     lines = []
+    first = sources[0].boxes.path
     for other in sources[1:]:
         boxes = other.boxes
+        if boxes.path and first.startswith(f"{boxes.path}."):
+            continue
         if boxes.has_places and boxes.has_sizes and boxes.table.has_header and boxes.table.rows:
             where = printable_name(boxes.table.title or boxes.path or "another table")
             lines.append(f"{count_text(len(boxes.table.rows), 'box', 'boxes')} in {where} not read: other columns")

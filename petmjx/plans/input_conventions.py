@@ -63,8 +63,18 @@ class InputConventions:
 
     @property
     def length_mm(self) -> float:
-        """Length of one unit of length, mm."""
-        return LENGTHS_MM[plan_units(self.units)[0]][0]
+        """Length of one unit of sizes, mm."""
+        return LENGTHS_MM[self._length_units[0]][0]
+
+    @property
+    def place_mm(self) -> float:
+        """Length of one unit of coordinates, mm."""
+        return LENGTHS_MM[self._length_units[1]][0]
+
+    @property
+    def _length_units(self) -> tuple[str, str]:
+        sizes, _, places = plan_units(self.units)[0].partition("/")
+        return sizes, places or sizes
 
     @property
     def mass_kg(self) -> float:
@@ -74,7 +84,7 @@ class InputConventions:
     @property
     def sizes(self) -> Limits:
         """The allowed range of sizes."""
-        return self._lengths(SMALLEST_MM, LARGEST_MM)
+        return self._lengths(SMALLEST_MM, LARGEST_MM, self._length_units[0])
 
     @property
     def weights(self) -> Limits:
@@ -85,10 +95,10 @@ class InputConventions:
     @property
     def coordinates(self) -> Limits:
         """The allowed range of coordinates."""
-        return self._lengths(-FARTHEST_MM, FARTHEST_MM)
+        return self._lengths(-FARTHEST_MM, FARTHEST_MM, self._length_units[1])
 
-    def _lengths(self, low_mm: float, high_mm: float) -> Limits:
-        factor, name = LENGTHS_MM[plan_units(self.units)[0]]
+    def _lengths(self, low_mm: float, high_mm: float, unit: str) -> Limits:
+        factor, name = LENGTHS_MM[unit]
         return Limits(low_mm / factor, high_mm / factor, name)
 
     def corner_mm(self, coordinates_mm: FloatArray, size_mm: FloatArray) -> FloatArray:

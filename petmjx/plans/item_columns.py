@@ -226,6 +226,8 @@ class _ItemExtraction(ColumnExtraction):
         """Determine the meanings of names that only orders have."""
         kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
         for index, name in enumerate(self.table.header):
+            if name in self.unit_columns:
+                continue
             base, unit = split_unit(name)
             words = set(words_of(base))
             joined = "".join(words_of(base))

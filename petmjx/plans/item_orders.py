@@ -272,7 +272,7 @@ class _OrderBuilder:
             value = columns.size[row, axis]
             fault = self.faults.get(row, f"{names[axis if len(names) == 3 else 0]} must be > 0, got {value:g}")
             raise InputError(f"{self.table.places[row]}: {fault}")
-        unit_text = wishes.units or columns.size_unit or self.form.units
+        unit_text = wishes.length_units[0] or columns.size_unit or self.form.units
         prior = _BIN_PRIOR if self.form in (MPV, SIZES) else _LIST_PRIOR if self.form is LENGTHS else _LENGTH_PRIOR
         lengths = {unit_text: 0.0} if unit_text else dict(prior)
         masses: dict[str, float] = {"kg": 0.0}

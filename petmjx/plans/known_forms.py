@@ -163,7 +163,7 @@ def _without_totals(boxes: BoxList) -> BoxList:
     return replace(without_totals, table=replace(without_totals.table, notes=(*table.notes, *notes)))
 
 
-_PALLET_RECORDS: Final = PALLET_WORDS - {"unit", "stop"}
+_PALLET_RECORDS: Final = PALLET_WORDS - {"unit", "stop", "tote", "totes"}
 _BOX_RECORDS: Final = word_set(
     "box case carton item parcel package piece karton kiste paket packstuck packung colis carton boite caja bulto "
     "scatola collo cartone paczka karton pudelko"

@@ -58,7 +58,8 @@ def decoded_json(text: str) -> Any:
         InputError: the text is neither. The error names the line and the column, but not the file.
     """
     try:
-        return _json_value(text)
+        value = _json_value(text)
+        return _without_types(value) if _TYPED_NAME.search(text) else value
     except RecursionError:
         raise InputError("not JSON (nested too deeply)") from None
     except json.JSONDecodeError as error:
@@ -70,7 +71,8 @@ def decoded_json(text: str) -> Any:
                     continue
                 values.lines.append(number)
                 try:
-                    values.append(_json_value(line))
+                    value = _json_value(line)
+                    values.append(_without_types(value) if _TYPED_NAME.search(line) else value)
                 except RecursionError:
                     raise InputError(f"not JSON at line {number} (nested too deeply)") from None
                 except json.JSONDecodeError as fault:
@@ -90,6 +92,33 @@ def _json_value(text: str) -> Any:
         raise
     except ValueError:
         return json.loads(text, object_pairs_hook=json_object, parse_int=any_integer)
+
+
+_TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
+    **dict.fromkeys(("$numberInt", "$numberLong", "$numberDouble", "$numberDecimal", "$oid", "N", "S"), str),
+    **dict.fromkeys(("integerValue", "doubleValue", "stringValue"), (str, int, float)),
+    **dict.fromkeys(("BOOL", "booleanValue"), bool),
+    **dict.fromkeys(("M", "mapValue", "fields"), dict), **dict.fromkeys(("L", "values"), list),
+    "arrayValue": dict,
+}  # fmt: skip
+"""Name of the only field of an object that states the type of a value, as databases export it → the type of this
+field. The names are those of MongoDB's extended JSON, DynamoDB and Firestore."""
+_TYPED_NAME: Final = re.compile(r'\{\s*"(?:\$number\w+|\$oid|[NS]|(?:integer|double|string)Value)"\s*:')
+
+
+def _without_types(value: Any) -> Any:
+    """A value in which each object that only states a type and a value is replaced by the value."""
+    if isinstance(value, list):
+        return [_without_types(inner) for inner in value]
+    if not isinstance(value, dict):
+        return value
+    if len(value) == 1:
+        ((name, inner),) = value.items()
+        if name in _TYPES and isinstance(inner, _TYPES[name]):
+            return _without_types(inner)
+    for name, inner in value.items():
+        value[name] = _without_types(inner)
+    return value
 
 
 def box_lists(value: Any) -> list[BoxList]:

@@ -14,7 +14,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
-from petmjx.plans.column_extraction import role_of
+from petmjx.plans.column_extraction import LAST_CELLS, role_of
 from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, names_deck
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.nested_containers import FLAT
@@ -352,12 +352,24 @@ def first_bad_row(columns: BoxColumns, wishes: Wishes) -> tuple[int, str] | None
     weight = columns.columns.get("weight", "") if wishes.density_kg_m3 is not None else ""
     faults = {row: f"{name} {text}" for row, (name, text) in columns.faults.items() if name != weight}
     geometries = columns.geometries
-    is_bad = np.array([~(geometry.size > 0).all(axis=1) for geometry in geometries]).all(axis=0)
+    is_bad = ~(geometries[0].size > 0).all(axis=1)
+    if not any(LAST_CELLS in geometry.columns for geometry in geometries):
+        is_bad = np.array([~(geometry.size > 0).all(axis=1) for geometry in geometries]).all(axis=0)
     for row in np.flatnonzero(is_bad).tolist():
         axis = int(np.argmin(np.nan_to_num(geometries[0].size[row], nan=math.inf)))
         name = _size_names(geometries[0], geometries[0].columns)[axis]
-        faults.setdefault(row, f"{name} must be > 0, got {geometries[0].size[row, axis]:g}")
+        fault = _end_fault(geometries[0], row, axis) or f"{name} must be > 0, got {geometries[0].size[row, axis]:g}"
+        faults.setdefault(row, fault)
     return min(faults.items(), default=None)
+
+
+def _end_fault(geometry: Geometry, row: int, axis: int) -> str:
+    """The fault of a box that ends where it begins, with the names of the columns of both ends; "" for other boxes."""
+    far = geometry.columns.get(f"{geometry.axes[axis]} (far)", geometry.columns.get("corners", ""))
+    if not far or geometry.size[row, axis]:
+        return ""
+    near = "its near corner" if "corners" in geometry.columns else _place_names(geometry.columns)[axis]
+    return f"{far} must be beyond {near}, got {geometry.place[row, axis]:g}"
 
 
 def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
@@ -387,7 +399,9 @@ def range_faults(columns: BoxColumns, reading: Reading, candidate: Candidate) ->
     far_places = (raw_place < place_limits.smallest) | (raw_place > place_limits.largest)
     for row, axis in np.argwhere(bad_sizes | far_places).tolist():
         if bad_sizes[row, axis]:
-            fault = positive_fault(named_sizes[axis], float(raw_size[row, axis]), *size_limits)
+            fault = _end_fault(candidate.geometry, row, axis) or positive_fault(
+                named_sizes[axis], float(raw_size[row, axis]), *size_limits
+            )
         else:
             fault = coordinate_fault(named_places[axis], float(raw_place[row, axis]), *place_limits)
         if fault is not None:
@@ -401,7 +415,7 @@ def _size_names(geometry: Geometry, columns: Mapping[str, str]) -> list[str]:
     Args:
         columns: role → name of its column.
     """
-    roles = [(role_of(axis), "sizes", f"{axis} (far)") for axis in geometry.axes]
+    roles = [(role_of(axis), "sizes", f"{axis} (far)", "corners") for axis in geometry.axes]
     return [next(filter(None, map(columns.get, names)), names[0]) for names in roles]
 
 

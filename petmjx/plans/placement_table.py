@@ -399,9 +399,10 @@ class _TableReader:
     def _numbers(self) -> dict[str, FloatArray]:
         """Sizes, weights and coordinates, in mm and kg. NaN if a value is unusable."""
         columns = {}
+        given = self.given
         for name, (low, high, _) in self._limits.items():
             numbers, usable = self.table.columns[name].numbers()
-            unit = self.given.mass_kg if name == "weight_kg" else self.given.length_mm
+            unit = given.mass_kg if name == "weight_kg" else given.place_mm if name in _CORNER else given.length_mm
             # comparisons with NaN are false
             columns[name] = np.where(usable & (numbers >= low) & (numbers <= high), numbers * unit, np.nan)
         return columns

@@ -159,7 +159,7 @@ def _parse_columns(
         return None
     try:
         numbers = np.array(columns, dtype=np.float64)
-        point = np.array(coordinates, dtype=np.float64).reshape(-1, 3) * given.length_mm
+        point = np.array(coordinates, dtype=np.float64).reshape(-1, 3) * given.place_mm
         sequence = np.array(sequences, dtype=np.int64)
         com = np.array(offsets, dtype=np.float64) * given.length_mm if has_extra else None
         numbers_of = {

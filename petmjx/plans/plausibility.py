@@ -241,16 +241,18 @@ def begins_half_a_box_along_y(layout: Layout) -> bool:
     return bool(abs(float((low - size / 2).min())) <= tolerance < abs(float(low.min())))
 
 
-def rises_along_y_alone(layout: Layout) -> bool:
-    """Whether the boxes, in packing order, never go back along y, but go down along z."""
+def rises_sideways(layout: Layout) -> bool:
+    """Whether the boxes, in packing order, never go back along x, or never along y, but go down along z."""
     tolerance = _tolerance_of(layout)
-    y, z = (np.diff(layout.low[:, axis]) >= -tolerance for axis in (1, 2))
-    return bool(y.all() and not z.all())
+    x, y, z = (bool((np.diff(layout.low[:, axis]) >= -tolerance).all()) for axis in range(3))
+    return (x or y) and not z
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:
     """Whether two readings give the same piles, except for units, a shift, a mirror image or a turn by 90°."""
     factors = set()
+    if [len(layout.low) for layout in one] != [len(layout.low) for layout in other]:
+        return False
     for first, second in zip(one, other, strict=True):
         a, b = _normal(first), _normal(second)
         scale = float(np.median(a[1])) / max(float(np.median(b[1])), 1e-300)

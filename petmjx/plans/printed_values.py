@@ -1,5 +1,6 @@
-"""Reads values as programs print them for people (``printed_values``, ``values_of_lines``): structures of Rust, Go,
-JavaScript, Java, Kotlin, C#, PHP and Lua, EDN, and lines of named values.
+"""Reads values as programs print them for people (``printed_values``, ``values_of_lines``, ``values_of_blocks``):
+structures of Rust, Go, JavaScript, Java, Kotlin, C#, PHP and Lua, EDN, named arrays, messages of protocol buffers, and
+lines of named values.
 
 All of them put names and values into brackets. A name may stand before a bracket ("Box3D {"), separators may be commas,
 semicolons or white space, and a name is followed by ":", "=" or "=>", or begins with ":".
@@ -8,13 +9,15 @@ semicolons or white space, and a name is followed by ":", "=" or "=>", or begins
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Final, cast
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.plans.column_names import column_meanings
 from petmjx.plans.nested_json import JsonLines
+from petmjx.plans.raw_tables import MOST_COLUMNS
+from petmjx.plans.table_sections import are_unplaced, begins_section, names_part, part_role
 
 _MOST_PRINTED: Final = 8 << 20
 """Largest text that is read, in characters."""
@@ -54,12 +57,13 @@ _EMPTY: Final = re.compile(r"[ \t]+(?=[A-Za-z_]\w{0,99}[:=](?:[^\s,;]++(?!\s*[,;
 """White space after a name that has no value. The next name and its value follow this white space, as in Go's "Note:
 Weight:5". If a separator follows this value, what looks like the next name is a text: in "id: sku:123, x: 0", the value
 of "id" is "sku:123"."""
-_WORD: Final = re.compile(r"[^\s,;\[\](){}]+")
+_WORD: Final = re.compile(r"(?:(?!/\*)[^\s,;\[\](){}])+")
 _TEXT: Final = re.compile(
-    r"[^,;\[\](){}\n]{0,1000}?(?=\s{0,9}(?:[,;\])}\n]|$)"
+    r"[^,;\[\](){}\n]{0,1000}?(?=\s{0,9}(?:[,;\])}\n]|/\*|$)|\s{1,9}(?://|--(?=[\s\[]))"
     r"|\s{1,9}:?[A-Za-z_]\w{0,99}[:=](?:\S|\s{0,9}(?:[\])}\n]|$)|\s{1,9}[A-Za-z_]\w{0,99}[:=]))"
 )
-"""A value behind a name, which may have several words. It ends before a separator, a bracket or the next name."""
+"""A value behind a name, which may have several words. It ends before a separator, a bracket, a comment or the next
+name."""
 _CONSTANTS: Final = {"true": True, "false": False, **dict.fromkeys(("nil", "null", "none", "undefined"), None)}
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?([fFdDL]?|[mM])")
 _PAIR: Final = re.compile(r"([A-Za-z][\w .#/-]{0,40}?) ?[:=]")
@@ -71,13 +75,33 @@ _LEAST_PAIRS: Final = 5
 """Fewest named values of a line that describes a box."""
 
 
+_ARRAYS: Final = re.compile(
+    r"\s*+(?:[#%/][^\n]*+\s*+)*+(?:\w++\s*+=\s*+-?[\w.]++\s*+;?\s*+)*+[A-Za-z_]\w*+\s*+=\s*+\[\s*+[-+.\d]"
+)
+"""The beginning of a text of named arrays, as MiniZinc and Octave print them: "x = [0, 400];"."""
+_MESSAGES: Final = re.compile(
+    r"\s*(?:#[^\n]*\s*)*(?!return\b)(?:[a-z_]\w*\s*:\s*(?:\"[^\"\n]*\"|[\w.+-]+)\s+)*[a-z_]\w*\s*\{\s*\w+\s*[:{]"
+)
+"""The beginning of messages of protocol buffers as text: "boxes { sku: ..."."""
+_FIELD: Final = re.compile(r"#[^\n]*|\"(?:\\.|[^\"\\\n])*+\"?|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
+"""A field of such a message: "boxes {" or "sku:"; or a comment, or a text in quotation marks, which may contain
+the like."""
+_RULES: Final = re.compile(r"^(?:[-=]{3,}|[#%][^\n]*)$", re.MULTILINE)
+"""Lines between named arrays that hold no values."""
+
+
 def printed_values(text: str) -> Any:
-    """The values in a text that a program has printed: a structure, or one structure in each line. None for other
-    texts.
+    """The values in a text that a program has printed: a structure, one structure in each line, named arrays, or
+    messages of protocol buffers. None for other texts.
 
     Raises:
         InputError: the text begins as a structure, but is damaged. The error names the line, but not the file.
     """
+    are_messages = False
+    if _ARRAYS.match(text):
+        text = f"{{{_RULES.sub('', text)}}}"
+    elif are_messages := (_MESSAGES.match(text) is not None):
+        text = f"{{{_FIELD.sub(_with_separator, text).replace(',', ' ', 1)}}}"
     if len(text) > _MOST_PRINTED or _BEGINS.match(text) is None or _JSON_NAME.search(text):
         return None
     values = JsonLines()
@@ -94,12 +118,41 @@ def printed_values(text: str) -> Any:
         end = _behind_gap(text, end)
         at, line = end, line + text.count("\n", at, end)
     _check_alike(text, places, values, 2)
+    if are_messages:
+        return _with_lists(values[0], _repeated_names(values[0]))
     return values[0] if len(values) == 1 else values
+
+
+def _with_separator(field: re.Match[str]) -> str:
+    if field[0].startswith("#"):
+        return ""
+    return f",{field[1]}: {field[2].lstrip(':')}" if field[1] else field[0]
+
+
+def _repeated_names(value: Any) -> set[str]:
+    """The names of lists of objects in a value."""
+    if isinstance(value, list):
+        return set().union(*map(_repeated_names, value))
+    names: set[str] = set()
+    for name, inner in value.items() if isinstance(value, dict) else ():
+        is_list = isinstance(inner, list) and any(isinstance(member, dict) for member in inner)
+        names |= _repeated_names(inner) | ({name} if is_list else set())
+    return names
+
+
+def _with_lists(value: Any, names: Collection[str]) -> Any:
+    """A value in which each object with one of these names is a list of one object."""
+    if isinstance(value, list):
+        return [_with_lists(inner, names) for inner in value]
+    if not isinstance(value, dict):
+        return value
+    inside = {name: _with_lists(inner, names) for name, inner in value.items()}
+    return {name: [inner] if name in names and isinstance(inner, dict) else inner for name, inner in inside.items()}
 
 
 def values_of_lines(text: str) -> JsonLines | None:
     """The values in lines of named values, "Item: A, Position: (0, 0, 0), Dimensions: 40 x 30 x 20"; None for other
-    texts. Lines above and below are left out.
+    texts. Lines above and below are left out. Titles ("Pallet 2:") become fields of the boxes below them.
 
     Raises:
         InputError: a line between two lines of named values has no named values. The error names the line.
@@ -116,14 +169,27 @@ def values_of_lines(text: str) -> JsonLines | None:
     if sum(meaning is not None for meaning in column_meanings(sorted(names))) < 2:
         return None
     values = JsonLines()
+    above = [line.strip() for line in lines[: used[0]] if line.strip()]
+    title = first_title = above[-1] if above and names_part(above[-1]) else ""
     for index in range(used[0], used[-1] + 1):
-        if not lines[index].strip():
+        line = lines[index].strip()
+        if not line:
             continue
-        if len(records[index]) < _LEAST_PAIRS:
-            raise InputError(f"line {index + 1}: is no box: {printable_name(lines[index].strip())}")
-        values.append(records[index])
-        values.lines.append(index + 1)
+        if len(records[index]) >= _LEAST_PAIRS:
+            values.append({**_fields_of_title(title), **records[index]})
+            values.lines.append(index + 1)
+        elif are_unplaced(line) or begins_section(line, first_title):
+            title = line
+        elif not (are_unplaced(title) and records[index]):
+            raise InputError(f"line {index + 1}: is no box: {printable_name(line)}")
     return values
+
+
+def _fields_of_title(title: str) -> Mapping[str, str]:
+    """The field that the title of a section gives to its boxes."""
+    if not title:
+        return {}
+    return {"placed": "no"} if are_unplaced(title) else {part_role(title): title.rstrip(": ")}
 
 
 def _pairs_of_line(line: str) -> Mapping[str, Any]:
@@ -140,6 +206,54 @@ def _pairs_of_line(line: str) -> Mapping[str, Any]:
         if (gap := _SEPARATORS.match(line, at)) is not None:
             at = gap.end()
     return pairs
+
+
+_BLOCK: Final = re.compile(r"\s*(?:\*{3,} \d+\. row \*{3,}|-\[ RECORD \d+ \][-+]*|\[([^\[\]\n]{1,100})\])\s*")
+"""The line above the values of a record, as MySQL and PostgreSQL print them, or above a section of an INI file."""
+_NAMED: Final = re.compile(r"\s*([A-Za-z][\w .#/-]{0,40}?)\s*[:=|]\s*(.*)")
+_COMMENT: Final = re.compile(r"\s*(?:[;#].*)?")
+
+
+def values_of_blocks(text: str) -> Any:
+    """The values in blocks of lines with one named value each, below a line that begins the block; None for other
+    texts. Blocks whose names differ in their numbers are one list: "[box1]", "[box2]".
+
+    Raises:
+        InputError: a line between two blocks is none. The error names the line.
+    """
+    lines = text.splitlines()
+    heads = [index for index, line in enumerate(lines) if _BLOCK.fullmatch(line)]
+    if len(heads) < 2 or any(not _COMMENT.fullmatch(line) for line in lines[: heads[0]]):
+        return None
+    lists: dict[str, JsonLines] = {}
+    sections: list[tuple[str, dict[str, Any]]] = []
+    for head, end in zip(heads, [*heads[1:], len(lines)], strict=True):
+        section = cast(re.Match[str], _BLOCK.fullmatch(lines[head]))[1] or ""
+        pairs: dict[str, Any] = {"section": section} if section else {}
+        for index in range(head + 1, end):
+            if (named := _NAMED.fullmatch(lines[index])) is not None and named[1] not in pairs:
+                pairs[named[1]] = named[2].strip() or None
+            elif not _COMMENT.fullmatch(lines[index]) and (end < len(lines) or named is not None):
+                raise InputError(f"line {index + 1}: is no named value: {printable_name(lines[index].strip())}")
+        name = re.sub(r"[\W\d_]+", "", section)
+        values = lists.setdefault(name, JsonLines())
+        values.append(pairs)
+        values.lines.append(head + 1)
+        sections.append((section, pairs))
+    boxes = max(lists.values(), key=len)
+    titles = [name for name, some in lists.items() if some is not boxes and names_part(name) and len(some) > 1]
+    title = ""
+    for section, pairs in sections if titles else ():  # boxes below "[pallet2]"
+        if re.sub(r"[\W\d_]+", "", section) in titles:
+            title = section
+        else:
+            pairs |= _fields_of_title(title)
+    n_known = 0
+    if len(boxes) > 1 and len(boxes[0]) <= MOST_COLUMNS:
+        n_known = sum(meaning is not None for meaning in column_meanings(list(boxes[0])))
+    if n_known < _LEAST_PAIRS:
+        return None
+    return boxes if len(lists) == 1 else {name: some if len(some) > 1 else some[0] for name, some in lists.items()}
 
 
 def _value(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any, int]:
@@ -187,6 +301,8 @@ def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any,
         kind: the name before the bracket.
     """
     pairs: dict[str, Any] = {}
+    repeated: set[str] = set()
+    """Names of several objects, as of boxes in messages of protocol buffers."""
     items: list[Any] = []
     places: list[int] = []
     begin = at
@@ -201,14 +317,22 @@ def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any,
         if (name := _NAME.match(text, at)) is not None:
             key = next(filter(None, name.groups())).strip()
             key = re.sub(r"(?::[\w\\]+)?:(?:private|protected)$", "", key)  # PHP: "x:protected", "x:Box:private"
-            if key in pairs:
-                raise _fault(text, at, f"{printable_name(key)} stands twice")
+            begin_of_pair = at
             if name[1]:  # a text of EDN has quotation marks, so that no value has several words
-                pairs[key], at = _value(text, _behind(_SPACE, text, name.end()), depth + 1, "M")
+                value, at = _value(text, _behind(_SPACE, text, name.end()), depth + 1, "M")
             else:
                 of_dotnet = close == "}" and name[0].endswith(" =")  # C# writes the record's name, F# does not
                 marks = ("mM" if kind else "M") if of_dotnet else ""
-                pairs[key], at = _value_of_name(text, name.end(), depth + 1, marks)
+                value, at = _value_of_name(text, name.end(), depth + 1, marks)
+            if key not in pairs:
+                pairs[key] = value
+            elif isinstance(value, dict) and (key in repeated or isinstance(pairs[key], dict)):
+                if key not in repeated:
+                    pairs[key] = [pairs[key]]
+                    repeated.add(key)
+                pairs[key].append(value)
+            else:
+                raise _fault(text, begin_of_pair, f"{printable_name(key)} stands twice")
         else:
             places.append(at)
             value, at = _value(text, at, depth + 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Final
 
@@ -42,7 +42,7 @@ def axis_up(up: str) -> int:
     return _UP[up][2]
 
 
-UNUSUAL_UP: Final = 2.5
+UNUSUAL_UP: Final = 2.0
 """Cost of a reading with x upwards, before any numbers are considered."""
 
 
@@ -147,6 +147,17 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     usual = [("z", 0.0), ("y", 1.0)]
     # the container shows whether x is the vertical
     return [*usual, ("x", UNUSUAL_UP)] if columns.source.boxes.containers else usual
+
+
+def sideways_candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
+    """Yield all readings with x upwards, unless ``candidates`` has them, or names, the form or the caller give the
+    vertical."""
+    free = [geometry for geometry in columns.geometries if not geometry.named_up and geometry.turn is None]
+    form = columns.source.form
+    is_known = wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers
+    if free and not is_known:
+        for candidate in candidates(replace(columns, geometries=free), replace(wishes, up="x")):
+            yield replace(candidate, prior=candidate.prior + UNUSUAL_UP)
 
 
 def _turning_axis(turn: FloatArray) -> str:

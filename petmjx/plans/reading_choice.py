@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.column_extraction import LAST_CELLS
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
@@ -24,12 +25,13 @@ from petmjx.plans.plausibility import (
     density_cost,
     layout_cost,
     load_fit,
-    rises_along_y_alone,
+    rises_sideways,
     same_layouts,
     side_cost,
 )
-from petmjx.plans.reading_candidates import UNUSUAL_UP, Candidate, candidates, layout_of
+from petmjx.plans.reading_candidates import Candidate, candidates, layout_of, sideways_candidates
 from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, overlap_text, tie_text
+from petmjx.plans.size_and_place_columns import Geometry
 
 TIE: Final = 1.5
 """Two readings whose costs differ by less than this value are a tie. Costs behave like negative log likelihoods: a
@@ -41,8 +43,8 @@ WEAK: Final = 5.0
 """A reading is weak if the cost of its layout exceeds this value. A layout has this cost if a fifth of its boxes
 overlap, or if a quarter of them float."""
 _POOR: Final = 0.8 * WEAK
-"""If every reading has a layout with a higher cost than this, unusual readings are tried: x upwards, and coordinates in
-another unit than sizes."""
+"""If every reading has a layout with a higher cost than this, coordinates in another unit than sizes are tried. Layouts
+with x upwards and with a higher cost are not considered."""
 WEAK_LEAD: Final = 3.0
 """A weak reading wins only if its cost is lower than the cost of every other reading by at least this value. If a plan
 really has odd boxes, even more boxes are odd in wrong readings."""
@@ -54,8 +56,8 @@ _SHIFTED: Final = 3.6
 coordinates of centres costs half as much if they are perhaps those of tops (``begins_half_a_box_along_y``), since only
 one axis shows this."""
 _ON_SIDE: Final = 1.0
-"""Cost of a reading in which boxes are listed from back to front, but not from the ground up: y may be the vertical.
-The cost is that of y upwards in a file that does not name the vertical."""
+"""Cost of a reading in which boxes are listed from one side to the other, but not from the ground up: the axis of these
+sides may be the vertical. The cost is that of y upwards in a file that does not name the vertical."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -124,8 +126,7 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
     """
     is_good = np.ones(columns.n_boxes, bool)
     is_good[list(columns.faults)] = False
-    for geometry in columns.geometries:
-        is_good &= (geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1)
+    is_good &= np.any([_are_positive(geometry) for geometry in columns.geometries], axis=0)
     sample: _Sample = []
     taken = 0
     good_plans = {name: rows for name, rows in plans.items() if name not in damaged and is_good[rows].all()}
@@ -137,6 +138,11 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
             sample.append((used, container_of(columns.source.boxes.containers, name)))
             taken += len(used)
     return sample
+
+
+def _are_positive(geometry: Geometry) -> NDArray[np.bool_]:
+    """(n,) whether a geometry has sizes and a place for each box."""
+    return np.asarray((geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1))
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
@@ -151,6 +157,8 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     costs: list[float] = []
     origins: list[str] = []
     sums = np.zeros(4)
+    is_positive = _are_positive(candidate.geometry)
+    sample = [(rows[is_positive[rows]], container) for rows, container in sample if is_positive[rows].any()]
     for rows, container in sample:
         whole_layout = layout_of(columns, candidate, container)
         layouts.append(Layout(whole_layout.low[rows], whole_layout.size[rows], whole_layout.container))
@@ -178,9 +186,7 @@ def _order_cost(judged: _Judged, mm: float) -> float:
         are_centres(layout, mm, far=anchor == "far-corner") for layout in judged.layouts
     )
     are_tops = anchor == "centre" and all(map(begins_half_a_box_along_y, judged.layouts))
-    return _SHIFTED * (shifted + 0.5 * are_tops) + _ON_SIDE * all(
-        rises_along_y_alone(layout) for layout in judged.layouts
-    )
+    return _SHIFTED * (shifted + 0.5 * are_tops) + _ON_SIDE * all(map(rises_sideways, judged.layouts))
 
 
 def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:
@@ -253,7 +259,10 @@ def choose_reading(
     unusual = best.candidate.prior - min(one.candidate.prior for one in judged) >= _UNUSUAL
     lead = max(tie, WEAK_LEAD * is_weak, best.layout_cost * (is_weak and unusual))
     close = [
-        other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
+        other
+        for other in judged[1:]
+        if other.cost < best.cost + max(lead, WEAK_LEAD * _stands_alone(other, best))
+        and not same_layouts(best.layouts, other.layouts)
     ]
     if close:
         readings = [_reading(one, columns, wishes) for one in (best, *close)]
@@ -270,6 +279,21 @@ def choose_reading(
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
+
+
+def _may_lie(best: _Judged) -> bool:
+    """Whether boxes overlap, float, are outside or are listed from one side to the other in the most plausible reading,
+    so that another axis may be the vertical."""
+    evidence = best.evidence
+    return evidence.n_overlapping + evidence.n_floating + evidence.n_outside > 0 or best.order_cost >= _ON_SIDE
+
+
+def _stands_alone(other: _Judged, best: _Judged) -> bool:
+    """Whether no box overlaps or floats along another vertical axis than that of the most plausible reading, along
+    which boxes overlap or float, or are listed from one side to the other."""
+    odd = [one.evidence.n_overlapping + one.evidence.n_floating for one in (other, best)]
+    is_worse = odd[1] > 0 or best.order_cost >= _ON_SIDE > other.order_cost
+    return other.candidate.up != best.candidate.up and not odd[0] and is_worse
 
 
 _LEAST_OVERLAPPING: Final = 6
@@ -295,12 +319,11 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
             break
         judged.append(_judge(columns, wishes, candidate, sample))
         lowest = min(lowest, judged[-1].cost)
-    best = min((one.layout_cost for one in judged), default=0.0)
-    if best > _POOR and not (wishes.up or columns.source.form.up):
-        plain = {id(one.candidate.geometry): one for one in sorted(judged, key=lambda one: one.candidate.prior)[::-1]}
-        for one in plain.values():
-            sideways = replace(one.candidate, up="x", prior=one.candidate.prior + UNUSUAL_UP)
-            other = _judge(columns, wishes, sideways, sample)
+    if judged and _may_lie(min(judged, key=lambda one: one.cost)):
+        for candidate in sorted(sideways_candidates(columns, wishes), key=lambda one: one.prior):
+            if candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
+                break
+            other = _judge(columns, wishes, candidate, sample)
             judged += [other] if other.layout_cost <= _POOR else []
     no_sizes_unit = not wishes.units and not any(geometry.size_unit for geometry in columns.geometries)
     if no_sizes_unit and judged and min(one.layout_cost for one in judged) > _POOR:
@@ -330,7 +353,9 @@ def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
     """
     first, *others = best.units
     rivals = [choice for choice in others if choice.length != first.length and choice.cost < first.cost + TIE]
-    if best.candidate.scale == 1.0:
+    if _are_large_cells(best):
+        rivals = [choice for choice in others if choice.length != first.length]
+    elif best.candidate.scale == 1.0:
         cheapest: dict[str, _Units] = {}
         for choice in best.units:
             cheapest.setdefault(choice.length, choice)
@@ -352,6 +377,14 @@ def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
     return [first, *rivals[:1]]
 
 
+def _are_large_cells(best: _Judged) -> bool:
+    """Whether boxes consist of a few cells of a grid. Cells may have any size, so nothing shows their unit."""
+    size = best.candidate.geometry.size[best.rows]
+    return LAST_CELLS in best.candidate.geometry.columns and bool(np.median(size.min(axis=1)) < _FEW_CELLS)
+
+
+_FEW_CELLS: Final = 5
+"""Boxes are hardly drawn on a grid of millimetres, centimetres or inches if most have a side of fewer cells."""
 _TRIED: Final = ("mm", "cm", "m", "in")
 """Units of lengths that are tried. Two such units are a tie if boxes and load fit a carrier in both units."""
 _THIN, _DENSE = 20.0, 2000.0

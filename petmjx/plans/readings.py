@@ -21,9 +21,9 @@ from typing import Any, Final
 from petmjx.common.checked_records import read_toml, reason, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name, three_digits
-from petmjx.common.units import LENGTHS_MM, MASSES_KG, plan_units
+from petmjx.common.units import LENGTHS_MM, MASSES_KG
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.column_extraction import ROLES
+from petmjx.plans.column_extraction import LAST_CELLS, ROLES
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, UNIT_WORDS
 from petmjx.plans.input_conventions import ANCHORS
 
@@ -135,6 +135,13 @@ class Reading:
         """The units of sizes and of coordinates."""
         return _length_units(self.units)
 
+    @property
+    def far_words(self) -> str:
+        """What the columns of far corners hold, in words; "" if there are none."""
+        name = next((self.columns[role] for role in ("x (far)", "corners") if role in self.columns), "")
+        are_cells = LAST_CELLS in self.columns
+        return name and f"{name} and its like are {'the last cells' if are_cells else 'the ends'} of boxes"
+
     def line(self) -> str:
         """The reading as one line of text."""
         sizes, places = self.length_units
@@ -238,6 +245,7 @@ _DIFFERENCES: Final = (
     (("up",), "--up (x, y or z)", lambda reading: f"{reading.up} upwards"),
     (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
     (("sizes", "rule"), "--sizes", _size_words),
+    (("far_words",), '--columns ("last cells=NAME", or "last cells=-")', lambda reading: reading.far_words),
 )
 """Fields of readings, with the option that decides between their values, and descriptions of the values."""
 _OF_COLUMNS: Final = (
@@ -405,10 +413,10 @@ def wishes_of(
 
 
 def named_units(units: str | None) -> tuple[str, str]:
-    """The unit of lengths and the unit of masses in a text such as "cm" or "cm,g". A unit that the text lacks is ""."""
+    """The unit of lengths and the unit of masses in a text such as "cm", "cm,g" or "cm/mm" (sizes and coordinates). A
+    unit that the text lacks is ""."""
     if not units:
         return "", ""
-    plan_units(units)
     names = [name.strip() for name in units.split(",")]
-    length = next((name for name in names if name in LENGTHS_MM), "")
+    length = next((name for name in names if {*name.split("/")} <= LENGTHS_MM.keys()), "")
     return length, next((name for name in names if name in MASSES_KG), "")

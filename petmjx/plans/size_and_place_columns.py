@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, ColumnExtraction, role_of
-from petmjx.plans.column_names import BASE_WORDS, CENTRE_WORDS, LENGTH_UNITS, word_set, words_of
+from petmjx.plans.box_fields import CORNER_NOISE
+from petmjx.plans.column_extraction import HALF_EXTENTS, LAST_CELLS, SIZE_WORDS, XYZ, ColumnExtraction, role_of
+from petmjx.plans.column_names import BASE_WORDS, CENTRE_WORDS, LENGTH_UNITS, split_unit, word_set, words_of
 from petmjx.plans.turn_columns import Turns
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
@@ -40,8 +41,9 @@ may describe any point of the box."""
 _FAR_SIDES: Final = word_set("right back rear far rechts hinten droite arriere derecha destra")
 """Words for the sides of a box that are far from the origin. "back_right_top" is the far corner, whereas "top" alone
 may be any point of the top."""
-_PICKED: Final = word_set("pick picked grasp source from")
-"""Words in the names of columns that hold the places from which a robot takes boxes."""
+_PICKED: Final = tuple(map(word_set, ("offset offsets", "pick picked grasp source from")))
+"""Words in the names of columns that do not hold places if other columns do: those of offsets, which are relative to
+the box, and those of the places from which a robot takes boxes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,31 +265,40 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
     return None
 
 
-_CORNER_NAME: Final = re.compile(r"([xyz])[\s_.-]?([1-8])", re.IGNORECASE)
-"""A coordinate of one of the eight corners of a box: "x1" … "z8"."""
+_CORNER_NAME: Final = re.compile(r"([xyz])(?:[\s_.-]?([1-8])|\[([0-7])\])", re.IGNORECASE)
+"""A coordinate of one of the eight corners of a box: "x1" … "z8", or "x[0]" … "z[7]"."""
 
 
 def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
-    """Sizes and places from the eight corners of each box, in columns x1, y1, z1 … z8 in any order; None if there are
-    no such columns."""
+    """Sizes and places from the eight corners of each box, in columns x1, y1, z1 … z8 or x[0] … z[7] in any order; None
+    if there are no such columns."""
     header = extraction.table.header
-    names = {match[1].lower() + match[2]: index for index, name in enumerate(header)
-             if (match := _CORNER_NAME.fullmatch(name.strip())) is not None}  # fmt: skip
+    names = {
+        f"{match[1].lower()}{int(match[2] or 1 + int(match[3]))}": index
+        for index, name in enumerate(header)
+        if (match := _CORNER_NAME.fullmatch(split_unit(name)[0].strip())) is not None
+    }
     if len(names) < 24:
         return None
     parts = [[extraction.numbers(names[f"{axis}{corner}"], LENGTH_UNITS)[0] for corner in range(1, 9)] for axis in XYZ]
-    corners = np.array(parts)  # (3, 8, n)
-    low, high = corners.min(axis=1).T, corners.max(axis=1).T
-    ends = (corners == low.T[:, None]) | (corners == high.T[:, None]) | np.isnan(corners)
+    corners = np.sort(parts, axis=1)  # (3, 8, n)
+    low, high = np.median(corners[:, :4], axis=1).T, np.median(corners[:, 4:], axis=1).T
+    noise = CORNER_NOISE * (high - low).min(axis=1)
+    corners = np.array(parts)
+    ends = np.minimum(abs(corners - low.T[:, None]), abs(corners - high.T[:, None])) <= noise
+    ends |= np.isnan(corners)
     for row in np.flatnonzero(~ends.all(axis=(0, 1))).tolist():
         axis, corner = np.argwhere(~ends[:, :, row])[0].tolist()
         index = names[f"{XYZ[axis]}{corner + 1}"]
         extraction.bad(row, index, f"must be {low[row, axis]:g} or {high[row, axis]:g}, as of the other corners")
-    columns = {axis: header[names[f"{axis}1"]] for axis in XYZ} | {
-        f"{axis} (far)": header[names[f"{axis}8"]] for axis in XYZ
+    columns = {axis: header[names[f"{axis}1"]] for axis in XYZ}
+    columns |= {f"{axis} (far)": header[names[f"{axis}8"]] for axis in XYZ}
+    columns |= {
+        f"{axis} of corner {number}": header[names[f"{axis}{number}"]] for number in range(2, 8) for axis in XYZ
     }
     lows, highs = [columns[axis] for axis in XYZ], [names[f"{axis}8"] for axis in XYZ]
-    return _between(extraction, low, high, "", highs, lows, columns)
+    unit = split_unit(columns["x"])[1]
+    return _between(extraction, low, high, unit if unit in LENGTH_UNITS else "", highs, lows, columns)
 
 
 def _between(
@@ -299,22 +310,22 @@ def _between(
     lows: Sequence[str],
     columns: Mapping[str, str],
 ) -> Geometry:
-    """Sizes and places from (n, 3) near and far corners.
+    """Sizes and places from (n, 3) near and far corners. Equal whole numbers are no fault yet: a box may be one cell
+    thick (``with_last_cells``).
 
     Args:
         highs: indices of the columns of the far corners.
         lows: what the far corners must be beyond, in words.
     """
     size = far_corner - corner
-    for row in np.flatnonzero((size <= 0).any(axis=1)):
-        axis = int(np.flatnonzero(size[row] <= 0)[0])
+    is_short = size < 0 if _are_whole(corner, far_corner) else size <= 0
+    for row in np.flatnonzero(is_short.any(axis=1)):
+        axis = int(np.flatnonzero(is_short[row])[0])
         extraction.bad(int(row), highs[axis], f"must be beyond {lows[axis]}, got {far_corner[row, axis]:g}")
         size[row] = np.nan
     return Geometry(size, corner, XYZ, unit, unit, "corner", True, columns)
 
 
-HALF_EXTENTS: Final = "half extents"
-"""Role of the columns of sizes that are read as half extents, in addition to their own roles."""
 _EXTENTS: Final = word_set("extent extents")
 """Words for sizes that some programs (Unreal, Unity) use for half sizes."""
 
@@ -330,9 +341,6 @@ def with_half_extents(geometry: Geometry) -> Geometry | None:
     return replace(geometry, size=2 * geometry.size, columns=columns, prior=geometry.prior + 0.8)
 
 
-LAST_CELLS: Final = "last cells"
-"""Role of the columns of far corners that are read as those of the last cells of boxes, in addition to their own
-roles."""
 _OF_LAST_CELLS: Final = 2.0
 """Cost of a reading in which far corners are last cells, before any numbers are considered."""
 
@@ -341,11 +349,14 @@ def with_last_cells(geometry: Geometry) -> Geometry | None:
     """The geometry with far corners read as those of the last cell of a grid: a box from 1 to 40 is 40 cells long. None
     if the geometry does not consist of two corners with whole numbers."""
     far = [name for role, name in geometry.columns.items() if role.endswith("(far)") or role == "corners"]
-    numbers = np.concatenate([geometry.size, geometry.place], axis=1)
-    if not far or not np.array_equal(numbers, np.rint(numbers), equal_nan=True):
+    if not far or not _are_whole(geometry.size, geometry.place):
         return None
     columns = {**geometry.columns, LAST_CELLS: far[0]}
     return replace(geometry, size=geometry.size + 1, columns=columns, prior=geometry.prior + _OF_LAST_CELLS)
+
+
+def _are_whole(*numbers: FloatArray) -> bool:
+    return all(np.array_equal(some, np.rint(some), equal_nan=True) for some in numbers)
 
 
 def _same_stems(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Iterator[tuple[int, ...]]:
@@ -366,10 +377,12 @@ def _stem(name: str) -> str:
 
 
 def _without_picks(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[list[int]]:
-    """The columns for each coordinate. Columns with the places from which a robot takes boxes are left out if there are
-    other columns."""
-    others = [[index for index in columns if not _PICKED.intersection(words_of(header[index]))] for columns in picked]
-    return others if all(others) else [list(columns) for columns in picked]
+    """The columns for each coordinate, without columns that do not hold places (``_PICKED``) if there are others."""
+    columns = [list(some) for some in picked]
+    for words in _PICKED:
+        others = [[index for index in some if not words.intersection(words_of(header[index]))] for some in columns]
+        columns = others if all(others) else columns
+    return columns
 
 
 # Columns without names.

@@ -3,11 +3,12 @@ totals, which are left out."""
 
 from __future__ import annotations
 
+import operator
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import zip_longest
+from itertools import compress, zip_longest
 from typing import Any, Final
 
 import numpy as np
@@ -28,6 +29,7 @@ from petmjx.plans.header_and_total_rows import (
     names_unit,
     with_groups,
 )
+from petmjx.plans.nested_containers import LAYERS, STACKS
 from petmjx.plans.raw_cells import cell_text, decimal_of, is_number
 from petmjx.plans.raw_tables import RawTable, not_placed
 
@@ -110,7 +112,7 @@ def _table_below(
         ]
         first += 1
     header = tuple(distinct_names(names))
-    sections, lost, trailing = _sections(rows, first, end, begin, header, notes)
+    sections, lost, trailing = _sections(rows, first, end, begin, header, above, notes)
     if trailing and not more:
         notes.append(f"left out at the end: {printable_name(trailing[0])}")
     names_of = dict.fromkeys(name for name, _ in sections)
@@ -140,16 +142,23 @@ _Section = tuple[str, list[tuple[tuple[Any, ...], str]]]
 
 
 def _sections(
-    rows: Sequence[tuple[Any, ...]], first: int, end: int, begin: int, header: Sequence[str], notes: list[str]
+    rows: Sequence[tuple[Any, ...]],
+    first: int,
+    end: int,
+    begin: int,
+    header: Sequence[str],
+    above: Sequence[str],
+    notes: list[str],
 ) -> tuple[list[_Section], tuple[tuple[str, str], ...], list[str]]:
     """The rows of a table by section, the rows that are lost, and the lines after the last row."""
     width, geometric = len(header), geometric_columns(header)
     names_pallets = [index for index, name in enumerate(header) if TITLE_WORDS.intersection(words_of(name))]
     sections: list[_Section] = [("", [])]
     lost: list[tuple[str, str]] = []
-    trailing: list[str] = []
+    trailing: list[tuple[str, str]] = []
     short_titles: dict[str, str] = {}
-    remarks: list[tuple[tuple[Any, ...], str]] = []
+    remarks: list[tuple[str, str]] = []
+    has_long_names = False
     is_unplaced, n_unplaced = False, 0
     for index in range(first, end):
         row, place = rows[index], f"row {index + begin}"
@@ -160,26 +169,27 @@ def _sections(
             notes.append(f"{place} is a total, and left out")
             continue
         if row[0] is not None and len(filled) == 1 and _are_none_unplaced(cell_text(row[0])):
-            notes += _remark_notes([(row, place)])
+            notes += _remark_notes([(_line(row), place)])
             continue
         is_remark = _is_remark(row, geometric)
         if len(filled) == 1 and width > 2 and isinstance(filled[0], str) and not (_mostly_numbers(row) or is_remark):
-            trailing.append(filled[0])
-            is_unplaced = row[0] is not None and _are_unplaced(filled[0])
+            trailing.append((filled[0], place))
+            is_unplaced = row[0] is not None and are_unplaced(filled[0])
             continue
         if _is_title(row, geometric, names_pallets):
             short_titles[_line(row)] = _short_title(filled)
-            trailing.append(_line(row))
-            is_unplaced = row[0] is not None and _are_unplaced(_line(row))
+            trailing.append((_line(row), place))
+            is_unplaced = row[0] is not None and are_unplaced(_line(row))
             continue
         if trailing and is_unplaced:
             n_unplaced += 1
             continue
         if is_remark:
-            remarks.append((row, place))
+            remarks.append((_line(row), place))
             continue
-        if any(body for _, body in sections):  # between boxes, a line with a name and a value may be a damaged box
-            lost += [(where, f"is no box: {printable_name(_line(line))}") for line, where in remarks]
+        is_between = not trailing and any(body for _, body in sections)
+        if is_between:  # a line with a name and a value may be a damaged box
+            lost += _lost_lines(remarks)
         else:
             notes += _remark_notes(remarks)
         remarks = []
@@ -190,13 +200,59 @@ def _sections(
             lost.append((place, f"has {count_text(len(row), 'field')} instead of {width}"))
             continue
         if trailing:
-            sections.append((trailing[-1], []))
+            title, where = trailing[-1]
+            first_title = next((name for name, body in sections if body), None)
+            if first_title is None or title in short_titles or begins_section(title, first_title, above):
+                sections.append((title, []))
+                if first_title == "" or (first_title and not names_part(title)):
+                    notes.append(f"{where} is a title: {printable_name(title)}")
+                if first_title is not None:
+                    notes += _remark_notes([entry for entry in trailing[:-1] if not names_part(entry[0])])
+            else:  # a line of one word may be the name of a box whose other cells are lost
+                are_remarks = [not has_long_names and len(line.split()) > 1 for line, _ in trailing]
+                notes += _remark_notes([*compress(trailing, are_remarks)])
+                lost += _lost_lines([*compress(trailing, map(operator.not_, are_remarks))])
             trailing = []
+        has_long_names |= len(cell_text(row[0]).split()) > 1
         sections[-1][1].append((tuple(row[:width]), place))
     notes += [*_remark_notes(remarks), *not_placed(n_unplaced)]
     if len(set(short_titles.values())) == len(short_titles):
         sections = [(short_titles.get(name, name), body) for name, body in sections]
-    return [section for section in sections if section[1]], tuple(lost), trailing
+    return [section for section in sections if section[1]], tuple(lost), [line for line, _ in trailing]
+
+
+_PART_WORDS: Final = TITLE_WORDS | LAYERS | STACKS
+
+
+def names_part(title: str) -> bool:
+    """Whether a title has a word for pallets, orders, layers or stacks."""
+    return bool(_PART_WORDS.intersection(words_of(title)))
+
+
+def part_role(title: str) -> str:
+    """What a title with such a word names: "plan", or "layer" for layers and stacks."""
+    return "plan" if TITLE_WORDS.intersection(words_of(title)) - STACKS else "layer"
+
+
+def begins_section(title: str, first: str, above: Sequence[str] = ()) -> bool:
+    """Whether a line between boxes is the title of the boxes below it, and no remark: it is like the title of the first
+    boxes, or, if these have none, it has a number or letter and a word for pallets, orders, layers or stacks.
+
+    Args:
+        first: the title of the first boxes; "": they have none.
+        above: the lines above the header. The last one is the title of the first boxes if it has a word of this line.
+    """
+    words = {word for word in words_of(title) if not word.isdecimal()}
+    if not first and above and words.intersection(words_of(above[-1])):
+        first = above[-1]
+    if not first or (names_part(first) and not names_part(title)):
+        return not first and names_part(title) and _is_numbered(title)
+    return _is_numbered(title) or not _is_numbered(first)
+
+
+def _is_numbered(title: str) -> bool:
+    """Whether a title has a number or a letter, as "Pallet 2" and "Order B". "50 %" is no such number."""
+    return re.search(r"\d(?![\d.,]*\s*%)|\b[A-Z]\b", title) is not None
 
 
 _KEY_AND_VALUE: Final = re.compile(r"^[^\d:;]{3,60}:\s*[\d.,]+\s*\S{0,12}$")
@@ -210,8 +266,12 @@ def _is_remark(row: Sequence[Any], geometric: Sequence[int]) -> bool:
     return is_pair and _n_numbers(row, geometric) * 2 < len(geometric)
 
 
-def _remark_notes(remarks: Sequence[tuple[tuple[Any, ...], str]]) -> list[str]:
-    return [f"{place} is a remark, and left out: {printable_name(_line(row))}" for row, place in remarks]
+def _remark_notes(remarks: Sequence[tuple[str, str]]) -> list[str]:
+    return [f"{place} is a remark, and left out: {printable_name(line)}" for line, place in remarks]
+
+
+def _lost_lines(lines: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    return [(place, f"is no box: {printable_name(line)}") for line, place in lines]
 
 
 def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequence[int]) -> bool:
@@ -221,7 +281,7 @@ def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequ
     Args:
         pallet_columns: columns whose cells name pallets in every row, so that a cell there is no title.
     """
-    if row[0] is not None and not any(map(is_number, row)) and _are_unplaced(_line(row)):
+    if row[0] is not None and not any(map(is_number, row)) and are_unplaced(_line(row)):
         return True
     begin = next((index for index, cell in enumerate(row) if cell is not None), None)
     if begin is None or begin in pallet_columns or not isinstance(row[begin], str):
@@ -229,10 +289,10 @@ def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequ
     return bool(TITLE_WORDS.intersection(words_of(row[begin]))) and _n_numbers(row, geometric) * 2 < len(geometric)
 
 
-def _are_unplaced(title: str) -> bool:
+def are_unplaced(title: str) -> bool:
     """Whether the boxes below a title are not part of a plan. Such a title says only that the boxes are not placed, as
-    in "Unplaced items (3)". A title with further words, such as "Layer 2 (remaining)" or "scan failed", is the title of
-    boxes of the plan, and a pallet of leftovers is a plan."""
+    in "Unplaced items (3)". A title with further words, such as "Layer 2 (remaining)", is the title of boxes of the
+    plan, and a pallet of leftovers is a plan."""
     words = [word for word in words_of(title) if not word.isdecimal()]
     others = [word for word in words if word not in _BOXES_OF_TITLES and not names_unplaced(word)]
     return names_unplaced(title) and not others
@@ -242,7 +302,7 @@ def _are_none_unplaced(title: str) -> bool:
     """Whether a text says that all boxes are placed, as in "Unplaced: none" and "0 boxes not placed"."""
     words = re.findall(r"\w+", title.lower()) or [""]
     is_none = words[-1] in _NONE or words[0] == "0"
-    return is_none and _are_unplaced(" ".join(word for word in words if word not in _NONE))
+    return is_none and are_unplaced(" ".join(word for word in words if word not in _NONE))
 
 
 _NONE: Final = frozenset(("none", "0", "keine"))

@@ -15,6 +15,7 @@ from dataclasses import replace
 from typing import Final
 
 from petmjx.common.errors import InputError
+from petmjx.plans.embedded_tables import rows_of_sql, text_of_latex
 from petmjx.plans.file_formats import NoBoxes, wide_encoding
 from petmjx.plans.header_and_total_rows import LEAST_KNOWN, SEARCHED_ROWS, count_known_names
 from petmjx.plans.raw_tables import MOST_ROWS, RawTable
@@ -77,6 +78,15 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
         raise NoBoxes("the file is empty")
     if text.count("\0"):
         raise NoBoxes("is no text")
+    if by_table := rows_of_sql(text):
+        tables = [
+            replace(table, title=name, notes=("rows of SQL", *table.notes))
+            for name, rows in by_table.items()
+            for table in tables_of_rows(rows, begin)
+        ]
+        return [replace(table, notes=(*notes, *table.notes)) for table in tables]
+    if latex := text_of_latex(text):
+        text, delimiter = latex, "&"
     if "│" in text or "┃" in text or "║" in text:
         text = text.translate(_BOX_DRAWING)
     lost: list[tuple[str, str]] = []
@@ -181,7 +191,7 @@ def _plain_fields(text: str, delimiter: str) -> Iterator[list[str]]:
         raise NoBoxes(f"is no table: {error}") from error
 
 
-_RULE: Final = re.compile(r"^[\s|+:]*[-=]{2,}(?:[\s|+:]+[-=]{2,})+[\s|+:]*$")
+_RULE: Final = re.compile(r"^[\s|+:]*[-=_]{2,}(?:[\s|+:]+[-=_]{2,})+[\s|+:]*$")
 """A line of dashes below a header, as in printed tables."""
 
 
@@ -192,7 +202,7 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
     """
     rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
     if rule is not None:
-        spans = [match.span() for match in re.finditer(r"[-=]{2,}", lines[rule])]
+        spans = [match.span() for match in re.finditer(r"[-=_]{2,}", lines[rule])]
         above = next((count for count in range(rule) if not lines[rule - 1 - count].strip()), rule)
         head = rule - (above if above <= _MOST_HEADER_LINES else 1)
         for index, line in enumerate(lines):

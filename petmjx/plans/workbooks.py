@@ -132,6 +132,11 @@ def check_archive(data: bytes | bytearray) -> None:
         raise InputError("unpacks to more bytes than a file of plans may have")
 
 
+def _span(text: str | None, most: int) -> int:
+    """The number of rows or columns over which a cell extends, at most ``most``."""
+    return max(1, min(int(text), most)) if text is not None and text.isdecimal() and len(text) < 10 else 1
+
+
 class _PageRows(HTMLParser):
     """The rows of cells of each table in a web page."""
 
@@ -140,20 +145,40 @@ class _PageRows(HTMLParser):
         self.tables: list[list[list[Any]]] = []
         self.cell: tuple[list[Any], int] = ([], 0)
         self.in_cell = False
+        self.spans: dict[int, tuple[list[Any], int]] = {}
+        """Column → the row whose cell extends downwards, and the number of further rows over which it extends."""
+        self.n_copies = 0
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         if tag == "table":
             self.tables.append([])
+            self.spans = {}
         elif tag == "tr" and self.tables:
             self.tables[-1].append([])
         elif tag in ("td", "th") and self.tables and self.tables[-1]:
-            row, span = self.tables[-1][-1], dict(attrs).get("colspan") or "1"
+            row, spans = self.tables[-1][-1], dict(attrs)
+            self._copy_from_above(row)
             self.cell, self.in_cell = (row, len(row)), True
-            wide = min(int(span), MOST_COLUMNS - len(row)) if span.isdecimal() else 1
-            row += ["", *[None] * (wide - 1)]
+            n_more = _span(spans.get("rowspan"), MOST_ROWS) - 1
+            row += ["", *[None] * (_span(spans.get("colspan"), MOST_COLUMNS - len(row)) - 1)]
+            if n_more:
+                self.spans |= dict.fromkeys(range(self.cell[1], len(row)), (row, n_more))
+
+    def _copy_from_above(self, row: list[Any]) -> None:
+        """Add the cells of rows above that extend over the next columns of a row. Numbers are left out: a weight beside
+        several boxes may be that of all of them."""
+        while (span := self.spans.pop(len(row), None)) is not None and self.n_copies < MOST_ROWS:
+            above, n_more = span
+            if n_more > 1:
+                self.spans[len(row)] = (above, n_more - 1)
+            cell = above[len(row)]
+            row.append(None if cell is None or cell_number(cell) is not None else cell)
+            self.n_copies += 1
 
     def handle_endtag(self, tag: str) -> None:
         self.in_cell &= tag not in ("td", "th", "tr", "table")
+        if tag == "tr" and self.tables and self.tables[-1]:
+            self._copy_from_above(self.tables[-1][-1])
 
     def handle_data(self, data: str) -> None:
         if self.in_cell:

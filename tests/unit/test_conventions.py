@@ -236,6 +236,23 @@ def test_units_and_anchor_are_refused_where_they_say_nothing() -> None:
         as_plan(boxes(MISTAKES["centres"]), anchor="middle")
 
 
+def test_sizes_and_coordinates_may_have_units_of_their_own(tmp_path: Path) -> None:
+    box = {"length_mm": 40, "width_mm": 30, "height_mm": 20, "weight_kg": 6000, "x_mm": 100, "y_mm": 0, "z_mm": 0}
+    plan = petmjx.Plan.from_boxes("a", [box], units="cm/mm,g")
+    assert plan.size_mm[0].tolist() == [400, 300, 200]
+    assert plan.corner_mm[0].tolist() == [100, 0, 0]
+    assert plan.mass_kg[0] == 6
+    row = {"plan_id": "a", "sequence": 1, "article": "b", **box}
+    file = tmp_path / "plans.csv"
+    file.write_text("\n".join([",".join(row), ",".join(map(str, row.values()))]))
+    (same,) = petmjx.load_plans(file, units="cm/mm,g").plans
+    assert same.size_mm.tolist() == plan.size_mm.tolist()
+    assert same.corner_mm.tolist() == plan.corner_mm.tolist()
+    for units in ("cm/", "cm/mm/m", "kg/g"):
+        with pytest.raises(InputError, match=r"^units must be one of mm, .* got"):
+            petmjx.load_plans(file, units=units)
+
+
 def test_the_command_line_tells_and_takes_the_option(capsys: pytest.CaptureFixture[str]) -> None:
     file = as_table(boxes(MISTAKES["centimetres"]))
     assert main(["convert", file, "-o", "b.json"]) == 0

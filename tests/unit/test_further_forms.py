@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from datetime import datetime
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -264,6 +265,13 @@ TABLES = {
     "a remark between boxes": table(f"box,x,y,z,{SIZES},weight", named).replace("f,", "checked by A,,,,,,,\nf,", 1),
     "sections of layers": table(f"box,x,y,z,{SIZES},weight", named, mark=";").replace("e;", "Layer 2;;;;;;;\ne;", 1)
     .replace("a;", "Layer 1;;;;;;;\na;", 1),
+    "LaTeX": "\\begin{tabular}{lrrrrrrr}\n\\toprule\n"
+    + table(f"box,$x$,$y$,$z$,{SIZES},\\textbf{{Weight}} (kg)", named, mark=" & ").replace("\n", " \\\\\n")
+    + "\\end{tabular}\n",
+    "MATLAB": "T =\n\n  8x8 table\n\n"
+    + "\n".join("    ".join(cell.rjust(7) for cell in row) for row in (
+        ["box", *FIELDS], ["_" * 7] * 8, [" "], *([NAMES[k], *map(str, box)] for k, box in enumerate(PILE)))) + "\n",
+    "lengths along axes": table("box,pos_x,pos_y,pos_z,len_x,len_y,len_z,weight", named),
     "Markdown": "\n".join(
         [f"| box | {' | '.join(FIELDS)} |", "|:---|" + "---:|" * len(FIELDS)]
         + [f"| {NAMES[k]} | " + " | ".join(map(str, box)) + " |" for k, box in enumerate(PILE)]
@@ -628,6 +636,139 @@ def test_damaged_printed_values_are_one_line(text: str, fault: str, tmp_path: Pa
     assert skipped.message.endswith(fault)
 
 
+def database(kind: str) -> str:
+    """A dump of a database with the pile, or the result of a query."""
+    columns = ", ".join(f"`{name}`" for name in ("box", *FIELDS))
+    rows = [f"('{name}', {', '.join(map(str, box))})" for name, box in zip(NAMES, PILE, strict=True)]
+    if kind == "COPY":
+        lines = ["\t".join(map(str, named(k, list(map(float, box))))) for k, box in enumerate(PILE)]
+        return "\n".join([f"COPY public.boxes ({', '.join(('box', *FIELDS))}) FROM stdin;", *lines, "\\.", ""])
+    if kind == "INSERT":
+        return f"INSERT INTO `boxes` ({columns}) VALUES\n{(',' + chr(10)).join(rows)};\n"
+    if kind == "CREATE":
+        created = ", ".join(f"`{name}` varchar(20) NOT NULL" for name in ("box", *FIELDS))
+        inserts = "".join(f"INSERT INTO boxes VALUES {row};\n" for row in rows)
+        return f"CREATE TABLE `boxes` ({created}, PRIMARY KEY (`box`));\n{inserts}"
+    heads = {"MySQL": "***** {}. row *****", "PostgreSQL": "-[ RECORD {} ]-----", "INI": "[box{}]"}
+    mark = {"MySQL": ": ", "PostgreSQL": " | ", "INI": "="}[kind]
+    blocks = [
+        "\n".join(
+            [heads[kind].format(number), *map(mark.join, zip(("box", *FIELDS), (name, *map(str, box)), strict=True))]
+        )
+        for number, (name, box) in enumerate(zip(NAMES, PILE, strict=True), start=1)
+    ]
+    return "\n".join(["[pallet]\nkind=euro\n" if kind == "INI" else "", *blocks, ""]).lstrip()
+
+
+@pytest.mark.parametrize("kind", ["INSERT", "CREATE", "COPY", "MySQL", "PostgreSQL", "INI"])
+def test_databases_and_blocks_of_lines(kind: str, tmp_path: Path) -> None:
+    text = database(kind)
+    (plan,) = load(tmp_path, "pile.txt", text).plans
+    check_pile(plan)
+    assert plan.item_ids == tuple(NAMES)
+    (skipped,) = load(tmp_path, "pile.txt", text.replace("7.75", "seven")).skipped
+    assert skipped.message.endswith('weight must be a number, got "seven"')
+
+
+def test_damaged_dumps_are_one_line(tmp_path: Path) -> None:
+    for text, fault in (
+        (database("COPY").replace("\\.", ""), "line 1: the rows have no end; truncated?"),
+        (database("INSERT").replace("('c'", "'c'"), "line 3: not a row of values"),
+        ("INSERT INTO boxes VALUES ('a', 0);", "the names of the columns of boxes are missing"),
+    ):
+        (skipped,) = load(tmp_path, "dump.sql", text).skipped
+        assert skipped.message.endswith(fault)
+
+
+def message(box: Sequence[float], name: str) -> str:
+    """A message of protocol buffers, in which zeros are not written."""
+    fields = [" ".join(f"{axis}: {value}" for axis, value in zip(FIELDS[:3], box, strict=False) if value)]
+    fields += [f"{field}: {value}" for field, value in zip(FIELDS[3:], box[3:], strict=True)]
+    return f'boxes {{\n  name: "{name}: {{x"\n  at {{ {fields[0]} }}\n  ' + "\n  ".join(fields[1:]) + "\n}\n"
+
+
+def test_messages_and_arrays(tmp_path: Path) -> None:
+    text = 'plan_id: "P"\n' + "".join(message(box, name) for name, box in zip(NAMES, PILE, strict=True))
+    (plan,) = load(tmp_path, "pile.textproto", text).plans
+    check_pile(plan)
+    assert plan.plan_id == "P"
+    columns = zip(FIELDS, zip(*PILE, strict=True), strict=True)
+    arrays = "% solved\n" + "".join(f"{name} = {list(values)};\n" for name, values in columns) + "----------\n"
+    check_pile(load(tmp_path, "pile.txt", arrays).plans[0])
+    (skipped,) = load(tmp_path, "pile.txt", arrays.replace("y = [0, ", "y = [")).skipped
+    assert skipped.message.endswith("y has 7 values, but other lists have 8")
+
+
+@pytest.mark.parametrize("kind", ["MongoDB", "DynamoDB", "Firestore", "figure", "UPS"])
+def test_json_of_databases_and_figures(kind: str, tmp_path: Path) -> None:
+    boxes = [dict(zip(("name", *FIELDS), (name, *box), strict=True)) for name, box in zip(NAMES, PILE, strict=True)]
+    types = {"MongoDB": "$numberDouble", "DynamoDB": "N", "Firestore": "doubleValue"}
+    value: Any
+    if kind in types:
+        texts = {"MongoDB": "$oid", "DynamoDB": "S", "Firestore": "stringValue"}
+        typed = [
+            {field: {texts[kind] if field == "name" else types[kind]: str(cell)} for field, cell in box.items()}
+            for box in boxes
+        ]
+        value = {"documents": [{"fields": box} for box in typed]} if kind == "Firestore" else {"Items": typed}
+    elif kind == "figure":  # corners of meshes
+        ends = [[(box[axis], box[axis] + box[axis + 3]) for axis in range(3)] for box in PILE]
+        corners = [list(zip(*product(*some), strict=True)) for some in ends]
+        value = {"data": [dict(zip("xyz", some, strict=True)) for some in corners]}
+    else:
+        unit = {"UnitOfMeasurement": {"Code": "KGS", "Description": "Kilograms"}}
+        value = {"Package": [{**box, "weight": {**unit, "Weight": box["weight"]}} for box in boxes]}
+    (plan,) = load(tmp_path, "pile.json", json.dumps(value)).plans
+    check_pile(plan, weights=kind != "figure")
+
+
+def test_cells_of_a_web_page_over_several_rows(tmp_path: Path) -> None:
+    head = "".join(f"<th>{name}</th>" for name in ("pallet", "box", *FIELDS))
+    rows = ["".join(f"<td>{cell}</td>" for cell in named(k, list(map(float, box)))) for k, box in enumerate(PILE)]
+    pallets = "".join(f"<tr><td rowspan='{len(PILE)}'>P{number}</td>{'</tr><tr>'.join(rows)}</tr>" for number in (1, 2))
+    plans = load(tmp_path, "pile.html", f"<html><table><tr>{head}</tr>{pallets}</table></html>").plans
+    assert [plan.plan_id for plan in plans] == ["P1", "P2"]
+    for plan in plans:
+        check_pile(plan)
+    one_weight = rows[1].replace(f"<td>{float(PILE[1][6])}</td>", "")
+    first = rows[0].replace(f"<td>{float(PILE[0][6])}", f"<td rowspan=2>{float(PILE[0][6])}")
+    lines = "".join(f"<tr><td>P</td>{row}</tr>" for row in (first, one_weight, *rows[2:]))
+    (skipped,) = load(tmp_path, "pile.html", f"<html><table><tr>{head}</tr>{lines}</table></html>").skipped
+    assert skipped.message.endswith("row 3 (b): weight is missing")
+
+
+def test_pallets_in_sections_and_messages(tmp_path: Path) -> None:
+    sections = database("INI").replace("[pallet]\nkind=euro\n", "")
+    text = "".join(f"[pallet{number}]\nkind=euro\n{sections}" for number in (1, 2))
+    plans = list(load(tmp_path, "load.ini", text).plans)
+    assert [plan.plan_id for plan in plans] == ["pallet1", "pallet2"]
+    messages = [message(box, name) for name, box in zip(NAMES, PILE, strict=True)]
+    text = f'pallet {{\n  id: "A"\n{"".join(messages)}}}\npallet {{\n  id: "B"\n{messages[0]}}}\n'
+    a, b = load(tmp_path, "load.textproto", f"# two pallets\n{text}").plans
+    assert (a.plan_id, b.plan_id, b.n_boxes) == ("A", "B", 1)
+    for plan in (*plans, a):
+        check_pile(plan)
+
+
+def test_tables_of_boxes_that_are_not_placed(tmp_path: Path) -> None:
+    dump = database("INSERT") + database("INSERT").replace("`boxes`", "unplaced_boxes")
+    plan_set = load(tmp_path, "dump.sql", dump)
+    check_pile(plan_set.plans[0])
+    assert "8 boxes are not placed, and left out" in notes_of(plan_set)
+
+
+def test_kinds_of_files_without_lists_of_boxes(tmp_path: Path) -> None:
+    for text, kind in (
+        ("#VRML V2.0 utf8\nTransform { translation 0 0 0 }\n", "is a scene in VRML"),
+        ("# load\no box\nv 0 0 0\nv 400 0 0\n", "is a mesh (OBJ)"),
+        ("/PROG PALLET\n/POS\nP[1]{ X = 0 mm };\n", "is a program of a robot"),
+        ("translate([0, 0, 0]) cube([400, 300, 200]);\n", "is a model in OpenSCAD"),
+        ("placed(400, 300, 200, 0, 0, 0).\n", "has facts (Prolog)"),
+    ):
+        (skipped,) = load(tmp_path, "pile.txt", text).skipped
+        assert kind in skipped.message
+
+
 DOCUMENTS = {
     "objects of a game engine": {"items": boxes_by(in_engine, "prefab")},
     "other objects of a scene": {"objects": in_a_scene()},
@@ -726,18 +867,114 @@ def test_documents_in_further_conventions(name: str, tmp_path: Path) -> None:
 
 
 def test_x_may_be_the_vertical(tmp_path: Path) -> None:
-    """The deck shows that x or z is the vertical, and the user tells which of them."""
+    """The deck shows that x is the vertical. Without a deck, the user tells it."""
     boxes = [
         {"name": name, "origin": dict(zip("yzx", box[:3], strict=True)), "weight": box[6],
          "dimensions": dict(zip("yzx", box[3:6], strict=True))}
         for name, box in zip(NAMES, PILE, strict=True)
     ]  # fmt: skip
     content = json.dumps({"boxes": [{"box": {"dimensions": {"x": 2000, "y": 1200, "z": 800}, "items": boxes}}]})
+    (plan,) = load(tmp_path, "pile.json", content).plans
+    check_pile(plan)
+    content = json.dumps({"items": boxes})
     (skipped,) = load(tmp_path, "pile.json", content).skipped
-    assert "can be read in two ways: x upwards" in skipped.message
+    assert "x upwards" in skipped.message
     assert "say which with --up (x, y or z)" in skipped.message
     (plan,) = load(tmp_path, "pile.json", content, up="x").plans
     check_pile(plan)
+
+
+def test_rows_along_x_may_be_layers(tmp_path: Path) -> None:
+    """Equal boxes stand along each axis, but they are listed by x, and not by z."""
+    cells = [(x, y, z) for x in range(3) for y in range(2) for z in range(2)]
+    rows = [{"x": 200 * x, "y": 250 * y, "z": 300 * z, "dx": 200, "dy": 250, "dz": 300} for x, y, z in cells]
+    (skipped,) = load(tmp_path, "pile.json", json.dumps(rows)).skipped
+    assert "say which with --up (x, y or z)" in skipped.message
+    by_z = sorted(rows, key=lambda row: row["z"])
+    (plan,) = load(tmp_path, "pile.json", json.dumps(by_z)).plans
+    assert plan.size_mm[0].tolist() == [200, 250, 300]
+
+
+def test_remarks_and_titles_between_boxes(tmp_path: Path) -> None:
+    def load_with(line: str, place: int, above: str = "") -> petmjx.PlanSet:
+        rows = [f"{name},{','.join(map(str, box))}" for name, box in zip(NAMES, PILE, strict=True)]
+        rows[place:place] = [line]
+        return load(tmp_path, "pile.csv", "\n".join([*filter(None, [above]), f"box,{','.join(FIELDS)}", *rows]))
+
+    for remark in ("scan failed", "pallet checked", "load 50 % done"):
+        plan_set = load_with(remark, 4)
+        check_pile(plan_set.plans[0])
+        assert f"row 6 is a remark, and left out: {remark}" in notes_of(plan_set)
+    titled = load(
+        tmp_path, "pile.csv", table(",".join(FIELDS)) + "Pallet 2\n" + table(",".join(FIELDS)).partition("\n")[2]
+    )
+    assert [plan.plan_id for plan in titled.plans] == ["pile/1", "Pallet 2"]
+    assert "row 10 is a title: Pallet 2" in notes_of(titled)
+    (skipped,) = load_with("d", 4).skipped
+    assert skipped.message.endswith("row 6: is no box: d")
+    (skipped,) = load_with("Lyon", 4, above="Report").skipped
+    assert skipped.message.endswith("row 7: is no box: Lyon")
+
+
+def test_lines_of_values_below_titles(tmp_path: Path) -> None:
+    lines = [
+        f"Item: {name}, Position: ({x}, {y}, {z}), Dimensions: {length} x {width} x {height}, Weight: {kg}, Layer: 1"
+        for name, (x, y, z, length, width, height, kg) in zip(NAMES, PILE, strict=True)
+    ]
+    text = "\n".join(["Pallet 1:", *lines, "Pallet 2:", *lines, "Unplaced items:", lines[0]])
+    plan_set = load(tmp_path, "pile.txt", text)
+    for plan in plan_set.plans:
+        check_pile(plan)
+    assert [plan.plan_id for plan in plan_set.plans] == ["Pallet 1", "Pallet 2"]
+    assert "1 box is not placed, and left out" in notes_of(plan_set)
+
+
+def test_comments_behind_values(tmp_path: Path) -> None:
+    fields = [
+        f"{{ x: {x} /* mm */, y: {y} // left, at front\n, z: {z}, l: {length}, w: {width}, h: {height}, kg: {kg} }}"
+        for x, y, z, length, width, height, kg in PILE
+    ]
+    check_pile(load(tmp_path, "pile.txt", f"[{', '.join(fields)}]").plans[0])
+
+
+def test_eight_corners_may_have_small_errors(tmp_path: Path) -> None:
+    rng = np.random.default_rng(33501)
+    rows, boxes = [], []
+    for box in PILE:
+        ends = [(box[axis], box[axis] + box[axis + 3]) for axis in range(3)]
+        corners = (np.array(list(product(*ends))) + rng.uniform(-0.5, 0.5, (8, 3))).round(2)
+        rows.append([*corners.ravel(), box[6]])
+        boxes.append({"corners": corners.tolist(), "weight": box[6]})
+    header = ",".join(f"{axis}{corner} [mm]" for corner in range(1, 9) for axis in "xyz") + ",weight"
+    (plan,) = load(tmp_path, "pile.csv", "\n".join([header, *(",".join(map(str, row)) for row in rows)])).plans
+    (same,) = load(tmp_path, "pile.json", json.dumps(boxes)).plans
+    for one in (plan, same):
+        assert np.abs(one.size_mm - np.array(PILE)[:, 3:6]).max() < 1
+
+
+def test_cells_of_a_grid(tmp_path: Path) -> None:
+    """A box may be one cell thick, and there may be an empty cell between boxes."""
+    header = "id,x1,y1,z1,x2,y2,z2,weight"
+
+    def of_cells(*boxes: tuple[int, ...]) -> str:
+        rows = [f"b{number},{','.join(map(str, box))},5" for number, box in enumerate(boxes)]
+        return "\n".join([header, *rows])
+
+    lower = [(0, 0, 0, 39, 29, 19), (41, 0, 0, 80, 29, 19), (0, 31, 0, 39, 60, 19), (41, 31, 0, 80, 60, 19)]
+    upper = [(*box[:2], 21, *box[3:5], 40) for box in lower]
+    (plan,) = load(tmp_path, "cells.csv", of_cells(*lower, (0, 0, 20, 80, 60, 20), *upper)).plans
+    assert plan.size_mm[[0, 4]].tolist() == [[400, 300, 200], [810, 610, 10]]
+    (skipped,) = load(tmp_path, "cells.csv", of_cells(*lower)).skipped
+    assert 'say which with --columns ("last cells=NAME", or "last cells=-")' in skipped.message
+    (plan,) = load(tmp_path, "cells.csv", of_cells(*lower), columns={"last cells": "x2"}).plans
+    assert plan.size_mm[0].tolist() == [400, 300, 200]
+    (plan,) = load(tmp_path, "cells.csv", of_cells(*lower), columns={"last cells": "-"}).plans
+    assert plan.size_mm[0].tolist() == [390, 290, 190]
+    (skipped,) = load(tmp_path, "ends.csv", of_cells((0, 0, 0, 40, 30, 0), (40, 0, 0, 80, 30, 20))).skipped
+    assert skipped.message.endswith("row 2 (b0): z2 must be beyond z1, got 0")
+    tiny = of_cells(*((x, y, z, x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1, 2)))
+    (skipped,) = load(tmp_path, "cells.csv", tiny).skipped
+    assert "say which with --units" in skipped.message
 
 
 def test_feet_are_a_unit_that_the_user_can_name(tmp_path: Path) -> None:
