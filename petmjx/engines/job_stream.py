@@ -190,16 +190,21 @@ class JobStream(Generic[Tag]):
             self._unfollowed = 0
             self._changed.notify_all()
 
+    @property
+    def all_followed(self) -> bool:
+        """Whether all jobs that follow from the outcomes so far have been put into the stream."""
+        return not self._unfollowed
+
     def wait_for_following(self, in_flight: Collection[int]) -> bool:
-        """Wait briefly for a job that follows from an outcome. An engine without running worlds calls this method, in a
-        thread other than the thread that takes the engine's outcomes.
+        """Wait briefly for a job while outcomes are missing. An engine without running worlds calls this method. If all
+        its outcomes have been made, it calls this method in a thread other than the thread that takes them.
 
         Args:
             in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes
                 outcomes calls ``wake`` after each change of ``in_flight``.
 
         Returns:
-            Whether to wait again: no job is ready, and jobs may still follow from outcomes.
+            Whether to wait again: no job is ready, and jobs may still come.
         """
         with self._changed:
             if self._may_follow(in_flight):
@@ -237,8 +242,11 @@ class JobStream(Generic[Tag]):
         return self._open and not self._paused
 
     def _may_follow(self, in_flight: Collection[int]) -> bool:
-        """Whether no job is ready, but jobs may follow from an outcome that has not come or has not been processed."""
-        return self.feedback and not self.ready and bool(in_flight or self._unfollowed)
+        """Whether no job is ready, but jobs may follow from an outcome that has not come or has not been processed, or
+        come from a source that waits for such an outcome."""
+        if self.ready:
+            return False
+        return bool(in_flight and self._comes) or (self.feedback and bool(in_flight or self._unfollowed))
 
     @property
     def _is_full(self) -> bool:

@@ -176,7 +176,7 @@ class TableJobs:
         return not apart and not table.fits(job)
 
     def wait_for_following(self) -> bool:
-        """Wait briefly for a job that follows from an outcome. Returns whether jobs may still follow."""
+        """Wait briefly for a job while outcomes are missing. Returns whether to wait again."""
         return self._stream.wait_for_following(self.in_flight)
 
     def answered(self, stream_number: int) -> None:

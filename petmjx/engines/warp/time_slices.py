@@ -170,13 +170,20 @@ class TableSlices:
             yield result
             if self._rollout is None:
                 continue
-            while not table.live.any() and not self._waits and self._source.wait_for_following():
-                yield SliceResult((), table.recorder, {}, {})  # the caller may have closed this generator meanwhile
+            while not table.live.any() and self._lacks_outcomes and self._source.wait_for_following():
+                # the caller takes outcomes of long worlds, or may have closed this generator meanwhile
+                yield SliceResult((), table.recorder, {}, {})
             if not table.live.any() and self._join(wait=True):
                 self._keep_under_way(self._rollout)
             elif self._source.needs_another(table, self._rollout.launcher.blocks):
                 self._hand_to_next_table(self._rollout)
                 return
+
+    @property
+    def _lacks_outcomes(self) -> bool:
+        """Whether outcomes may come while this generator waits. If slices wait for the CPU, only worlds that have left
+        the device have no outcome yet."""
+        return not self._waits or bool(self._source.in_flight)
 
     def _keep_under_way(self, rollout: Rollout) -> None:
         """Start slices until ``UNDER_WAY`` are started and not yet read, or only one if the CPU must read it before the
