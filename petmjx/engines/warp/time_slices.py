@@ -170,8 +170,8 @@ class TableSlices:
             yield result
             if self._rollout is None:
                 continue
-            while not table.live.any() and self._lacks_outcomes and self._source.wait_for_following():
-                # the caller takes outcomes of long worlds, or may have closed this generator meanwhile
+            while not table.live.any() and self._outcomes_come and self._source.wait_for_following():
+                # the caller may have closed this generator meanwhile, or takes the outcomes of long worlds
                 yield SliceResult((), table.recorder, {}, {})
             if not table.live.any() and self._join(wait=True):
                 self._keep_under_way(self._rollout)
@@ -180,10 +180,10 @@ class TableSlices:
                 return
 
     @property
-    def _lacks_outcomes(self) -> bool:
-        """Whether outcomes may come while this generator waits. If slices wait for the CPU, only worlds that have left
-        the device have no outcome yet."""
-        return not self._waits or bool(self._source.in_flight)
+    def _outcomes_come(self) -> bool:
+        """Whether outcomes may come while this generator waits for jobs. If slices wait for the CPU, these can only be
+        the outcomes of worlds that have left the device."""
+        return not self._waits or bool(self._source.left)
 
     def _keep_under_way(self, rollout: Rollout) -> None:
         """Start slices until ``UNDER_WAY`` are started and not yet read, or only one if the CPU must read it before the
@@ -239,6 +239,7 @@ class TableSlices:
         picked = readbacks_of(ended, table.table, table.worlds, table.run.sim)
         jobs = {row: table.jobs[row] for row in ended.tolist()}
         stream_numbers = {row: table.stream_numbers[row] for row in ended.tolist()}
+        self._source.left.update(stream_numbers[row] for row in ended[status[ended] == Status.LEFT].tolist())
         table.end(ended)
         return SliceResult(picked, table.recorder, jobs, stream_numbers)
 
