@@ -131,7 +131,7 @@ LONG_PLACEMENT, LONG_DRIVE = 3.0, 2.5
 """A world is long if its placement takes more than ``LONG_PLACEMENT`` times as many steps as a placement whose boxes
 stand, or its drive more than ``LONG_DRIVE`` times the expected steps, not counting the rest window. With fewer than
 ``FALL_STEPS`` steps, no placement is long: a fall of few boxes takes 400 to 650 steps, and these boxes stand after 165
-to 200 steps."""
+to 210 steps."""
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
